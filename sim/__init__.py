@@ -1,0 +1,18 @@
+"""The physics: a system in, an event series out. No files, no dask, no pandas."""
+
+from sim.coupling import COUPLINGS, draw_system, perturb_system
+from sim.run import IntegrationError, Run, Stats, simulate
+from sim.series import EventSeries
+from sim.system import System
+
+__all__ = [
+    "COUPLINGS",
+    "EventSeries",
+    "IntegrationError",
+    "Run",
+    "Stats",
+    "System",
+    "draw_system",
+    "perturb_system",
+    "simulate",
+]

@@ -1,0 +1,349 @@
+"""The exact engine: set-valued Coulomb friction, event by event, Taylor series between events.
+
+Between events a sticking block moves with the belt (z linear in t: nothing to integrate) and a slipping one
+obeys a linear law, so with z(t0 + s) = sum_k c_k s^k
+
+    (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
+
+One product with K an order gives the series of every block and, as K c_k, that of lambda of the sticking ones.
+The next event is the first root of
+
+    sigma (w - v)     of a slipping block,
+    mu + sigma F      of a sticking one, F = R v + K z = -mu lambda, for either sigma.
+
+A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.kernels.roots`, which misses no
+root. At an event every block with w = v is decided anew from |F| against mu; when they are equal (every exit
+starts there) the first coefficient of F that does not vanish decides, order by order, while the series is
+being built: until a block is decided its motion is the same under either mode, so simultaneous events, folds,
+cusps and tangencies of any order need no case of their own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim import fate
+from sim.compile import kernel
+from sim.drive import (
+    ALL_SLIP,
+    BUFFER_FULL,
+    CHECK,
+    DIVERGED,
+    DONE,
+    LAST_BLOCK,
+    N_CLOCKS,
+    N_COUNTERS,
+    N_EVENTS,
+    N_PRODUCTS,
+    N_STALLED,
+    N_STEPS,
+    PAUSED,
+    STALLED,
+    STEPS_A_SLICE,
+    TIME,
+    Buffers,
+    drive,
+)  # fmt: skip
+from sim.kernels import ROUNDING, product, roots
+from sim.run import Run
+from sim.system import Floats, System
+
+#: Highest order of the series. At |eigenvalue| s about 5 its last term is below 1e-13 and rounding is
+#: amplified by less than exp(5); a longer step loses more to rounding than it gains.
+ORDER_MAX = 32
+_ORDER_MIN = 4
+
+#: The step aims at this many mean times between events: longer ones are cut by an event before they pay.
+_REACH = 2.0
+#: Memory of the running mean of the time between events.
+_DECAY = 0.9
+
+#: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
+_STALL = 1000
+
+# behind the common clocks: decaying sums for the mean time between events
+_EXPOSURE, _INSTANTS = N_CLOCKS, N_CLOCKS + 1
+
+_UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
+_IDENTICALLY_ZERO = 10 * ORDER_MAX
+
+
+@kernel
+def _expand(law, z, w, mode, touching, series, forces, zeros, side, target, remaining, tol):  # type: ignore[no-untyped-def]
+    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
+
+    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
+    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
+    holds to `tol`, and the number of products.
+    """
+    columns, row_sums, damping, friction, v = law
+    n = len(z)
+    product(columns, z, forces[0])
+    z_max = 0.0
+    for i in range(n):
+        z_max = max(z_max, abs(z[i]))
+    n_undecided = 0
+    w_max = 0.0
+    for i in range(n):
+        zeros[i] = 0
+        side[i] = 0
+        if touching[i] or mode[i] == 0:
+            w[i] = v
+            mu = friction[i]
+            drag = damping[i] * v
+            force = drag + forces[0, i]
+            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + mu)
+            if abs(force) > mu + slack:
+                mode[i] = -1 if force > 0.0 else 1
+                zeros[i] = 1
+            else:
+                mode[i] = 0
+                if abs(force) >= mu - slack:
+                    n_undecided += 1
+                    zeros[i] = _IDENTICALLY_ZERO
+                    side[i] = _UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
+        w_max = max(w_max, abs(w[i]))
+        series[0, i] = z[i]
+        series[1, i] = w[i]
+        series[2, i] = 0.0
+        if mode[i] != 0:
+            series[2, i] = -0.5 * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
+    allowed = tol * max(1.0, z_max, w_max)
+
+    n_small = 0
+    last = 0.0
+    for k in range(1, ORDER_MAX - 1):
+        product(columns, series[k], forces[k])
+        if n_undecided > 0:
+            c_max = 0.0
+            for i in range(n):
+                c_max = max(c_max, abs(series[k, i]))
+            for i in range(n):
+                if side[i] != 0 and zeros[i] == _IDENTICALLY_ZERO:
+                    push = -forces[k, i]
+                    if abs(push) > ROUNDING * row_sums[i] * c_max:
+                        n_undecided -= 1
+                        if side[i] == _UNDECIDED_BOTH:
+                            side[i] = 1 if push > 0.0 else -1
+                        if push * side[i] > 0.0:
+                            mode[i] = side[i]
+                            zeros[i] = k + 1
+                        else:
+                            zeros[i] = k
+        factor = -1.0 / ((k + 2) * (k + 1))
+        size = 0.0
+        for i in range(n):
+            c = factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+            c = c if mode[i] != 0 else 0.0
+            series[k + 2, i] = c
+            size = max(size, abs(c))
+        order = k + 2
+        # the last term's share of w decides; two in a row, since one can vanish by chance
+        if size == 0.0 and last == 0.0 and n_undecided == 0 and order >= _ORDER_MIN:
+            return order, remaining, k + 1  # a polynomial: exact however far
+        if order * size * target ** (order - 1) <= allowed:
+            n_small += 1
+            if n_small >= 2 and n_undecided == 0 and order >= _ORDER_MIN:
+                return order, target, k + 1
+        else:
+            n_small = 0
+        before = last
+        last = size
+    h = target
+    order = ORDER_MAX
+    if last > 0.0:
+        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
+    if before > 0.0:
+        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
+    return order, h, order - 1
+
+
+@kernel
+def _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, found):  # type: ignore[no-untyped-def]
+    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none.
+
+    `reach[i]` receives how far block i's event function can move within h.
+    """
+    _, _, damping, friction, v = law
+    n = len(mode)
+    reach[:] = 0.0
+    power = h
+    for k in range(1, order):
+        for i in range(n):
+            # forces has two orders less: F is needed to the accuracy of w', not of w
+            c = (k + 1) * series[k + 1, i] if mode[i] != 0 else (forces[k, i] if k < order - 1 else 0.0)
+            reach[i] += abs(c) * power
+        power *= h
+    block = -1
+    for i in range(n):
+        if mode[i] != 0:
+            if zeros[i] == 0 and abs(series[1, i] - v) > reach[i]:
+                continue
+            degree = order - 1 - zeros[i]
+            power = 1.0
+            for k in range(degree + 1):
+                j = k + zeros[i]
+                c = (j + 1) * series[j + 1, i]
+                if j == 0:
+                    c -= v
+                poly[k] = mode[i] * c * power
+                power *= h
+            if roots(poly, degree, True, found) > 0:
+                h *= found[0]
+                block = i
+            continue
+        force = damping[i] * v + forces[0, i]
+        if side[i] == 0 and abs(force) + reach[i] < friction[i]:
+            continue
+        for sigma in (-1, 1):
+            skip = zeros[i] if side[i] == sigma or side[i] == _UNDECIDED_BOTH else 0
+            degree = order - 2 - skip
+            if degree < 1:
+                continue
+            if skip == 0:
+                poly[0] = friction[i] + sigma * force
+            else:
+                poly[0] = sigma * forces[skip, i]
+            power = h
+            for k in range(1, degree + 1):
+                poly[k] = sigma * forces[k + skip, i] * power
+                power *= h
+            if poly[0] != 0.0 and roots(poly, degree, True, found) > 0:
+                h *= found[0]
+                block = i
+    return h, block
+
+
+@kernel
+def _advance(  # type: ignore[no-untyped-def]
+    law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, bound,
+    event_t, event_block, event_mode, series, forces,
+):  # fmt: skip
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    v = law[4]
+    n = len(z)
+    zeros = np.empty(n, dtype=np.int64)
+    side = np.empty(n, dtype=np.int64)
+    reach = np.empty(n)
+    poly = np.empty(ORDER_MAX + 1)
+    found = np.empty(1)
+    n_recorded = 0
+    for _ in range(STEPS_A_SLICE):
+        if n_recorded + n > len(event_t):
+            return BUFFER_FULL, n_recorded
+        t = clock[TIME]
+        remaining = t_end - t
+        target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_INSTANTS])
+        order, h, n_products = _expand(law, z, w, mode, touching, series, forces, zeros, side, target, remaining, tol)
+        counters[N_PRODUCTS] += n_products
+        if counters[N_STEPS] == 0:
+            initial_mode[:] = mode
+            known_mode[:] = mode
+        same = True
+        for i in range(n):
+            if mode[i] != known_mode[i]:
+                event_t[n_recorded] = t
+                event_block[n_recorded] = i
+                event_mode[n_recorded] = mode[i]
+                n_recorded += 1
+                counters[N_EVENTS] += 1
+                known_mode[i] = mode[i]
+            same = same and mode[i] == mode[0]
+        if remaining <= 0.0:
+            return DONE, n_recorded
+        if same and mode[0] != 0 and t >= clock[CHECK]:
+            return ALL_SLIP, n_recorded
+
+        step, block = _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, found)
+        counters[N_STEPS] += 1
+        state_max = 0.0
+        for i in range(n):
+            z[i] = series[order, i]
+            w[i] = order * series[order, i]
+        for k in range(order - 1, 0, -1):
+            for i in range(n):
+                z[i] = z[i] * step + series[k, i]
+                w[i] = w[i] * step + k * series[k, i]
+        for i in range(n):
+            z[i] = z[i] * step + series[0, i]
+            touching[i] = mode[i] != 0 and abs(w[i] - v) <= ROUNDING * (abs(series[1, i] - v) + reach[i])
+            state_max = max(state_max, abs(z[i]), abs(w[i]))
+        if block >= 0:
+            touching[block] = mode[block] != 0
+            counters[LAST_BLOCK] = block
+        clock[TIME] = t_end if step == remaining else t + step
+        clock[_EXPOSURE] = _DECAY * clock[_EXPOSURE] + step
+        clock[_INSTANTS] = _DECAY * clock[_INSTANTS] + (1.0 if block >= 0 else 0.0)
+        if clock[TIME] - t <= ROUNDING * max(1.0, abs(t)):
+            counters[N_STALLED] += 1
+            if counters[N_STALLED] > _STALL:
+                return STALLED, n_recorded
+        else:
+            counters[N_STALLED] = 0
+        if not state_max <= bound:
+            return DIVERGED, n_recorded
+    return PAUSED, n_recorded
+
+
+def integrate(
+    system: System,
+    z0: Floats,
+    w0: Floats,
+    t_start: float,
+    t_end: float,
+    *,
+    tol: float = 1e-10,
+    stop_early: bool = True,
+) -> Run:
+    """Run the exact engine under the contract of `sim.run`.
+
+    Parameters
+    ----------
+    system : System
+    z0, w0 : ndarray, shape (n,)
+    t_start, t_end : float
+    tol : float
+        Truncation error of w in a step, relative to max(1, |z|, |w|). The error at the end is that of all steps,
+        as the system amplifies it; cost grows with log(1 / tol) only.
+    stop_early : bool
+        End a run once its collapse is certain.
+
+    Raises
+    ------
+    ValueError
+        If `tol` is not in [1e-15, 1e-2].
+    IntegrationError
+        If events accumulate at one instant.
+    """
+    if not (isinstance(tol, float | int) and 1e-15 <= tol <= 1e-2):
+        raise ValueError(f"tol: expected a number in [1e-15, 1e-2], got {tol!r}")
+    n = system.n
+    v = system.belt_speed
+    law = (system.columns, system.row_sums, system.damping, system.friction, v)
+    z, w = z0.copy(), w0.copy()
+    mode = np.sign(w - v).astype(np.int8)
+    touching = mode == 0
+    known_mode, initial_mode = mode.copy(), mode.copy()
+    rate = float(system.damping.max() + np.sqrt(system.row_sums.max()))
+    clock = np.zeros(N_CLOCKS + 2)
+    clock[TIME], clock[CHECK] = t_start, t_start if stop_early else np.inf
+    clock[_EXPOSURE], clock[_INSTANTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
+    counters = np.zeros(N_COUNTERS, dtype=np.int64)
+    bound = fate.divergence_bound(z, w)
+    series, forces = np.empty((ORDER_MAX + 1, n)), np.empty((ORDER_MAX + 1, n))
+
+    def advance(buffers: Buffers) -> tuple[int, int]:
+        return _advance(
+            law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, float(tol), bound,
+            *buffers, series, forces,
+        )  # fmt: skip
+
+    return drive(
+        advance,
+        certify=lambda slip: fate.collapse(system, z, w, slip),
+        stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
+        " perturb it, or use engine='sigmoid'",
+        events_a_step=n,
+        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
+        clock=clock, counters=counters, bound=bound,
+    )  # fmt: skip

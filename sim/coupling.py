@@ -1,0 +1,136 @@
+"""Named random ensembles of stiffness and damping, and perturbations of them; every draw from a seed.
+
+All start from U, an n x n matrix uniform in [-kappa, kappa], and R uniform in [rho, 2 rho]. The paper's text
+allows several readings of how K follows from U; only `antisymmetric` gives all of its figure 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim.system import Floats, System
+
+
+def _on_diagonal(off: Floats, diagonal: Floats) -> Floats:
+    np.fill_diagonal(off, diagonal)
+    return off
+
+
+def _strict_triangle(u: Floats) -> Floats:
+    upper = np.triu(u, 1)
+    return upper - upper.T
+
+
+def _springs(u: Floats) -> Floats:
+    """Eq. (6) on the complete graph: -kappa_ij off the diagonal, kappa_i + sum_j kappa_ij on it."""
+    kappa = np.triu(np.abs(u), 1)
+    kappa += kappa.T
+    return np.diag(np.abs(np.diag(u)) + kappa.sum(axis=1)) - kappa
+
+
+#: name -> K as a function of U
+_RULES: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
+    {
+        # non-reciprocal coupling, grounding springs positive: the paper's ensemble
+        "antisymmetric": lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u))),
+        # the other readings of the text
+        "antisymmetric_triangle": lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u))),
+        "signed_diagonal": lambda u: _on_diagonal((u - u.T) / 2, np.diag(u)),
+        "full": lambda u: u.copy(),
+        "symmetric": lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u))),
+        # reciprocal springs between all pairs: positive definite, always stable
+        "springs": _springs,
+    }
+)
+
+COUPLINGS: tuple[str, ...] = tuple(_RULES)
+
+
+def _rule(coupling: str) -> Callable[[Floats], Floats]:
+    if coupling not in _RULES:
+        raise ValueError(f"coupling: expected one of {', '.join(COUPLINGS)}, got {coupling!r}")
+    return _RULES[coupling]
+
+
+def _uniform(
+    n: int, seed: int | np.random.SeedSequence, kappa: float, rho: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """R in [rho[0], rho[1]] (n,), then U in [-kappa, kappa] (n, n), from one generator in this order."""
+    rng = np.random.default_rng(seed)
+    damping = rng.uniform(*rho, n)
+    return rng.uniform(-kappa, kappa, (n, n)), damping
+
+
+def draw_system(
+    coupling: str,
+    n: int,
+    seed: int | np.random.SeedSequence,
+    *,
+    kappa: float = 0.2,
+    rho: float = 3.5,
+    friction: ArrayLike = 1.0,
+    belt_speed: float = -0.2,
+) -> System:
+    """Draw K and R from a named ensemble (section 4 of the paper; dimensionless).
+
+    Parameters
+    ----------
+    coupling : str
+        One of `COUPLINGS`.
+    n : int
+        Number of blocks.
+    seed : int or numpy.random.SeedSequence
+        The same seed gives the same system.
+    kappa, rho : float
+        Scales: stiffnesses in [-kappa, kappa], dampings in [rho, 2 rho].
+    friction, belt_speed
+        As in `System`.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown, n < 1, or kappa or rho is negative.
+    """
+    rule = _rule(coupling)
+    if n < 1:
+        raise ValueError(f"n: expected at least one block, got {n}")
+    if not (kappa >= 0 and rho >= 0):
+        raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
+    u, damping = _uniform(n, seed, kappa, (rho, 2 * rho))
+    return System(rule(u), damping, friction, belt_speed)  # type: ignore[arg-type]  # System spreads scalars
+
+
+def perturb_system(
+    system: System,
+    coupling: str,
+    size: float,
+    seed: int | np.random.SeedSequence,
+    *,
+    kappa: float = 0.2,
+    rho: float = 3.5,
+) -> System:
+    """Move every constant by up to `size` of its scale, keeping the structure of the ensemble (figure 4 iii, iv).
+
+    K + S(dU) with dU uniform in [-size kappa, size kappa] and S the ensemble's rule (signed on the diagonal);
+    R + dR with dR uniform in [-size rho, size rho].
+
+    Raises
+    ------
+    ValueError
+        If `size` is negative, the name is unknown or `springs`, or K is sparse (the ensembles are dense).
+    """
+    if not size >= 0:
+        raise ValueError(f"size: expected a number >= 0, got {size}")
+    if coupling == "springs":
+        raise ValueError(
+            "coupling: a perturbation of `springs` would make some springs negative; scale kappa instead"
+        )
+    if not isinstance(system.stiffness, np.ndarray):
+        raise ValueError("system: expected a dense stiffness, as drawn by draw_system, got a sparse one")
+    du, dr = _uniform(system.n, seed, size * kappa, (-size * rho, size * rho))
+    change = _on_diagonal(_rule(coupling)(du), np.diag(du))
+    return System(system.stiffness + change, system.damping + dr, system.friction, system.belt_speed)

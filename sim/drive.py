@@ -1,0 +1,98 @@
+"""What both engines share around their kernels: the loop that Python keeps, in slices, so that signals get through.
+
+A kernel advances a run by a slice and returns ``(status, n_recorded)``; the run's state lives in the arrays it was
+given, so the next call goes on where the last one stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import fate
+from sim.run import IntegrationError, Outcome, Run, Stats
+from sim.series import EventSeries
+from sim.system import Floats
+
+#: Why a kernel came back.
+DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
+#: Steps a slice: some hundredths of a second at n = 200.
+STEPS_A_SLICE = 5_000
+
+#: Counters that every engine keeps, int64.
+N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS, LAST_BLOCK, N_STALLED, N_COUNTERS = range(7)
+#: Clocks that every engine keeps, float64: the time, and when a collapse may be certified next. An engine may
+#: keep more behind them.
+TIME, CHECK, N_CLOCKS = range(3)
+
+Buffers: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int8]]
+
+
+def drive(
+    advance: Callable[[Buffers], tuple[int, int]],
+    certify: Callable[[int], fate.Certificate],
+    stalled: str,
+    events_a_step: int,
+    t_start: float,
+    t_end: float,
+    z: Floats,
+    w: Floats,
+    mode: NDArray[np.int8],
+    initial_mode: NDArray[np.int8],
+    clock: Floats,
+    counters: NDArray[np.int64],
+    bound: float,
+) -> Run:
+    """Call `advance` until the run ends, gather its events, and say how it ended.
+
+    Parameters
+    ----------
+    advance : callable
+        Runs a slice, writing events (t, block, mode) into the buffers it is given.
+    certify : callable
+        From the common direction of slip to a certificate of collapse.
+    stalled : str
+        What to say, after the time and the block, when the engine cannot go on.
+    events_a_step : int
+        The most events that a step can record.
+    z, w, mode, initial_mode, clock, counters
+        The state that `advance` works on.
+    bound : float
+        The size of state beyond which `advance` calls the run diverged.
+    """
+    capacity = max(2 * events_a_step, 4096)
+    buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
+    recorded: list[Buffers] = []
+    outcome: Outcome = "finished"
+    reason = ""
+    while True:
+        status, n_recorded = advance(buffers)
+        recorded.append(tuple(buffer[:n_recorded].copy() for buffer in buffers))  # type: ignore[arg-type]
+        t = float(clock[TIME])
+        if status == DONE:
+            break
+        if status == ALL_SLIP:
+            certificate = certify(int(mode[0]))
+            if certificate.is_certain:
+                outcome, reason = "collapsed", certificate.reason
+                break
+            clock[CHECK] = t + certificate.ask_again_after
+        elif status == DIVERGED:
+            outcome, reason = "diverged", fate.divergence_reason(z, w, t, bound)
+            break
+        elif status == STALLED:
+            raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
+    event_t, event_block, event_mode = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
+    known_to = t if outcome == "diverged" else t_end
+    return Run(
+        z=z,
+        w=w,
+        t_end=t,
+        events=EventSeries(event_t, event_block, event_mode, initial_mode, t_start, known_to),
+        outcome=outcome,
+        reason=reason,
+        stats=Stats(*(int(counters[k]) for k in (N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS))),
+    )

@@ -1,0 +1,127 @@
+"""When the fate of a run is known before its end: collapse certified, divergence detected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.system import Floats, System
+
+#: A run whose state exceeds this many times max(1, its start) is called diverged. Friction is bounded by mu, so
+#: out there the motion is that of the linear all-slip system, which grows.
+_DIVERGENCE_FACTOR = 1e6
+
+_NEVER = float("inf")
+
+
+def divergence_bound(z: Floats, w: Floats) -> float:
+    """The size of |z| or |w| beyond which a run from this start is called diverged."""
+    return _DIVERGENCE_FACTOR * max(1.0, float(np.abs(z).max()), float(np.abs(w).max()))
+
+
+def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
+    """Which block left the bound, and when."""
+    size = np.maximum(np.abs(z), np.abs(w))
+    block = int(np.argmax(~(size <= bound)))
+    return f"|z| or |w| of block {block} passed {bound:.3g} at t = {t:.6g}"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Whether all blocks slip for ever, and if not, after how long it is worth asking again."""
+
+    is_certain: bool
+    reason: str
+    ask_again_after: float
+
+
+@dataclass(frozen=True)
+class _Modes:
+    """The all-slip system A T = T Lambda: max Re Lambda, |T| for the velocities (n, 2n), T^-1 (2n, 2n), and the
+    bound on |w_i| that unit forces on the blocks cause, sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n)."""
+
+    growth: float
+    velocity_parts: Floats
+    inverse: NDArray[np.complex128]
+    response: Floats
+
+
+_MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
+
+
+def _modes(system: System) -> _Modes:
+    if system not in _MODES:
+        eigenvalues, vectors = np.linalg.eig(system.slip_matrix())
+        velocity_parts = np.abs(vectors[system.n :])
+        try:
+            inverse = np.linalg.inv(vectors)
+        except np.linalg.LinAlgError:  # a defective matrix: no certificate by this bound
+            _MODES[system] = _Modes(_NEVER, velocity_parts, vectors, velocity_parts)
+            return _MODES[system]
+        growth = float(eigenvalues.real.max())
+        with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
+            response = (velocity_parts / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
+        _MODES[system] = _Modes(growth, velocity_parts, inverse, response)
+    return _MODES[system]
+
+
+def collapse(
+    system: System,
+    z: Floats,
+    w: Floats,
+    slip: int,
+    band: Floats | float = 0.0,
+    delta: Floats | None = None,
+) -> Certificate:
+    """Certify that no block sticks again when all slip one way.
+
+    With x' = A x + const the all-slip system, stable, A T = T Lambda, c = T^-1 (x - x_rest): each |c_j| decays, so
+
+        |w_i(t)| <= sum_j |T_{w_i, j}| |c_j|        for ever,
+
+    and below |v| no w_i comes back to the belt's speed. The smoothed law differs from the sign by at most
+    2 mu_k exp(-2 m / delta_k) while every |w_k| stays below |v| - m, which adds to the bound
+    sum_j |T_{w_i, j}| / |Re Lambda_j| sum_k |T^-1_{j, n+k}| 2 mu_k exp(-2 m / delta_k): certain if for some margin
+    m, no less than the band in which a block sticks, the sum stays below |v| - m.
+
+    Parameters
+    ----------
+    system : System
+    z, w : ndarray, shape (n,)
+    slip : int
+        The common direction, +1 or -1.
+    band : float or ndarray, shape (n,)
+        Half-width of the layer around v in which a block may stick (0 for the Coulomb law).
+    delta : ndarray, shape (n,), optional
+        Widths of the smoothed law; None for the Coulomb law.
+    """
+    speed = abs(system.belt_speed)
+    widest = float(np.max(band))
+    if slip * system.belt_speed >= 0 or widest >= speed:  # w = 0, the rest, is across the belt or in the layer
+        return Certificate(False, "", _NEVER)
+    modes = _modes(system)
+    if not modes.growth < 0:
+        return Certificate(False, "", _NEVER)
+    try:
+        rest = system.rest_state(np.full(system.n, slip))
+    except np.linalg.LinAlgError:
+        return Certificate(False, "", _NEVER)
+    coefficients = np.abs(modes.inverse @ np.concatenate((z - rest, w)))
+    reach = float((modes.velocity_parts @ coefficients).max())
+    margin = widest
+    if delta is not None:
+        margins = np.linspace(widest, speed, 64, endpoint=False)
+        forces = 2 * system.friction * np.exp(-2 * margins[:, None] / delta)
+        slack = speed - margins - (forces @ modes.response.T).max(axis=1)
+        margin = speed - float(slack.max())
+    limit = speed - margin
+    if reach < limit:
+        reason = f"all blocks slip; |w| stays below {reach:.3g} of at most {limit:.3g}, as the all-slip system decays"
+        return Certificate(True, reason, 0.0)
+    if limit <= 0:
+        return Certificate(False, "", _NEVER)
+    # the slowest mode must decay from `reach` to `limit`: no use in asking much earlier
+    return Certificate(False, "", 0.25 * float(np.log(reach / limit)) / -modes.growth)

@@ -1,0 +1,239 @@
+"""The loops that the engines share: products with K, and roots of polynomials that miss none."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numba.extending
+import numpy as np
+
+from sim.compile import kernel
+
+#: what rounding may do to a sum of terms, relative to the sum of their magnitudes
+ROUNDING = 32 * np.finfo(np.float64).eps
+
+#: the deepest halving of the unit interval in search of a root; below it two roots count as one touching
+_MAX_DEPTH = 44
+_MAX_DEGREE = 40
+
+
+@kernel
+def _binomials(size):  # type: ignore[no-untyped-def]
+    table = np.zeros((size, size))
+    for i in range(size):
+        table[i, 0] = 1.0
+        for j in range(1, i + 1):
+            table[i, j] = table[i - 1, j - 1] + table[i - 1, j]
+    return table
+
+
+#: Pascal's triangle; exact in float64 up to row 56
+BINOMIALS = _binomials(_MAX_DEGREE + 1)
+
+
+@kernel
+def product(columns, x, y):  # type: ignore[no-untyped-def]
+    """y = K x. Columns of blocks that do not move (x_j = 0) are not read; four columns share a pass over y."""
+    dense, indptr, indices, data = columns
+    n = len(x)
+    for i in range(n):
+        y[i] = 0.0
+    if dense.shape[0] == 0:
+        for j in range(n):
+            if x[j] != 0.0:
+                for k in range(indptr[j], indptr[j + 1]):
+                    y[indices[k]] += data[k] * x[j]
+        return
+    j = 0
+    found = 0
+    a = b = c = 0
+    while j < n:
+        if x[j] != 0.0:
+            if found == 0:
+                a = j
+            elif found == 1:
+                b = j
+            elif found == 2:
+                c = j
+            else:
+                xa, xb, xc, xd = x[a], x[b], x[c], x[j]
+                ka, kb, kc, kd = dense[a], dense[b], dense[c], dense[j]
+                for i in range(n):
+                    y[i] += (ka[i] * xa + kb[i] * xb) + (kc[i] * xc + kd[i] * xd)
+                found = -1
+            found += 1
+        j += 1
+    if found > 0:
+        xa, ka = x[a], dense[a]
+        for i in range(n):
+            y[i] += ka[i] * xa
+    if found > 1:
+        xb, kb = x[b], dense[b]
+        for i in range(n):
+            y[i] += kb[i] * xb
+    if found > 2:
+        xc, kc = x[c], dense[c]
+        for i in range(n):
+            y[i] += kc[i] * xc
+
+
+@kernel
+def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-def]
+    """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k."""
+    for j in range(degree + 1):
+        total = 0.0
+        for k in range(j + 1):
+            total += BINOMIALS[j, k] / BINOMIALS[degree, k] * coefficients[k]
+        bernstein[j] = total
+
+
+@kernel
+def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
+    """Value of a polynomial."""
+    value = coefficients[degree]
+    for k in range(degree - 1, -1, -1):
+        value = value * x + coefficients[k]
+    return value
+
+
+@kernel
+def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
+    changes = 0
+    last = 0.0
+    for j in range(degree + 1):
+        if bernstein[j] != 0.0:
+            if last * bernstein[j] < 0.0:
+                changes += 1
+            last = bernstein[j]
+    return changes
+
+
+@kernel
+def _refine(coefficients, degree, low, high):  # type: ignore[no-untyped-def]
+    """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket."""
+    value_low = horner(coefficients, degree, low)
+    if value_low == 0.0:
+        return low
+    x = 0.5 * (low + high)
+    for _ in range(100):
+        value = coefficients[degree]
+        slope = 0.0
+        for k in range(degree - 1, -1, -1):
+            slope = slope * x + value
+            value = value * x + coefficients[k]
+        if value == 0.0:
+            return x
+        if (value < 0.0) == (value_low < 0.0):
+            low = x
+        else:
+            high = x
+        new = x - value / slope if slope != 0.0 else low
+        if not (low < new < high):
+            new = 0.5 * (low + high)
+        if abs(new - x) <= 2.2e-16 * abs(x) or new in (low, high):
+            return new
+        x = new
+    return x
+
+
+@kernel
+def roots(coefficients, degree, only_first, found):  # type: ignore[no-untyped-def]
+    """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
+
+    By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
+    root, one change means exactly one root, more are halved. So two roots close together are both found,
+    and a polynomial that touches zero within rounding is reported once, where it touches.
+
+    Returns the number of roots; their places are in `found`.
+    """
+    stack = np.empty((_MAX_DEPTH + 2, degree + 1))
+    stack_low = np.empty(_MAX_DEPTH + 2)
+    stack_depth = np.empty(_MAX_DEPTH + 2, dtype=np.int64)
+    n_found = 0
+    to_bernstein(coefficients, degree, stack[0])
+    stack_low[0] = 0.0
+    stack_depth[0] = 0
+    top = 0
+    while top >= 0:
+        changes = _sign_changes(stack[top], degree)
+        low = stack_low[top]
+        depth = stack_depth[top]
+        width = 0.5**depth
+        at_end = stack[top, degree] == 0.0 and changes == 0 and depth <= _MAX_DEPTH
+        if changes == 0:
+            top -= 1
+            if not at_end:
+                continue
+            root = low + width
+        elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
+            top -= 1
+            root = _refine(coefficients, degree, low, low + width)
+        elif depth >= _MAX_DEPTH:
+            top -= 1
+            root = low
+        else:
+            # de Casteljau: the left half goes on top of the right half
+            right = stack[top]
+            left = stack[top + 1]
+            for j in range(degree + 1):
+                left[j] = right[0]
+                for k in range(degree - j):
+                    right[k] = 0.5 * (right[k] + right[k + 1])
+            stack_low[top] = low + 0.5 * width
+            stack_depth[top] = depth + 1
+            stack_low[top + 1] = low
+            stack_depth[top + 1] = depth + 1
+            top += 1
+            continue
+        if n_found == 0 or root > found[n_found - 1]:
+            found[n_found] = root
+            n_found += 1
+            if only_first or n_found == len(found):
+                return n_found
+    return n_found
+
+
+@numba.extending.intrinsic
+def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
+    """The float64 with these 64 bits."""
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+    return numba.types.float64(numba.types.int64), codegen
+
+
+_LOG2_E = 1.4426950408889634
+# ln 2 in two parts, the first with 21 trailing zero bits, so that k times it is exact
+_LN2_HIGH = 0.6931471803691238
+_LN2_LOW = 1.9082149292705877e-10
+#: Taylor coefficients of exp; with |f| <= ln(2)/2 the first one left out adds 2e-16
+_EXP = np.array([1.0 / math.factorial(k) for k in range(13)])
+
+
+@kernel
+def tanh_positive(y):  # type: ignore[no-untyped-def]
+    """tanh(y) for y >= 0 to 2 units in the last place of 1, without branches, so that loops over it vectorise.
+
+    tanh y = (1 - E) / (1 + E), E = exp(-2 y) = 2^k exp(f), |f| <= ln(2) / 2; the absolute error is what a
+    force of size mu tanh needs. Beyond y = 20 the result is 1 to rounding.
+    """
+    x = -2.0 * min(y, 20.0)
+    k = np.rint(x * _LOG2_E)
+    f = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    p = _EXP[12]
+    p = p * f + _EXP[11]
+    p = p * f + _EXP[10]
+    p = p * f + _EXP[9]
+    p = p * f + _EXP[8]
+    p = p * f + _EXP[7]
+    p = p * f + _EXP[6]
+    p = p * f + _EXP[5]
+    p = p * f + _EXP[4]
+    p = p * f + _EXP[3]
+    p = p * f + _EXP[2]
+    p = p * f + _EXP[1]
+    p = p * f + _EXP[0]
+    e = p * _as_float((np.int64(k) + 1023) << 52)  # type: ignore[call-arg]
+    return (1.0 - e) / (1.0 + e)

@@ -1,0 +1,124 @@
+"""One run: a system and a start in, an event series out. The contract that both engines keep.
+
+An engine is a function ``integrate(system, z0, w0, t_start, t_end, **settings) -> Run`` such that
+
+1. the state is float64, arguments are not changed, and the same arguments give the same run;
+2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
+3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
+   renumbers the run;
+4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`);
+   `diverged` when the state left every bound: then, and only then, the series ends early;
+5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.series import EventSeries
+from sim.system import Floats, System, per_block
+
+Outcome = Literal["finished", "collapsed", "diverged"]
+Engine = Literal["coulomb", "sigmoid"]
+
+
+class IntegrationError(RuntimeError):
+    """An engine could not go on; the message names the time, the block and what to try."""
+
+
+@dataclass(frozen=True)
+class Stats:
+    """What a run cost: steps taken, steps rejected, products of K with a vector, events."""
+
+    n_steps: int
+    n_rejected: int
+    n_products: int
+    n_events: int
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The result of `simulate` (dimensionless).
+
+    Attributes
+    ----------
+    z, w : float64, shape (n,)
+        Displacements and velocities at `t_end`.
+    t_end : float
+        Where the run stopped: the time asked for, or earlier if it collapsed or diverged.
+    events : EventSeries
+        Of a collapsed run the series is known up to the time asked for: nothing happens any more.
+    outcome : "finished", "collapsed" or "diverged"
+    reason : str
+        Why the run stopped early; empty for a finished run.
+    stats : Stats
+    """
+
+    z: Floats
+    w: Floats
+    t_end: float
+    events: EventSeries
+    outcome: Outcome
+    reason: str
+    stats: Stats
+
+    def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
+        """Number of sticking blocks at given times; see `EventSeries.n_stick`."""
+        return self.events.n_stick(times)
+
+    def __repr__(self) -> str:
+        return f"Run({self.outcome} at t = {self.t_end:g}, n = {self.events.n}, {self.stats.n_events} events)"
+
+
+def simulate(
+    system: System,
+    z0: ArrayLike,
+    w0: ArrayLike,
+    t_end: float,
+    *,
+    t_start: float = 0.0,
+    engine: Engine = "coulomb",
+    **settings: object,
+) -> Run:
+    """Follow a system of blocks from a start state to `t_end` (dimensionless).
+
+    Parameters
+    ----------
+    system : System
+    z0, w0 : float or array_like, shape (n,)
+        Displacements and velocities at `t_start`.
+    t_end, t_start : float
+    engine : "coulomb" or "sigmoid"
+        The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
+    **settings
+        coulomb: ``tol`` (see `sim.coulomb.integrate`);
+        sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold`` (see `sim.sigmoid.integrate`).
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, shape or size; the message names it.
+    IntegrationError
+        If the engine cannot go on.
+    """
+    from sim import coulomb, sigmoid  # the engines build on this contract
+
+    engines: dict[str, Callable[..., Run]] = {"coulomb": coulomb.integrate, "sigmoid": sigmoid.integrate}
+    if engine not in engines:
+        raise ValueError(f"engine: expected one of {', '.join(get_args(Engine))}, got {engine!r}")
+    for name, value in (("t_start", t_start), ("t_end", t_end)):
+        if not (np.ndim(value) == 0 and np.isfinite(value)):
+            raise ValueError(f"{name}: expected a finite number, got {value!r}")
+    if t_end < t_start:
+        raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
+    z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
+    return engines[engine](system, z, w, float(t_start), float(t_end), **settings)

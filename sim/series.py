@@ -1,0 +1,124 @@
+"""What a run leaves behind: when which block entered, left or crossed the sticking mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.system import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class EventSeries:
+    """The modes of n blocks as a series of events.
+
+    Block i sticks (mode 0), slips right (+1) or left (-1). An event changes one block's mode:
+    stick -> slip is an *exit*, slip -> stick an *entry*, + <-> - a *crossing*.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+        Times of the events, never decreasing (dimensionless).
+    block : int32, shape (m,)
+    mode : int8, shape (m,)
+        The block's mode from t on.
+    initial_mode : int8, shape (n,)
+        Modes right after `t_start`.
+    t_start, t_end : float
+        The series is complete on [t_start, t_end].
+    """
+
+    t: Floats
+    block: NDArray[np.int32]
+    mode: NDArray[np.int8]
+    initial_mode: NDArray[np.int8]
+    t_start: float
+    t_end: float
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return len(self.initial_mode)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def previous_mode(self) -> NDArray[np.int8]:
+        """The mode that each event ended, int8, shape (m,)."""
+        order = np.argsort(self.block, kind="stable")
+        block, mode = self.block[order], self.mode[order]
+        before = np.empty_like(mode)
+        before[1:] = mode[:-1]
+        first = np.ones(len(block), dtype=bool)
+        first[1:] = block[1:] != block[:-1]
+        before[first] = self.initial_mode[block[first]]
+        previous = np.empty_like(before)
+        previous[order] = before
+        return previous
+
+    def counts(self) -> dict[str, int]:
+        """Numbers of entries, exits and crossings."""
+        before = self.previous_mode
+        n_entries = int(np.count_nonzero(self.mode == 0))
+        n_exits = int(np.count_nonzero(before == 0))
+        return {
+            "n_entries": n_entries,
+            "n_exits": n_exits,
+            "n_crossings": len(self) - n_entries - n_exits,
+        }
+
+    def change_points(self) -> tuple[Floats, NDArray[np.int32]]:
+        """Times at which n_stick changes, and its values: n_stick[k] holds on [t[k], t[k+1]).
+
+        t[0] is `t_start`; what happens at one instant is merged, and an instant that leaves n_stick as it
+        was is no change point.
+        """
+        step = (self.mode == 0).astype(np.int32) - (self.previous_mode == 0).astype(np.int32)
+        t = np.concatenate(([self.t_start], self.t))
+        n_stick = np.cumsum(np.concatenate(([np.count_nonzero(self.initial_mode == 0)], step)), dtype=np.int32)
+        last = np.append(t[1:] != t[:-1], True)  # the last event of an instant holds
+        t, n_stick = t[last], n_stick[last]
+        changed = np.append(True, n_stick[1:] != n_stick[:-1])
+        return t[changed], n_stick[changed]
+
+    def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
+        """Number of sticking blocks at given times (the sticking codimension), right-continuous.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside [t_start, t_end].
+        """
+        times = self._known(times)
+        t, n_stick = self.change_points()
+        return n_stick[np.searchsorted(t, times, side="right") - 1]
+
+    def mode_at(self, time: float) -> NDArray[np.int8]:
+        """Modes of all blocks at one time, int8, shape (n,), right-continuous.
+
+        Raises
+        ------
+        ValueError
+            If the time lies outside [t_start, t_end].
+        """
+        self._known(time)
+        mode = self.initial_mode.copy()
+        upto = np.searchsorted(self.t, time, side="right")
+        mode[self.block[:upto]] = self.mode[:upto]  # of repeated blocks the last assignment holds
+        return mode
+
+    def _known(self, times: ArrayLike) -> Floats:
+        array = np.asarray(times, dtype=np.float64)
+        inside = (array >= self.t_start) & (array <= self.t_end)
+        if not inside.all():
+            raise ValueError(
+                f"times: expected values in [{self.t_start}, {self.t_end}], where the series is known,"
+                f" got {array[~inside].flat[0]}"
+            )
+        return array
+
+    def __repr__(self) -> str:
+        return f"EventSeries(n={self.n}, {len(self)} events on [{self.t_start:g}, {self.t_end:g}])"

@@ -1,0 +1,512 @@
+"""The stiff engine: the sign smoothed to mu tanh((w - v) / delta_i), delta_i = ratio_i eps.
+
+    z' = w,    w' = -R w - K z - mu tanh((w - v) / delta)
+
+All stiffness (up to mu / delta) sits in one scalar function a block, and K is small beside 1 / h^2. So an
+L-stable, stiffly accurate ESDIRK method needs no linear algebra: with K z taken at a predicted stage value (off
+by (h gamma) K times the predictor's error, O(h^5) in w), each stage is one monotone scalar equation a block,
+
+    a x + b tanh x = beta,    x = (w - v) / delta,    a = delta (1 + h gamma R),    b = h gamma mu,
+
+which Newton's method solves from any start: no Newton failure, however small delta. One product with K a stage.
+
+The method is ESDIRK4(3)6L[2]SA, the implicit half of ARK4(3)6L[2]SA: C. A. Kennedy and M. H. Carpenter, Applied
+Numerical Mathematics 44 (2003) 139-181, doi:10.1016/S0168-9274(02)00138-1.
+
+When does a block stick?
+
+- ``stick="manifold"`` (default): |F_i| < mu_i, F = R v + K z, and |w_i - v| < delta_i ln(1 / delta_i). The slow
+  manifold is w - v = delta atanh(lambda), so this is the definition whose entries and exits tend to those of the
+  Coulomb law as eps -> 0.
+- ``stick="threshold"``: |w_i - v| < c delta_i, that is |lambda| < tanh c: the plain reading, which does not.
+
+A block without friction never sticks.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim import fate
+from sim.compile import kernel
+from sim.drive import (
+    ALL_SLIP,
+    BUFFER_FULL,
+    CHECK,
+    DIVERGED,
+    DONE,
+    LAST_BLOCK,
+    N_CLOCKS,
+    N_COUNTERS,
+    N_EVENTS,
+    N_PRODUCTS,
+    N_REJECTED,
+    N_STEPS,
+    PAUSED,
+    STALLED,
+    STEPS_A_SLICE,
+    TIME,
+    Buffers,
+    drive,
+)  # fmt: skip
+from sim.kernels import product, roots, tanh_positive
+from sim.run import Run
+from sim.system import Floats, System, per_block
+
+Stick = Literal["manifold", "threshold"]
+
+_F = Fraction
+#: Stage weights a_ij by rows; the last row is b (stiffly accurate). gamma = 1/4 on the diagonal.
+TABLEAU = (
+    (),
+    (_F(1, 4), _F(1, 4)),
+    (_F(8611, 62500), _F(-1743, 31250), _F(1, 4)),
+    (_F(5012029, 34652500), _F(-654441, 2922500), _F(174375, 388108), _F(1, 4)),
+    (
+        _F(15267082809, 155376265600),
+        _F(-71443401, 120774400),
+        _F(730878875, 902184768),
+        _F(2285395, 8070912),
+        _F(1, 4),
+    ),
+    (_F(82889, 524892), _F(0), _F(15625, 83664), _F(69875, 102672), _F(-2260, 8211), _F(1, 4)),
+)
+#: Weights of the embedded method of order 3.
+EMBEDDED = (
+    _F(4586570599, 29645900160),
+    _F(0),
+    _F(178811875, 945068544),
+    _F(814220225, 1159782912),
+    _F(-3700637, 11593932),
+    _F(61727, 225920),
+)
+NODES = tuple(sum(row, _F(0)) for row in TABLEAU)
+
+_STAGES = len(TABLEAU)
+_GAMMA = float(TABLEAU[1][1])
+_A = np.array([[float(a) for a in row] + [0.0] * (_STAGES - len(row)) for row in TABLEAU])
+_ERROR = np.array([float(b - e) for b, e in zip(TABLEAU[-1], EMBEDDED, strict=True)])
+
+
+def _predictor() -> Floats:
+    """p_ij with w(c_i) ~ w_0 + h sum_{j<i} p_ij w'_j: w' extrapolated through the stages before and integrated."""
+    nodes = np.array([float(c) for c in NODES])
+    weights = np.zeros((_STAGES, _STAGES))
+    for i in range(1, _STAGES):
+        powers = np.arange(i)
+        moments = nodes[i] ** (powers + 1) / (powers + 1)
+        weights[i, :i] = np.linalg.solve(np.vander(nodes[:i], increasing=True).T, moments)
+    return weights
+
+
+_PREDICT = _predictor()
+
+#: Step control: the embedded error is O(h^4); a step changes by a factor in [_SHRINK, _GROW].
+_EXPONENT = 1.0 / 4.0
+_SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
+#: A stage is solved when its residual is this share of the tolerance (the last Newton step squares it).
+_SOLVED = 1e-2
+_NEWTON_MAX = 400
+
+#: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
+_PASSES = 16
+
+# behind the common clocks: the next step to try, and the error of the last one
+_STEP, _LAST_ERROR = N_CLOCKS, N_CLOCKS + 1
+
+
+@kernel
+def _solve_stage(law, h, base, coupling, x, w, rate, allowed):  # type: ignore[no-untyped-def]
+    """Solve w = base + h gamma w'(w) for all blocks; `x` holds a guess of (w - v) / delta and is the work space.
+
+    In |x| the function a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to
+    the root, from the right its first step lands left of it, and `low` bounds how far left.
+    """
+    _, damping, friction, delta, v = law
+    n = len(w)
+    step = h * _GAMMA
+    unsolved = n
+    for _ in range(_NEWTON_MAX):
+        unsolved = 0  # counted, since a maximum of floats would keep the loop from being vectorised
+        for i in range(n):
+            grow = 1.0 + step * damping[i]
+            a = delta[i] * grow
+            b = step * friction[i]
+            beta = base[i] - step * coupling[i] - v * grow
+            size = abs(beta)
+            low = size / (a + b)
+            saturated = (size - b) / a
+            low = saturated if saturated > low else low
+            y = math.copysign(1.0, beta) * x[i]
+            y = y if y > low else low
+            tanh = tanh_positive(y)
+            residual = a * y + b * tanh - size
+            y -= residual / (a + b * (1.0 - tanh * tanh))
+            y = y if y > low else low
+            x[i] = math.copysign(y, beta)
+            unsolved += 1 if abs(residual) > allowed else 0
+        if unsolved == 0:
+            break
+    for i in range(n):
+        w[i] = v + delta[i] * x[i]
+        rate[i] = (w[i] - base[i]) / step
+    return unsolved == 0
+
+
+@kernel
+def _step(law, h, z, w, rate, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol):  # type: ignore[no-untyped-def]
+    """One trial step. Returns the largest error over tolerance and its block."""
+    columns, _, _, delta, v = law
+    n = len(z)
+    stage_w[0] = w
+    stage_rate[0] = rate
+    for s in range(1, _STAGES):
+        for i in range(n):
+            base[i] = w[i]
+            new_z[i] = z[i]
+            new_w[i] = w[i]
+        for j in range(s):
+            a = h * _A[s, j]
+            p = h * _PREDICT[s, j]
+            for i in range(n):
+                base[i] += a * stage_rate[j, i]
+                new_z[i] += a * stage_w[j, i]
+                new_w[i] += p * stage_rate[j, i]
+        for i in range(n):
+            new_w[i] = new_z[i] + h * _GAMMA * new_w[i]
+            # the layer moves with its block: the last stage is the best guess inside it, harmless outside
+            x[i] = (stage_w[s - 1, i] - v) / delta[i]
+        product(columns, new_w, coupling)
+        if not _solve_stage(law, h, base, coupling, x, stage_w[s], stage_rate[s], _SOLVED * atol):
+            return np.inf, 0
+    last = _STAGES - 1
+    worst = 0.0
+    block = 0
+    for i in range(n):
+        new_z[i] += h * _GAMMA * stage_w[last, i]
+        new_w[i] = stage_w[last, i]
+        error_z = 0.0
+        error_w = 0.0
+        for j in range(_STAGES):
+            error_z += _ERROR[j] * stage_w[j, i]
+            error_w += _ERROR[j] * stage_rate[j, i]
+        error_z = abs(h * error_z) / (atol + rtol * max(abs(z[i]), abs(new_z[i])))
+        error_w = abs(h * error_w) / (atol + rtol * max(abs(w[i]), abs(new_w[i])))
+        larger = max(error_z, error_w)
+        if not larger <= worst:
+            worst = larger
+            block = i
+    return worst, block
+
+
+@kernel
+def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
+    """Mode of a block from w - v and F."""
+    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
+        return 0
+    return 1 if gap > 0.0 else -1
+
+
+@kernel
+def _hermite(y0, d0, y1, d1, poly):  # type: ignore[no-untyped-def]
+    """Cubic on [0, 1] from values and slopes at both ends, in the power basis."""
+    poly[0] = y0
+    poly[1] = d0
+    poly[2] = 3.0 * (y1 - y0) - 2.0 * d0 - d1
+    poly[3] = 2.0 * (y0 - y1) + d0 + d1
+
+
+@kernel
+def _cubic(poly, x):  # type: ignore[no-untyped-def]
+    return poly[0] + x * (poly[1] + x * (poly[2] + x * poly[3]))
+
+
+@kernel
+def _outside(y0, d0, y1, d1, low, high):  # type: ignore[no-untyped-def]
+    """Whether a Hermite cubic keeps to one of the three sides of (low, high): -1 below, +1 above, 0 inside; 2: no.
+
+    By its Bernstein coefficients y0, y0 + d0 / 3, y1 - d1 / 3, y1, whose hull holds the cubic.
+    """
+    p, q = y0 + d0 / 3.0, y1 - d1 / 3.0
+    smallest, largest = min(min(y0, y1), min(p, q)), max(max(y0, y1), max(p, q))
+    if largest <= low:
+        return -1
+    if smallest >= high:
+        return 1
+    if smallest > low and largest < high:
+        return 0
+    return 2
+
+
+@kernel
+def _block_events(gap, force, mu, band, by_force, mode, marks, where, shifted, out_x, out_mode):  # type: ignore[no-untyped-def]
+    """Changes of one block's mode in a step, from the cubics of w - v and F on [0, 1].
+
+    Every place where either passes a bound is found; between two such places the mode is constant.
+    """
+    n_marks = 0
+    for which in range(5):
+        if which < 3:
+            shifted[:] = gap
+            shifted[0] -= (which - 1) * band
+        elif by_force:
+            shifted[:] = force
+            shifted[0] -= (2 * which - 7) * mu
+        else:
+            continue
+        if shifted[0] == 0.0:  # starts on a bound: the midpoint behind it tells the mode
+            continue
+        found = roots(shifted, 3, False, where)
+        for k in range(found):
+            marks[n_marks] = where[k]
+            n_marks += 1
+    marks[:n_marks].sort()
+    n_out = 0
+    for k in range(n_marks + 1):
+        left = marks[k - 1] if k > 0 else 0.0
+        right = marks[k] if k < n_marks else 1.0
+        if right <= left:
+            continue
+        middle = 0.5 * (left + right)
+        new = _mode(_cubic(gap, middle), _cubic(force, middle), mu, band, by_force)
+        if new != mode:
+            out_x[n_out] = left
+            out_mode[n_out] = new
+            n_out += 1
+            mode = new
+    return n_out
+
+
+@kernel
+def _step_events(  # type: ignore[no-untyped-def]
+    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode,
+    step_x, step_block, step_mode,
+):  # fmt: skip
+    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date."""
+    _, damping, friction, _, v = law
+    n = len(w)
+    gap_poly = np.empty(4)
+    force_poly = np.empty(4)
+    shifted = np.empty(4)
+    marks = np.empty(_PASSES)
+    where = np.empty(3)
+    out_x = np.empty(_PASSES)
+    out_mode = np.empty(_PASSES, dtype=np.int8)
+    count = 0
+    for i in range(n):
+        drag = damping[i] * v
+        gap0, gap1 = w[i] - v, new_w[i] - v
+        slope0, slope1 = h * rate[i], h * new_rate[i]
+        wide = band[i] if friction[i] > 0.0 else 0.0
+        place = _outside(gap0, slope0, gap1, slope1, -wide, wide)
+        if place == mode[i] and place != 0:
+            continue
+        if place == 0 and by_force:
+            place_force = _outside(
+                drag + force[i], h * force_rate[i], drag + new_force[i], h * new_force_rate[i],
+                -friction[i], friction[i],
+            )  # fmt: skip
+            if place_force == 0 and mode[i] == 0:
+                continue
+        elif place == 0 and mode[i] == 0:
+            continue
+        _hermite(gap0, slope0, gap1, slope1, gap_poly)
+        _hermite(drag + force[i], h * force_rate[i], drag + new_force[i], h * new_force_rate[i], force_poly)
+        found = _block_events(
+            gap_poly,
+            force_poly,
+            friction[i],
+            band[i],
+            by_force,
+            mode[i],
+            marks,
+            where,
+            shifted,
+            out_x,
+            out_mode,
+        )
+        for k in range(found):
+            step_x[count] = out_x[k]
+            step_block[count] = i
+            step_mode[count] = out_mode[k]
+            mode[i] = out_mode[k]
+            count += 1
+    return count
+
+
+@kernel
+def _advance(  # type: ignore[no-untyped-def]
+    law, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end, rtol, atol, bound,
+    event_t, event_block, event_mode, work, stage_w, stage_rate,
+):  # fmt: skip
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    columns = law[0]
+    n = len(z)
+    coupling, base, x, new_z, new_w, new_force, new_force_rate = (
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6],
+    )  # fmt: skip
+    step_x = np.empty(_PASSES * n)
+    step_block = np.empty(_PASSES * n, dtype=np.int32)
+    step_mode = np.empty(_PASSES * n, dtype=np.int8)
+    n_recorded = 0
+    rejected = False
+    for _ in range(STEPS_A_SLICE):
+        t = clock[TIME]
+        remaining = t_end - t
+        if remaining <= 0.0:
+            return DONE, n_recorded
+        if n_recorded + _PASSES * n > len(event_t):
+            return BUFFER_FULL, n_recorded
+        if t >= clock[CHECK]:
+            same = mode[0] != 0
+            for i in range(n):
+                same = same and mode[i] == mode[0]
+            if same:
+                return ALL_SLIP, n_recorded
+        h = clock[_STEP]
+        if h >= 0.99 * remaining:  # not a last step of almost nothing
+            h = remaining
+        worst, block = _step(law, h, z, w, rate, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol)
+        counters[N_PRODUCTS] += _STAGES - 1
+        if not worst <= 1.0:
+            counters[N_REJECTED] += 1
+            counters[LAST_BLOCK] = block
+            factor = _SAFETY * worst**-_EXPONENT if worst < np.inf else _SHRINK
+            clock[_STEP] = h * max(_SHRINK, factor)
+            rejected = True
+            if clock[_STEP] <= 1e-15 * max(1.0, abs(t)):
+                return STALLED, n_recorded
+            continue
+        counters[N_STEPS] += 1
+        product(columns, new_z, new_force)
+        product(columns, new_w, new_force_rate)
+        counters[N_PRODUCTS] += 2
+        count = _step_events(
+            law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[_STAGES - 1], new_force,
+            new_force_rate, mode, step_x, step_block, step_mode,
+        )  # fmt: skip
+        order = np.argsort(step_x[:count], kind="mergesort")  # stable: at one instant by block
+        for k in range(count):
+            event_t[n_recorded] = t + h * step_x[order[k]]
+            event_block[n_recorded] = step_block[order[k]]
+            event_mode[n_recorded] = step_mode[order[k]]
+            n_recorded += 1
+        counters[N_EVENTS] += count
+        size = 0.0
+        for i in range(n):
+            z[i] = new_z[i]
+            w[i] = new_w[i]
+            rate[i] = stage_rate[_STAGES - 1, i]
+            force[i] = new_force[i]
+            force_rate[i] = new_force_rate[i]
+            size = max(size, abs(z[i]), abs(w[i]))
+        clock[TIME] = t_end if h == remaining else t + h
+        worst = max(worst, 1e-4)
+        factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
+        clock[_LAST_ERROR] = worst
+        clock[_STEP] = h * min(max(factor, _SHRINK), 1.0 if rejected else _GROW)
+        rejected = False
+        if not size <= bound:
+            return DIVERGED, n_recorded
+    return PAUSED, n_recorded
+
+
+def integrate(
+    system: System,
+    z0: Floats,
+    w0: Floats,
+    t_start: float,
+    t_end: float,
+    *,
+    eps: float = 0.03,
+    ratio: ArrayLike = 1.0,
+    rtol: float = 1e-6,
+    atol: float = 1e-6,
+    stick: Stick = "manifold",
+    threshold: float = 1.0,
+    stop_early: bool = True,
+) -> Run:
+    """Run the stiff engine under the contract of `sim.run`.
+
+    Parameters
+    ----------
+    system : System
+    z0, w0 : ndarray, shape (n,)
+    t_start, t_end : float
+    eps : float
+        Smoothing of the sign, > 0.
+    ratio : float or array_like, shape (n,)
+        r_i > 0: block i has delta_i = r_i eps.
+    rtol, atol : float
+        A step's error in every z_i and w_i is kept below atol + rtol |value| (the largest, not the mean).
+    stick : "manifold" or "threshold"
+        When a block counts as sticking; see the module.
+    threshold : float
+        c > 0 of ``stick="threshold"``.
+    stop_early : bool
+        End a run once its collapse is certain.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range; the message names it.
+    IntegrationError
+        If the step shrinks to rounding.
+    """
+    for name, value in (("eps", eps), ("rtol", rtol), ("atol", atol), ("threshold", threshold)):
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise ValueError(f"{name}: expected a positive number, got {value!r}")
+    if stick not in get_args(Stick):
+        raise ValueError(f"stick: expected one of {', '.join(get_args(Stick))}, got {stick!r}")
+    n = system.n
+    ratio = per_block("ratio", ratio, n)
+    if not (ratio > 0).all():
+        block = int(np.flatnonzero(ratio <= 0)[0])
+        raise ValueError(f"ratio: expected r_i > 0, got {ratio[block]} for block {block}")
+    delta = ratio * eps
+    if stick == "manifold" and not (delta < 1).all():
+        raise ValueError(
+            f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
+        )
+    band = delta * np.log(1 / delta) if stick == "manifold" else threshold * delta
+    by_force = stick == "manifold"
+    v, friction = system.belt_speed, system.friction
+    law = (system.columns, system.damping, friction, delta, v)
+
+    z, w = z0.copy(), w0.copy()
+    force, force_rate = system.stiffness @ z, system.stiffness @ w
+    rate = -system.damping * w - force - friction * np.tanh((w - v) / delta)
+    held = (friction > 0) & (np.abs(w - v) < band)
+    if by_force:
+        held &= np.abs(system.damping * v + force) < friction
+    mode = np.where(held, 0, np.where(w > v, 1, -1)).astype(np.int8)
+    initial_mode = mode.copy()
+    clock = np.zeros(N_CLOCKS + 2)
+    clock[TIME], clock[_LAST_ERROR], clock[CHECK] = t_start, 1.0, t_start if stop_early else np.inf
+    speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
+    clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
+    counters = np.zeros(N_COUNTERS, dtype=np.int64)
+    counters[N_PRODUCTS] = 2
+    bound = fate.divergence_bound(z, w)
+    work, stage_w, stage_rate = np.empty((7, n)), np.empty((_STAGES, n)), np.empty((_STAGES, n))
+
+    def advance(buffers: Buffers) -> tuple[int, int]:
+        return _advance(
+            law, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end,
+            float(rtol), float(atol), bound, *buffers, work, stage_w, stage_rate,
+        )  # fmt: skip
+
+    return drive(
+        advance,
+        certify=lambda slip: fate.collapse(system, z, w, slip, band, delta),
+        stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
+        " or use engine='coulomb'",
+        events_a_step=_PASSES * n,
+        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
+        clock=clock, counters=counters, bound=bound,
+    )  # fmt: skip

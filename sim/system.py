@@ -1,0 +1,140 @@
+"""The mechanical system: blocks on a belt, coupled by springs, held by dry friction.
+
+    z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
+
+Everything is dimensionless: the mass of every block is scaled to one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.linalg import splu
+
+Floats: TypeAlias = NDArray[np.float64]
+
+#: K by columns as the kernels take it: (K transposed, dense) or, when that is empty, CSC (indptr, indices, data)
+Columns: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int32], Floats]
+
+
+def per_block(name: str, value: ArrayLike, n: int) -> Floats:
+    """A read-only float64 array of shape (n,) from a scalar or one value a block; errors name the argument."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected a number or {n} numbers, got {value!r}") from error
+    if array.ndim == 0:
+        array = np.full(n, array)
+    if array.shape != (n,):
+        raise ValueError(f"{name}: expected a number or an array of shape ({n},), got shape {array.shape}")
+    if not np.isfinite(array).all():
+        block = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """n blocks: stiffness K, damping R, friction mu and the speed v of the belt (dimensionless).
+
+    Parameters
+    ----------
+    stiffness : array_like or scipy.sparse matrix, shape (n, n)
+        K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
+    damping : float or array_like, shape (n,)
+        R, the diagonal of the damping matrix.
+    friction : float or array_like, shape (n,)
+        mu >= 0, kinetic friction; a block with mu = 0 slides freely.
+    belt_speed : float
+        v; the paper takes v < 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong type or shape, is not finite, or a friction is negative.
+    """
+
+    stiffness: Floats | scipy.sparse.csc_array
+    damping: Floats
+    friction: Floats = 1.0  # type: ignore[assignment]  # scalars are spread over the blocks below
+    belt_speed: float = -0.2
+
+    def __post_init__(self) -> None:
+        if scipy.sparse.issparse(self.stiffness):
+            stiffness = scipy.sparse.csc_array(self.stiffness, dtype=np.float64, copy=True)
+            stiffness.sum_duplicates()
+            entries = stiffness.data
+        else:
+            stiffness = np.array(self.stiffness, dtype=np.float64)
+            entries = stiffness
+        if stiffness.ndim != 2 or stiffness.shape[0] != stiffness.shape[1] or stiffness.shape[0] == 0:
+            raise ValueError(f"stiffness: expected a square matrix, got shape {stiffness.shape}")
+        if not np.isfinite(entries).all():
+            raise ValueError("stiffness: expected finite entries, got NaN or infinity")
+        entries.flags.writeable = False
+        n = stiffness.shape[0]
+        if not (np.ndim(self.belt_speed) == 0 and np.isfinite(self.belt_speed)):
+            raise ValueError(f"belt_speed: expected a finite number, got {self.belt_speed!r}")
+        friction = per_block("friction", self.friction, n)
+        if (friction < 0).any():
+            block = int(np.flatnonzero(friction < 0)[0])
+            raise ValueError(f"friction: expected mu >= 0, got {friction[block]} for block {block}")
+        object.__setattr__(self, "stiffness", stiffness)
+        object.__setattr__(self, "damping", per_block("damping", self.damping, n))
+        object.__setattr__(self, "friction", friction)
+        object.__setattr__(self, "belt_speed", float(self.belt_speed))
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return int(self.stiffness.shape[0])
+
+    @cached_property
+    def columns(self) -> Columns:
+        """K by columns, the form in which the kernels stream it."""
+        no_index, no_data = np.empty(0, dtype=np.int32), np.empty(0)
+        if isinstance(self.stiffness, np.ndarray):
+            return np.ascontiguousarray(self.stiffness.T), no_index, no_index, no_data
+        csc = self.stiffness
+        return np.empty((0, 0)), csc.indptr.astype(np.int32), csc.indices.astype(np.int32), csc.data.copy()
+
+    @cached_property
+    def row_sums(self) -> Floats:
+        """sum_j |K_ij|, shape (n,): bounds what rounding does to (K x)_i."""
+        return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
+
+    def holding_force(self, z: ArrayLike) -> Floats:
+        """F_i = R_i v + (K z)_i, shape (n,): what friction holds while block i sticks, lambda_i = -F_i / mu_i."""
+        return self.damping * self.belt_speed + self.stiffness @ per_block("z", z, self.n)
+
+    def slip_matrix(self) -> Floats:
+        """A of the all-slip system x' = A x + const, x = (z, w); shape (2n, 2n)."""
+        n = self.n
+        stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
+        return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -np.diag(self.damping)]])
+
+    def rest_state(self, slip: ArrayLike) -> Floats:
+        """Rest state with block i slipping in direction slip_i: K z = -mu slip, the fixed point of eq. (10) at w = 0.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If K is singular: the blocks then drift and there is no rest state.
+        """
+        force = -self.friction * per_block("slip", slip, self.n)
+        if isinstance(self.stiffness, np.ndarray):
+            return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
+        try:
+            return np.asarray(splu(self.stiffness).solve(force), dtype=np.float64)
+        except RuntimeError as error:  # what SuperLU raises for a singular matrix
+            raise np.linalg.LinAlgError(str(error)) from error
+
+    def __repr__(self) -> str:
+        kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
+        return f"System(n={self.n}, K {kind}, belt_speed={self.belt_speed})"
