@@ -1,0 +1,77 @@
+"""One and two blocks: event times known in closed form or to 40 digits (mu = 1 unless said).
+
+Entries and exits of one block follow from the damped oscillator's closed form; the exit lies where the stick
+interval ends, z = (sgn(v) mu - rho v) / kappa. The two-block values come from an exact event-driven computation
+in 40-digit arithmetic with the couplings of eq. (6): s = +1 as printed, s = -1 with kappa12 -> -kappa12.
+"""
+
+import numpy as np
+import pytest
+
+from sim import System, simulate
+
+TOL = 1e-15
+
+
+def two_blocks(s):
+    k1, k2, k12 = 1.1, 1.6, 0.5 * s
+    return System([[k1 + k12, -k12], [-k12, k2 + k12]], damping=0.1, belt_speed=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("rho", "kappa", "v", "z0", "w0", "times", "modes"),
+    [
+        (3.5, 0.2, -0.2, -0.7, -0.4, [0.09197880284020456, 3.9564549379897342], [0, 1]),
+        (3.5, 0.2, +0.2, -0.7, -0.4, [0.49802862992843305, 11.540118914788621], [0, -1]),
+        (0.1, 1.0, -0.2, 3.0, 1.0, [0.29075098367384344, 3.231881443452085, 4.104721534065557], [-1, 0, 1]),
+    ],
+)
+def test_one_block(rho, kappa, v, z0, w0, times, modes):
+    system = System([[kappa]], rho, belt_speed=v)
+    run = simulate(system, z0, w0, 20.0, tol=TOL)
+    np.testing.assert_allclose(run.events.t, times, rtol=0, atol=1e-12)
+    assert run.events.mode.tolist() == modes
+    # where it sticks it moves with the belt, and it leaves at the end of the stick interval
+    stick, leave = run.events.t[-2:]
+    at_stick = simulate(system, z0, w0, stick, tol=TOL).z[0]
+    assert at_stick + v * (leave - stick) == pytest.approx((np.sign(v) - rho * v) / kappa, abs=1e-11)
+
+
+def test_one_block_sticks_where_it_should():
+    run = simulate(System([[0.2]], 3.5), -0.7, -0.4, 0.09197880284020456, tol=TOL)
+    assert run.z[0] == pytest.approx(-0.727104772970094, abs=1e-12)
+
+
+def test_one_block_never_sticks_again():
+    """After the exit |w| < |v| for ever, and z -> sgn(v) mu / kappa: one block has no stick-slip cycle."""
+    run = simulate(System([[0.2]], 3.5), -0.7, -0.4, 500.0, tol=TOL, stop_early=False)
+    assert len(run.events) == 2
+    assert run.z[0] == pytest.approx(-1 / 0.2, abs=1e-9)
+
+
+def test_two_blocks_from_rest_on_the_belt():
+    run = simulate(two_blocks(+1), 0.0, -1.0, 30.0, tol=TOL, stop_early=False)
+    np.testing.assert_allclose(
+        run.events.t,
+        [0.5625, 0.8162276148517664, 6.168800188684988, 6.287311406713242],
+        rtol=0,
+        atol=1e-12,
+    )
+    assert run.events.block.tolist() == [1, 0, 0, 0]
+    assert run.events.mode.tolist() == [1, 1, 0, 1]
+    np.testing.assert_allclose(run.z, [-1.0401911196217937, -0.8589369248824921], rtol=0, atol=1e-12)
+
+
+def test_two_blocks_with_the_other_sign_of_coupling():
+    run = simulate(two_blocks(-1), 0.0, -1.0, 1.0, tol=TOL)
+    np.testing.assert_allclose(run.events.t, [0.5625, 0.8202362716222801], rtol=0, atol=1e-12)
+
+
+def test_two_blocks_one_beyond_its_stick_region():
+    run = simulate(two_blocks(+1), [0.1, 1.2], -1.0, 2.0, tol=TOL)
+    assert run.events.initial_mode.tolist() == [0, -1]  # block 2 cannot be held at z2 = 1.2
+    np.testing.assert_allclose(
+        run.events.t, [0.4714459626579806, 1.2127647222056555, 1.5900572611602661], rtol=0, atol=1e-12
+    )
+    assert run.events.block.tolist() == [0, 1, 1]
+    assert run.events.mode.tolist() == [1, 0, 1]

@@ -1,0 +1,118 @@
+"""The stiff engine against an independent method, its order conditions, and its limit eps -> 0."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sim import System, draw_system, simulate
+from sim.kernels import tanh_positive
+from sim.sigmoid import EMBEDDED, NODES, TABLEAU
+
+START = (-0.7, -0.4)
+
+
+def by_dop853(system, eps, ratio, t_end, tol):
+    """An explicit method of order 8: stable only at steps far below delta, and accurate there."""
+    n = system.n
+
+    def f(_, y):
+        z, w = y[:n], y[n:]
+        pull = system.friction * np.tanh((w - system.belt_speed) / (ratio * eps))
+        return np.concatenate((w, -system.damping * w - system.stiffness @ z - pull))
+
+    y0 = np.concatenate((np.full(n, START[0]), np.full(n, START[1])))
+    y = solve_ivp(f, (0, t_end), y0, method="DOP853", rtol=tol, atol=tol).y[:, -1]
+    return y[:n], y[n:]
+
+
+@pytest.mark.parametrize("stiffness", ["equal", "uniform"])
+def test_error_against_an_explicit_method(stiffness):
+    """n = 200, T = 25, eps = 0.03: at rtol = atol = 1e-6 the state is right to 1e-4 (and to 1e-5)."""
+    system = draw_system("antisymmetric", 200, seed=1)
+    ratio = np.ones(200) if stiffness == "equal" else np.random.default_rng(5).uniform(0, 1, 200)
+    z, w = by_dop853(system, 0.03, ratio, 25.0, 1e-10)
+    run = simulate(system, *START, 25.0, engine="sigmoid", eps=0.03, ratio=ratio, rtol=1e-6, atol=1e-6)
+    assert np.abs(run.z - z).max() < 1e-5
+    assert np.abs(run.w - w).max() < 1e-5
+
+
+def weights(row):
+    return list(row) + [Fraction(0)] * (len(TABLEAU) - len(row))
+
+
+def test_order_conditions_hold_exactly():
+    """Rooted trees up to order 4 for b, 3 for the embedded weights; stage order 2 (Kennedy and Carpenter 2003)."""
+    a = [weights(row) for row in TABLEAU]
+    c = list(NODES)
+
+    def dot(x, y):
+        return sum(p * q for p, q in zip(x, y, strict=True))
+
+    ac = [dot(row, c) for row in a]
+    c2 = [x**2 for x in c]
+    for b, order in ((a[-1], 4), (list(EMBEDDED), 3)):
+        assert sum(b) == 1
+        assert dot(b, c) == Fraction(1, 2)
+        assert dot(b, c2) == Fraction(1, 3)
+        assert dot(b, ac) == Fraction(1, 6)
+        fourth = (
+            dot(b, [x**3 for x in c]) == Fraction(1, 4),
+            dot(b, [x * y for x, y in zip(c, ac, strict=True)]) == Fraction(1, 8),
+            dot(b, [dot(row, c2) for row in a]) == Fraction(1, 12),
+            dot(b, [dot(row, ac) for row in a]) == Fraction(1, 24),
+        )
+        assert all(fourth) if order == 4 else not any(fourth)
+    assert ac == [x / 2 for x in c2]
+    assert c[-1] == 1  # stiffly accurate: the last stage is the step, so R(infinity) = 0
+
+
+def test_tanh():
+    y = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 2000)))
+    ours = np.array([tanh_positive(value) for value in y])
+    assert np.abs(ours - np.tanh(y)).max() <= 2 * np.finfo(float).eps
+
+
+def errors_against_coulomb(system, eps, t_end):
+    """Largest error of the state, and of the times of exits and entries, over blocks with the same events."""
+    exact = simulate(system, *START, t_end, tol=1e-13, stop_early=False)
+    run = simulate(system, *START, t_end, engine="sigmoid", eps=eps, rtol=1e-9, atol=1e-9, stop_early=False)
+    state = max(np.abs(run.z - exact.z).max(), np.abs(run.w - exact.w).max())
+    late: dict[str, list[float]] = {"entries": [], "exits": []}
+    n_other = 0
+    for block in range(system.n):
+        a, b = (events.block == block for events in (exact.events, run.events))
+        if exact.events.mode[a].tolist() != run.events.mode[b].tolist():
+            n_other += 1
+            continue
+        gap = np.abs(exact.events.t[a] - run.events.t[b])
+        kind = exact.events.mode[a] == 0
+        late["entries"] += gap[kind].tolist()
+        late["exits"] += gap[~kind].tolist()
+    return state, max(late["exits"]), max(late["entries"]), n_other
+
+
+def test_converges_to_coulomb():
+    """The error of state and exits is O(eps); entries see the band eps ln(1/eps), over the speed of approach."""
+    table = []
+    for eps in (0.03, 0.01, 0.003, 0.001, 0.0003):
+        table.append((eps, *errors_against_coulomb(draw_system("antisymmetric", 20, seed=3), eps, 25.0)))
+        print("eps {:7.4f}  state {:.2e}  exits {:.2e}  entries {:.2e}  other {}".format(*table[-1]))
+    eps, state, exits, entries, n_other = (np.array(column) for column in zip(*table, strict=True))
+    assert (n_other == 0).all()
+    assert (np.diff(entries) < 0).all()
+    for error in (state, exits):
+        order = np.polyfit(np.log(eps[1:]), np.log(error[1:]), 1)[0]
+        assert 0.85 < order < 1.15
+
+
+def test_the_plain_threshold_does_not_converge():
+    """|w - v| < c delta means |lambda| < tanh c: with c = 1 exits stay early by (1 - tanh 1) / |lambda'|."""
+    system = System([[1.0]], damping=0.1)  # |lambda'| = kappa |v| = 0.2; sticks from the start at z = 0
+    exact = simulate(system, 0.0, -0.2, 8.0, tol=1e-13).events
+    assert exact.mode.tolist() == [1]
+    for eps in (1e-3, 1e-4):
+        run = simulate(system, 0.0, -0.2, 8.0, engine="sigmoid", eps=eps, stick="threshold", rtol=1e-9, atol=1e-9)
+        assert run.events.mode.tolist() == [1]
+        assert exact.t[0] - run.events.t[0] == pytest.approx((1 - np.tanh(1)) / 0.2, rel=0.02)
