@@ -1,0 +1,209 @@
+"""A scene expanded into members: ids, seeds, systems, and the batches they are computed in."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+import sim
+from pipeline.scene import Coulomb, Scene, Sigmoid
+
+# What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
+MATRIX, PERTURBATION, RATIO = 0, 1, 2
+
+#: Work in a batch, in units of `Member.cost` (about a second each). A constant: were it chosen by the number
+#: of workers, so would be the shards' names and the dataset's bytes.
+TARGET_COST = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One run of an ensemble: all that determines it. Dimensionless; None where a setting does not apply.
+
+    `member_id` is built from the member's own values alone: more matrices, sizes, draws or engines in the scene
+    do not rename it.
+    """
+
+    member_id: str
+    n: int
+    coupling: str
+    kappa: float
+    rho: float
+    friction: float
+    belt_speed: float
+    matrix: int
+    perturbation_size: float
+    perturbation_draw: int | None
+    engine: Literal["coulomb", "sigmoid"]
+    tol: float | None
+    eps: float | None
+    ratio: str | None
+    ratio_draw: int | None
+    rtol: float | None
+    atol: float | None
+    stick: str | None
+    threshold: float | None
+    z0: float
+    w0: float
+    t_end: float
+    seed: int
+
+    def _seed(self, purpose: int, *draw: int) -> np.random.SeedSequence:
+        """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
+        return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *draw))
+
+    def system(self) -> sim.System:
+        """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
+
+        The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
+        same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
+        """
+        system = sim.draw_system(
+            self.coupling,
+            self.n,
+            self._seed(MATRIX),
+            kappa=self.kappa,
+            rho=self.rho,
+            friction=self.friction,
+            belt_speed=self.belt_speed,
+        )
+        if self.perturbation_draw is None:
+            return system
+        seed = self._seed(PERTURBATION, self.perturbation_draw)
+        return sim.perturb_system(system, self.coupling, self.perturbation_size, seed, kappa=self.kappa, rho=self.rho)
+
+    def ratios(self) -> float | np.ndarray:
+        """Stiffness ratios r_i of the sigmoid: 1, or shape (n,) uniform in (0, 1]."""
+        if self.ratio_draw is None:
+            return 1.0
+        return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
+
+    def simulate(self) -> sim.Run:
+        """Draw the system and run it."""
+        settings: dict[str, Any]
+        if self.engine == "coulomb":
+            settings = {"tol": self.tol}
+        else:
+            settings = {"eps": self.eps, "ratio": self.ratios(), "rtol": self.rtol, "atol": self.atol}
+            settings["stick"] = self.stick
+            if self.threshold is not None:
+                settings["threshold"] = self.threshold
+        return sim.simulate(self.system(), self.z0, self.w0, t_end=self.t_end, engine=self.engine, **settings)
+
+    @property
+    def cost(self) -> float:
+        """Estimated work, about seconds of one core; constants measured from n = 10 to 300 at eps = 0.03.
+
+        Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
+        """
+        rate = 3e-7 * self.n + 7e-11 * self.n**3
+        if self.rtol is not None and self.atol is not None:  # steps of a method of order four
+            rate *= 1.4 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
+        return 1e-3 + self.t_end * rate
+
+
+def expand(scene: Scene) -> list[Member]:
+    """All members of a scene, sorted by n, matrix, perturbation, engine (as in the file) and ratio draw."""
+    return list(_expand(scene))
+
+
+def _expand(scene: Scene) -> Iterator[Member]:
+    changes: list[tuple[float, int | None]] = [(0.0, None)]
+    if scene.perturbation is not None:
+        table = scene.perturbation
+        changes += [(size, draw) for size in table.sizes for draw in range(table.draws)]
+    for n in scene.system.n:
+        for matrix in range(scene.run.matrices):
+            for size, draw in changes:
+                for engine in scene.engines:
+                    for ratio_draw in engine.draws:
+                        yield _member(scene, n, matrix, size, draw, engine, ratio_draw)
+
+
+def _member(
+    scene: Scene,
+    n: int,
+    matrix: int,
+    size: float,
+    draw: int | None,
+    engine: Coulomb | Sigmoid,
+    ratio_draw: int | None,
+) -> Member:
+    words = [f"n{n}", f"m{matrix:03d}"]
+    if draw is not None:
+        words += [f"p{_short(size)}", f"d{draw}"]
+    words.append(engine.name)
+    settings: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
+    if isinstance(engine, Coulomb):
+        settings["tol"] = engine.tol
+        words.append(_short(engine.tol))
+    else:
+        settings |= engine.model_dump(include={"eps", "ratio", "rtol", "atol", "stick"})
+        words += [_short(engine.eps), "one" if ratio_draw is None else f"u{ratio_draw}"]
+        words += [_short(engine.rtol), _short(engine.atol)]
+        if engine.stick == "threshold":
+            settings["threshold"] = engine.threshold
+            words.append(f"c{_short(engine.threshold)}")
+    return Member(
+        member_id="-".join(words),
+        n=n,
+        coupling=scene.system.coupling,
+        kappa=scene.system.kappa,
+        rho=scene.system.rho,
+        friction=scene.system.friction,
+        belt_speed=scene.system.belt_speed,
+        matrix=matrix,
+        perturbation_size=size,
+        perturbation_draw=draw,
+        engine=engine.name,
+        ratio_draw=ratio_draw,
+        z0=scene.start.z,
+        w0=scene.start.w,
+        t_end=scene.run.t_end,
+        seed=scene.run.seed,
+        **settings,
+    )
+
+
+def _short(value: float) -> str:
+    """Shortest text that gives the float back: 1e-06 -> 1e-6, 1.0 -> 1. Distinct floats stay distinct."""
+    mantissa, _, exponent = repr(value).partition("e")
+    return mantissa.removesuffix(".0") + (f"e{int(exponent)}" if exponent else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Consecutive members that are computed together and kept in one shard, `name`."""
+
+    name: str
+    members: tuple[Member, ...]
+
+    @property
+    def cost(self) -> float:
+        """Estimated work, about seconds of one core."""
+        return sum(member.cost for member in self.members)
+
+
+def batches(members: Sequence[Member], scene_hash: str) -> list[Batch]:
+    """Pack consecutive members into batches of about `TARGET_COST`, a costly member alone.
+
+    A batch's name is fixed by its place, its members and the scene: every attempt at it writes the same file.
+    """
+    packed: list[list[Member]] = []
+    cost = 0.0
+    for member in members:
+        if not packed or cost + member.cost > TARGET_COST:
+            packed.append([])
+            cost = 0.0
+        packed[-1].append(member)
+        cost += member.cost
+    return [_batch(number, tuple(group), scene_hash) for number, group in enumerate(packed)]
+
+
+def _batch(number: int, members: tuple[Member, ...], scene_hash: str) -> Batch:
+    content = "\n".join([scene_hash, *(member.member_id for member in members)])
+    return Batch(f"shard-{number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet", members)

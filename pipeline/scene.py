@@ -1,0 +1,377 @@
+"""The scene file: which ensemble, run how, kept and analysed how; with errors that name the key.
+
+All quantities are dimensionless.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails
+
+from sim import COUPLINGS
+
+#: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
+MAX_MEMBERS = 1_000_000
+
+#: A dense K of this many blocks is 80 GB.
+MAX_BLOCKS = 100_000
+
+
+class SceneError(ValueError):
+    """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
+
+
+# ---------------------------------------------------------------------------------------------- the tables
+
+Value = TypeVar("Value", int, float)
+
+
+def _as_tuple(value: object) -> object:
+    """A single number stands for a list of one; a list becomes a tuple, as frozen models hold."""
+    if isinstance(value, list):
+        return tuple(value)
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
+    """Ascending and without duplicates: the order in the file means nothing."""
+    doubled = sorted({value for value in values if values.count(value) > 1})
+    if doubled:
+        raise ValueError(f"expected each value once, got {doubled[0]!r} more than once; remove the duplicates")
+    return tuple(sorted(values))
+
+
+def _coupling(name: str) -> str:
+    if name not in COUPLINGS:
+        raise ValueError(f"expected one of {', '.join(COUPLINGS)}, got {name!r}{_did_you_mean(name, COUPLINGS)}")
+    return name
+
+
+Blocks = Annotated[int, Field(ge=1, le=MAX_BLOCKS)]
+Positive = Annotated[float, Field(gt=0)]
+Natural = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+BlockNumbers = Annotated[
+    tuple[Blocks, ...],
+    BeforeValidator(_as_tuple, json_schema_input_type=Blocks | list[Blocks]),
+    Field(min_length=1),
+    AfterValidator(_distinct),
+]
+PositiveNumbers = Annotated[
+    tuple[Positive, ...],
+    BeforeValidator(_as_tuple, json_schema_input_type=Positive | list[Positive]),
+    Field(min_length=1),
+    AfterValidator(_distinct),
+]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SystemTable(_Table):
+    """[system]: the random ensemble the systems are drawn from."""
+
+    coupling: Annotated[str, AfterValidator(_coupling)] = Field(
+        description="name of the ensemble", examples=["antisymmetric"]
+    )
+    n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
+    kappa: Natural = Field(default=0.2, description="scale of the stiffnesses", examples=[0.2])
+    rho: Natural = Field(default=3.5, description="scale of the dampings", examples=[3.5])
+    friction: Natural = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
+    belt_speed: float = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+
+
+class StartTable(_Table):
+    """[start]: the state that every block starts from."""
+
+    z: float = Field(description="displacement at t = 0", examples=[-0.7])
+    w: float = Field(description="velocity at t = 0", examples=[-0.4])
+
+
+class RunTable(_Table):
+    """[run]: how long, how many, from which seed."""
+
+    t_end: Positive = Field(description="end of each run", examples=[1000.0])
+    matrices: Count = Field(description="number of random systems for each n", examples=[20])
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+
+
+class Coulomb(_Table):
+    """[[engine]] name = "coulomb": exact, event-driven."""
+
+    name: Literal["coulomb"]
+    tol: Positive = Field(default=1e-10, description="truncation error of a step", examples=[1e-10])
+
+    @property
+    def draws(self) -> tuple[int | None, ...]:
+        """The draws of the stiffness ratios that each system is run with; None: no draw."""
+        return (None,)
+
+
+class Sigmoid(_Table):
+    """[[engine]] name = "sigmoid": friction mu tanh((w - v) / (r_i eps))."""
+
+    name: Literal["sigmoid"]
+    eps: Positive = Field(default=0.03, description="width of the sigmoid", examples=[0.03])
+    ratio: Literal["one", "uniform"] = Field(
+        default="one", description="law of the r_i: 1, or uniform in (0, 1]", examples=["one"]
+    )
+    ratio_draws: Count = Field(default=1, description="number of draws of the r_i for each system", examples=[1])
+    rtol: Positive = Field(default=1e-6, description="relative tolerance", examples=[1e-6])
+    atol: Positive = Field(default=1e-8, description="absolute tolerance", examples=[1e-8])
+    stick: Literal["manifold", "threshold"] = Field(
+        default="manifold",
+        description="definition of sticking: the one that converges to Coulomb, or |w - v| < threshold r_i eps",
+    )
+    threshold: Positive = Field(default=1.0, description='threshold, with stick = "threshold"', examples=[1.0])
+
+    @property
+    def draws(self) -> tuple[int | None, ...]:
+        """The draws of the stiffness ratios that each system is run with; None: no draw."""
+        return tuple(range(self.ratio_draws)) if self.ratio == "uniform" else (None,)
+
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Sigmoid:
+        for key, owner, value in (("ratio_draws", "ratio", "uniform"), ("threshold", "stick", "threshold")):
+            if key in self.model_fields_set and getattr(self, owner) != value:
+                raise ValueError(
+                    f'{key}: expected only with {owner} = "{value}", got {owner} = "{getattr(self, owner)}"; '
+                    f"remove `{key}` or change `{owner}`"
+                )
+        if self.stick == "manifold" and self.eps >= 1:
+            raise ValueError(f'eps: expected less than 1 with stick = "manifold", got {self.eps}; smooth less')
+        return self
+
+
+Engine = Annotated[Coulomb | Sigmoid, Field(discriminator="name")]
+
+
+class PerturbationTable(_Table):
+    """[perturbation]: each system again with its constants moved; size 0, unmoved, is always run once."""
+
+    sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])
+    draws: Count = Field(default=1, description="number of random changes of each size", examples=[3])
+
+
+class RecordTable(_Table):
+    """[record]: what is kept beside the change points of n_stick, which always are."""
+
+    events: bool = Field(default=False, description="choice to keep every event", examples=[False])
+
+
+class AnalysisTable(_Table):
+    """[analysis]: handed to the statistics; without influence on the data."""
+
+    t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
+    dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
+    resamples: Count = Field(default=2000, description="number of resamples of the matrices", examples=[2000])
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.95, description="level of the intervals", examples=[0.95]
+    )
+
+
+class Scene(_Table):
+    """A scene: everything that determines an ensemble's data, and what to make of them."""
+
+    title: str = Field(default="", description="one line for the report's head")
+    about: str = Field(default="", description="what the scene is for")
+    system: SystemTable
+    start: StartTable
+    run: RunTable
+    engines: Annotated[tuple[Engine, ...], BeforeValidator(_as_tuple)] = Field(
+        alias="engine", min_length=1, description="one or more tables [[engine]]"
+    )
+    perturbation: PerturbationTable | None = None
+    record: RecordTable = RecordTable()
+    analysis: AnalysisTable
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        for i, engine in enumerate(self.engines):
+            if engine in self.engines[:i]:
+                raise ValueError(
+                    f"engine[{i}]: expected settings that differ from engine[{self.engines.index(engine)}], "
+                    f"got the same; remove it"
+                )
+        if self.analysis.t_burn >= self.run.t_end:
+            raise ValueError(
+                f"analysis.t_burn: expected less than run.t_end = {self.run.t_end}, "
+                f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
+            )
+        if self.perturbation is not None and self.system.coupling == "springs":
+            raise ValueError(
+                'perturbation: expected none with coupling = "springs", which it could make negative; remove it'
+            )
+        if self.n_members > MAX_MEMBERS:
+            raise ValueError(
+                f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {self.n_members} "
+                f"(n x matrices x perturbations x engines); lower `matrices` or the number of draws"
+            )
+        return self
+
+    @property
+    def n_members(self) -> int:
+        """Number of members, counted without expanding the scene."""
+        changes = 1
+        if self.perturbation is not None:
+            changes += len(self.perturbation.sizes) * self.perturbation.draws
+        # ratio_draws may be absurd: counted, not enumerated
+        runs = sum(e.ratio_draws if isinstance(e, Sigmoid) and e.ratio == "uniform" else 1 for e in self.engines)
+        return len(self.system.n) * self.run.matrices * changes * runs
+
+    def data_keys(self) -> dict[str, Any]:
+        """What determines the data, as plain values: all but title, about and analysis."""
+        return self.model_dump(mode="json", by_alias=True, exclude={"title", "about", "analysis"}, exclude_none=True)
+
+    @property
+    def hash(self) -> str:
+        """sha256 of `data_keys` in canonical JSON: the same for scenes that give the same data."""
+        text = json.dumps(self.data_keys(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read, is not TOML, or is not a scene; one line a problem.
+    """
+    path = Path(path)
+    try:
+        source = path.read_bytes()
+    except IsADirectoryError:
+        raise SceneError(f"{path}: expected a scene file, got a directory; name the .toml file in it") from None
+    except FileNotFoundError:
+        raise SceneError(f"{path}: expected a scene file, found nothing there; check the path") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    return parse_scene(source, str(path))
+
+
+def parse_scene(source: bytes, name: str = "scene") -> Scene:
+    """A scene from the bytes of a scene file; `name` is what errors call it.
+
+    Raises
+    ------
+    SceneError
+        As `load_scene`.
+    """
+    try:
+        text = source.decode()
+    except UnicodeDecodeError as error:
+        line = source.count(b"\n", 0, error.start) + 1
+        raise SceneError(f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; "
+                         f"save the file as UTF-8") from None  # fmt: skip
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
+        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
+    try:
+        return Scene.model_validate(tables)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error))) from None
+
+
+# ---------------------------------------------------------------------------------------------- errors
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "system": SystemTable,
+    "start": StartTable,
+    "run": RunTable,
+    "perturbation": PerturbationTable,
+    "record": RecordTable,
+    "analysis": AnalysisTable,
+}
+_ENGINES: dict[str, type[BaseModel]] = {"coulomb": Coulomb, "sigmoid": Sigmoid}
+
+
+def _did_you_mean(word: object, known: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(str(word), known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _fields(model: type[BaseModel]) -> dict[str, Any]:
+    """The model's fields by their names in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def _place(location: tuple[int | str, ...]) -> tuple[str, type[BaseModel], str | None]:
+    """Path as the file has it, the table it is in, and the key there (None: the table itself is meant)."""
+    path, key = "", None
+    table: type[BaseModel] = Scene
+    for part in location:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif key == "engine":  # the name that chose among the engines is no part of the path
+            table, key = _ENGINES[part], None
+        else:
+            path += f".{part}" if path else part
+            table, key = (_TABLES[part], None) if table is Scene and part in _TABLES else (table, part)
+    return path, table, key
+
+
+def _problems(error: ValidationError) -> Iterator[str]:
+    """One line a problem: key, expected, got, remedy."""
+    for detail in error.errors():
+        path, table, key = _place(detail["loc"])
+        yield _problem(path, table, key, detail)
+
+
+def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDetails) -> str:
+    kind, value = detail["type"], detail["input"]
+    fields = {field.alias or name: field for name, field in table.model_fields.items()}
+    field = fields.get(key) if key is not None else None
+    example = f"`{key} = {json.dumps(field.examples[0])}`" if field and field.examples else ""
+
+    if kind == "value_error":  # our own words, which name the key where a whole table was looked at
+        message = str(detail["ctx"]["error"])
+        return f"{path}: {message}" if key else f"{path}.{message}".lstrip(".")
+    if kind == "extra_forbidden":
+        parent, _, word = path.rpartition(".")
+        remedy = _did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
+        return f"{path}: unknown key of {f'[{parent}]' if parent else 'a scene'}{remedy}"
+    if kind == "missing" and example:
+        return f"{path}: expected the {field.description if field else key}, found nothing; add {example}"
+    if kind == "missing":
+        return f"{path}: expected a table, found none; add {'[[engine]]' if key else f'[{path}]'} and its keys"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        name = value.get("name")
+        remedy = _did_you_mean(name, tuple(_ENGINES)) or '; write `name = "coulomb"`'
+        return f"{path}.name: expected one of {', '.join(_ENGINES)}, got {_shown(name)}{remedy}"
+    if kind in ("model_type", "model_attributes_type"):
+        table_line = "[[engine]]" if key else f"[{path}]"
+        return f"{path}: expected a table, got {_shown(value)}; write {table_line} on a line, its keys below"
+
+    expected = "at least one value" if kind == "too_short" else detail["msg"].removeprefix("Input should be ")
+    if expected.startswith(("greater", "less")):
+        expected = f"a value {expected}"
+    got = _shown(list(value) if isinstance(value, tuple) else value)
+    remedy = f"; write {example and f'{example}, say: '}the {field.description}" if field else ""
+    return f"{path}: expected {expected}, got {got}{remedy}"

@@ -1,0 +1,88 @@
+"""A small scene that has everything, split into many shards, and its finished dataset."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from pipeline import members, parse_scene, run_scene
+
+SOURCE = b"""\
+title = "small"
+
+[system]
+coupling = "antisymmetric"
+n = [5, 3]
+
+[start]
+z = -0.7
+w = -0.4
+
+[run]
+t_end = 8.0
+matrices = 3
+seed = 7
+
+[[engine]]
+name = "coulomb"
+
+[[engine]]
+name = "sigmoid"
+ratio = "uniform"
+ratio_draws = 2
+stick = "threshold"
+
+[perturbation]
+sizes = [0.05, 0.01]
+
+[record]
+events = true
+
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+
+@pytest.fixture(autouse=True, scope="session")
+def small_batches():
+    """Four or so members a shard: a small scene then has many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(members, "TARGET_COST", 4.5e-3)
+        yield
+
+
+@pytest.fixture(scope="session")
+def source():
+    return SOURCE
+
+
+@pytest.fixture(scope="session")
+def scene(source):
+    return parse_scene(source)
+
+
+@pytest.fixture(scope="session")
+def finished(scene, source, tmp_path_factory, small_batches):
+    """The finished dataset, computed in this process; not to be changed."""
+    path = tmp_path_factory.mktemp("finished") / "out"
+    run_scene(scene, source, path, workers=0)
+    return path
+
+
+@pytest.fixture
+def copy(finished, tmp_path):
+    """A copy of the finished dataset, to be spoilt."""
+    return shutil.copytree(finished, tmp_path / "copy")
+
+
+@pytest.fixture(scope="session")
+def content():
+    """Every byte of a dataset but the timings, by file."""
+
+    def read(path):
+        files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != "timings.jsonl")
+        return {str(file.relative_to(path)): file.read_bytes() for file in files}
+
+    return read

@@ -1,0 +1,133 @@
+"""Members: names that stay, seeds that pair, batches that do not depend on who computes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline import batches, expand, parse_scene
+
+
+def by_id(scene):
+    return {member.member_id: member for member in expand(scene)}
+
+
+def change(source, **replacements):
+    text = source.decode()
+    for old, new in replacements.values():
+        assert old in text
+        text = text.replace(old, new)
+    return parse_scene(text.encode())
+
+
+def test_ids_are_unique_and_in_order(scene):
+    members = expand(scene)
+    assert len({member.member_id for member in members}) == len(members)
+    keys = [
+        (m.n, m.matrix, m.perturbation_size, m.perturbation_draw or 0, m.engine, m.ratio_draw or 0) for m in members
+    ]
+    assert keys == sorted(keys)  # here the engines stand in alphabetical order
+    assert members[0].member_id == "n3-m000-coulomb-1e-10"
+    assert members[5].member_id == "n3-m000-p0.01-d0-sigmoid-0.03-u1-1e-6-1e-8-c1"
+
+
+def test_growing_a_scene_renames_nobody_and_changes_nothing(scene, source):
+    grown = change(
+        source,
+        n=("[5, 3]", "[5, 4, 3]"),
+        matrices=("matrices = 3", "matrices = 5"),
+        sizes=("[0.05, 0.01]", "[0.05, 0.02, 0.01]\ndraws = 2"),
+        engine=('[[engine]]\nname = "coulomb"', '[[engine]]\nname = "sigmoid"\n[[engine]]\nname = "coulomb"'),
+        ratios=("ratio_draws = 2", "ratio_draws = 4"),
+    )
+    before, after = by_id(scene), by_id(grown)
+    assert len(after) > len(before)
+    assert before == {name: after[name] for name in before}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-9'),
+        ("sizes = [0.05, 0.01]", "sizes = [0.05000001, 0.01]"),
+        ('stick = "threshold"', 'stick = "threshold"\nthreshold = 1.5'),
+        ('stick = "threshold"', 'stick = "manifold"'),
+        ('ratio = "uniform"', 'rtol = 1e-7\nratio = "uniform"'),
+    ],
+)
+def test_another_setting_is_another_name(scene, source, old, new):
+    other = change(source, it=(old, new))
+    assert set(by_id(other)) != set(by_id(scene))
+
+
+def test_same_matrix_under_every_engine_and_stiffness(scene):
+    systems: dict[tuple, list] = {}
+    for member in expand(scene):
+        if member.perturbation_draw is None:
+            systems.setdefault((member.n, member.matrix), []).append(member.system())
+    assert len(systems) == 6
+    for same in systems.values():
+        assert len(same) == 3
+        for system in same[1:]:
+            assert np.array_equal(system.stiffness, same[0].stiffness)
+            assert np.array_equal(system.damping, same[0].damping)
+    drawn = [same[0].stiffness.tobytes() for same in systems.values()]
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_perturbations_of_one_draw_go_the_same_way(scene):
+    members = by_id(scene)
+    plain, small, large = (
+        members[f"n5-m001-{change}coulomb-1e-10"].system() for change in ("", "p0.01-d0-", "p0.05-d0-")
+    )
+    assert not np.array_equal(plain.stiffness, small.stiffness)
+    for name in ("stiffness", "damping"):
+        base, little, much = (np.asarray(getattr(system, name)) for system in (plain, small, large))
+        assert much - base == pytest.approx(5 * (little - base), rel=1e-9, abs=1e-14)
+
+
+def test_stiffness_ratios_are_paired_and_never_zero(scene):
+    draws: dict[tuple, list] = {}
+    for member in expand(scene):
+        if member.engine == "sigmoid":
+            draws.setdefault((member.n, member.matrix, member.ratio_draw), []).append(member.ratios())
+    assert len(draws) == 12
+    for same in draws.values():
+        assert all(np.array_equal(ratios, same[0]) for ratios in same)
+        assert (same[0] > 0).all()
+        assert (same[0] <= 1).all()
+    assert len({same[0].tobytes() for same in draws.values()}) == 12
+
+
+def test_the_seed_of_the_scene_moves_every_draw(scene, source):
+    a, b = expand(scene), expand(change(source, seed=("seed = 7", "seed = 8")))
+    for one, other in zip(a, b, strict=True):
+        assert one.member_id == other.member_id
+        assert not np.array_equal(one.system().stiffness, other.system().stiffness)
+        assert one.engine == "coulomb" or not np.array_equal(one.ratios(), other.ratios())
+
+
+def test_settings_reach_the_engine(scene, monkeypatch):
+    seen = []
+    monkeypatch.setattr("sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings)))
+    members = by_id(scene)
+    members["n3-m000-coulomb-1e-10"].simulate()
+    members["n5-m002-sigmoid-0.03-u1-1e-6-1e-8-c1"].simulate()
+    assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "engine": "coulomb", "tol": 1e-10})
+    n, _, _, settings = seen[1]
+    assert n == 5
+    assert settings.pop("ratio").shape == (5,)
+    assert settings == {
+        "t_end": 8.0, "engine": "sigmoid", "eps": 0.03, "rtol": 1e-6, "atol": 1e-8,
+        "stick": "threshold", "threshold": 1.0,
+    }  # fmt: skip
+
+
+def test_batches_hold_every_member_once_in_order(scene):
+    members = expand(scene)
+    packed = batches(members, scene.hash)
+    assert len(packed) > 5
+    assert [member for batch in packed for member in batch.members] == members
+    assert sorted({batch.name for batch in packed}) == [batch.name for batch in packed]
+    assert packed == batches(members, scene.hash)
+    assert {batch.name for batch in packed}.isdisjoint(batch.name for batch in batches(members, "another"))

@@ -1,0 +1,188 @@
+"""Scene files: what is read, what is refused, and in which words."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from pipeline import Scene, SceneError, expand, load_scene, parse_scene
+
+SCENES = Path(str(resources.files("workflows"))) / "scenes"
+
+
+def edit(source, old, new):
+    text = source.decode()
+    assert text.count(old) == 1, old
+    return text.replace(old, new).encode()
+
+
+def test_defaults_and_lists(scene):
+    assert scene.system.n == (3, 5)  # one way to say it: ascending
+    assert scene.analysis.dt == (0.5,)
+    assert (scene.system.kappa, scene.system.rho, scene.system.belt_speed) == (0.2, 3.5, -0.2)
+    coulomb, sigmoid = scene.engines
+    assert coulomb.tol == 1e-10
+    assert (sigmoid.eps, sigmoid.rtol, sigmoid.atol, sigmoid.threshold) == (0.03, 1e-6, 1e-8, 1.0)
+    assert scene.perturbation.draws == 1
+
+
+@pytest.mark.parametrize("name", ["quick", "cascades"])
+def test_shipped_scenes_load_and_explain_each_key(name):
+    file = SCENES / f"{name}.toml"
+    assert load_scene(file).title
+    lines = file.read_text().splitlines()
+    assert [line for line in lines if "=" in line and "#" not in line] == []
+
+
+# what is changed in the small scene; the words that its message must hold: the key, and what helps
+BAD = {
+    "unknown key": ("t_end = 8.0", "t_ned = 8.0\nt_end = 8.0", ["run.t_ned", "did you mean 't_end'"]),
+    "unknown key, nothing like it": ("seed = 7", "colour = 7", ["run.colour", "t_end, matrices, seed"]),
+    "unknown table": ("[record]\nevents = true", "[recrod]\nevents = true", ["recrod", "did you mean 'record'"]),
+    "unknown engine key": ("ratio_draws = 2", "ratio_drawz = 2", ["engine[1].ratio_drawz", "'ratio_draws'"]),
+    "key of the other engine": ('name = "coulomb"', 'name = "coulomb"\neps = 0.1', ["engine[0].eps", "name, tol"]),
+    "missing table": ("[run]\nt_end = 8.0\nmatrices = 3\nseed = 7", "", ["run:", "add [run]"]),
+    "missing key": ("t_end = 8.0\n", "", ["run.t_end", "add `t_end = 1000.0`"]),
+    "text for a number": ("t_end = 8.0", 't_end = "long"', ["run.t_end", "number", "'long'", "`t_end = 1000.0`"]),
+    "number for a count": ("matrices = 3", "matrices = 3.5", ["run.matrices", "integer", "3.5"]),
+    "true for a number": ("t_end = 8.0", "t_end = true", ["run.t_end", "number", "True"]),
+    "number for text": ('coupling = "antisymmetric"', "coupling = 1", ["system.coupling", "string", "1"]),
+    "value for a table": ("[record]\nevents = true", "[record.events]", ["record.events", "boolean"]),
+    "negative n": (
+        "n = [5, 3]",
+        "n = -5",
+        ["system.n[0]", "greater than or equal to 1", "-5", "`n = 200`", "number of blocks"],
+    ),
+    "zero n": ("n = [5, 3]", "n = [5, 0]", ["system.n[1]", "0"]),
+    "huge n": ("n = [5, 3]", "n = 10000000000", ["system.n[0]", "100000", "10000000000"]),
+    "empty n": ("n = [5, 3]", "n = []", ["system.n", "at least one value", "[]"]),
+    "doubled n": ("n = [5, 3]", "n = [5, 3, 5]", ["system.n", "got 5 more than once", "remove"]),
+    "doubled size": ("sizes = [0.05, 0.01]", "sizes = [0.05, 0.05]", ["perturbation.sizes", "0.05 more than once"]),
+    "zero size": ("sizes = [0.05, 0.01]", "sizes = [0.0]", ["perturbation.sizes[0]", "greater than 0"]),
+    "nan": ("t_end = 8.0", "t_end = nan", ["run.t_end", "finite", "nan"]),
+    "infinite": ("t_end = 8.0", "t_end = inf", ["run.t_end", "finite", "inf"]),
+    "nan in a start": ("z = -0.7", "z = nan", ["start.z", "finite"]),
+    "negative time": ("t_end = 8.0", "t_end = -8.0", ["run.t_end", "greater than 0", "-8.0"]),
+    "no matrices": ("matrices = 3", "matrices = 0", ["run.matrices", "greater than or equal to 1"]),
+    "negative seed": ("seed = 7", "seed = -7", ["run.seed", "greater than or equal to 0"]),
+    "huge seed": ("seed = 7", "seed = 9223372036854775808", ["run.seed", "less than 9223372036854775808"]),
+    "unknown coupling": ('"antisymmetric"', '"antisymetric"', ["system.coupling", "did you mean 'antisymmetric'"]),
+    "unknown engine": ('name = "coulomb"', 'name = "colomb"', ["engine[0].name", "did you mean 'coulomb'"]),
+    "engine without name": ('name = "coulomb"', "tol = 1e-9", ["engine[0].name", 'write `name = "coulomb"`']),
+    "same engine twice": (
+        '[[engine]]\nname = "coulomb"',
+        '[[engine]]\nname = "coulomb"\n[[engine]]\nname = "coulomb"\ntol = 1e-10',
+        ["engine[1]", "engine[0]", "remove it"],
+    ),
+    "unknown ratio": ('ratio = "uniform"', 'ratio = "random"', ["engine[1].ratio", "'one' or 'uniform'", "'random'"]),
+    "draws of nothing": (
+        'ratio = "uniform"',
+        'ratio = "one"',
+        ["engine[1].ratio_draws", 'ratio = "uniform"', "remove"],
+    ),
+    "threshold of nothing": (
+        'stick = "threshold"',
+        'stick = "manifold"\nthreshold = 2.0',
+        ["engine[1].threshold", 'stick = "threshold"', "remove"],
+    ),
+    "wide sigmoid": ('stick = "threshold"', "eps = 2.0", ["engine[1].eps", "less than 1", "2.0"]),
+    "perturbed springs": ('"antisymmetric"', '"springs"', ["perturbation", "springs", "remove it"]),
+    "burn-in too long": ("t_burn = 1.0", "t_burn = 8.0", ["analysis.t_burn", "run.t_end = 8.0", "shorten"]),
+    "confidence in percent": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\nconfidence = 95.0",
+        ["analysis.confidence", "less than 1"],
+    ),
+    "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "1000000", "lower `matrices`"]),
+    "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["1000000", "number of draws"]),
+    "doubled key": ("seed = 7", "seed = 7\nseed = 8", ["TOML", "line 15"]),
+    "not TOML": ("t_end = 8.0", "t_end 8.0", ["TOML", "line 12"]),
+    "endless integer": ("seed = 7", "seed = " + "9" * 5000, ["TOML"]),
+    "integer beyond float": ("t_end = 8.0", "t_end = " + "9" * 400, ["run.t_end", "number"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_scene_is_refused_with_key_and_remedy(case, source, tmp_path):
+    old, new, words = BAD[case]
+    file = tmp_path / "scene.toml"
+    file.write_bytes(edit(source, old, new))
+    with pytest.raises(SceneError) as caught:
+        load_scene(file)
+    lines = str(caught.value).splitlines()
+    assert any(all(word in line for word in words) for line in lines), str(caught.value)
+    assert all(line.startswith(f"{file}: ") for line in lines)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_no_engine_at_all(source):
+    head, _, rest = source.decode().partition("[[engine]]")
+    without = head + rest[rest.index("[perturbation]") :]
+    with pytest.raises(SceneError, match=r"engine: expected a table, found none; add \[\[engine\]\]"):
+        parse_scene(without.encode())
+    with pytest.raises(SceneError, match="engine: expected at least one value"):
+        parse_scene(("engine = []\n" + without).encode())
+    with pytest.raises(SceneError, match=r"engine\[0\]: expected a table, got 'coulomb'; write \[\[engine\]\]"):
+        parse_scene(('engine = "coulomb"\n' + without).encode())
+    with pytest.raises(SceneError, match=r"record: expected a table, got 3; write \[record\]"):
+        parse_scene(edit(source, "[record]\nevents = true", "").replace(b"title", b"record = 3\ntitle"))
+
+
+def test_every_problem_has_its_line(source):
+    bad = edit(edit(source, "seed = 7", "sed = 7"), "z = -0.7", "z = inf")
+    with pytest.raises(SceneError) as caught:
+        parse_scene(bad, "a.toml")
+    assert [line.split(":")[1].strip() for line in str(caught.value).splitlines()] == ["start.z", "run.sed"]
+
+
+def test_empty_file_asks_for_every_table():
+    with pytest.raises(SceneError) as caught:
+        parse_scene(b"")
+    for table in ("[system]", "[start]", "[run]", "[[engine]]", "[analysis]"):
+        assert f"add {table} " in str(caught.value)
+
+
+def test_unreadable_files(tmp_path):
+    with pytest.raises(SceneError, match=r"none\.toml: expected a scene file, found nothing.*check the path"):
+        load_scene(tmp_path / "none.toml")
+    with pytest.raises(SceneError, match="got a directory; name the"):
+        load_scene(tmp_path)
+    (tmp_path / "latin.toml").write_bytes(b'\n\ntitle = "caf\xe9"')
+    with pytest.raises(SceneError, match="line 3: expected UTF-8 text, got byte 0xe9; save the file as UTF-8"):
+        load_scene(tmp_path / "latin.toml")
+
+
+def test_hash_is_of_what_determines_the_data(scene, source):
+    same = [
+        ('title = "small"', 'title = "other"\nabout = "text"'),
+        ("t_burn = 1.0", "t_burn = 2.0"),
+        ("n = [5, 3]", "n = [3, 5]  # another order"),
+        ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-10'),
+        ("t_end = 8.0", "t_end = 8"),
+    ]
+    for old, new in same:
+        assert parse_scene(edit(source, old, new)).hash == scene.hash, new
+    others = [
+        ("seed = 7", "seed = 8"),
+        ("z = -0.7", "z = -0.70000001"),
+        ("events = true", "events = false"),
+        ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-9'),
+        ("sizes = [0.05, 0.01]", "sizes = [0.05]"),
+    ]
+    hashes = {parse_scene(edit(source, old, new)).hash for old, new in others}
+    assert len(hashes | {scene.hash}) == len(others) + 1
+
+
+def test_members_are_counted_without_expanding(scene, source):
+    assert scene.n_members == 2 * 3 * 3 * (1 + 2) == len(expand(scene))
+    plain = parse_scene(edit(source, "[perturbation]\nsizes = [0.05, 0.01]", ""))
+    assert plain.n_members == 2 * 3 * 1 * (1 + 2) == len(expand(plain))
+
+
+def test_json_schema_takes_what_the_reader_takes():
+    schema = Scene.model_json_schema()
+    assert "engine" in schema["properties"]
+    kinds = {option["type"] for option in schema["$defs"]["SystemTable"]["properties"]["n"]["anyOf"]}
+    assert kinds == {"integer", "array"}

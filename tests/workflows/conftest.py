@@ -1,0 +1,52 @@
+import pytest
+
+from workflows.cli import main
+from workflows.scenes import shipped
+
+SMALL = """
+title = "A small <scene>"
+[system]
+coupling = "antisymmetric"
+n = 12
+kappa = 0.2
+rho = 3.5
+friction = 1.0
+belt_speed = -0.2
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 40.0
+matrices = 3
+seed = 1
+[[engine]]
+name = "coulomb"
+[[engine]]
+name = "sigmoid"
+[record]
+events = true
+[analysis]
+t_burn = 1.0
+dt = [0.5]
+resamples = 50
+"""
+
+
+@pytest.fixture(scope="session")
+def small_scene(tmp_path_factory):
+    file = tmp_path_factory.mktemp("scene") / "small.toml"
+    file.write_text(SMALL)
+    return file
+
+
+@pytest.fixture(scope="session")
+def dataset(small_scene, tmp_path_factory):
+    """A finished small run with its report, made by the command itself."""
+    out = tmp_path_factory.mktemp("runs") / "small"
+    assert main(["run", str(small_scene), "--out", str(out), "--workers", "1"]) == 0
+    return out
+
+
+@pytest.fixture(params=sorted(shipped()))
+def shipped_scene(request):
+    return request.param

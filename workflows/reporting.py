@@ -1,0 +1,38 @@
+"""From a dataset to its report: the one place where the pipeline's rooms hand over to the analysis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from analysis import AnalysisSettings, Report, build
+from pipeline import Status, dataset_scene, members, series, status
+
+
+def report(path: Path) -> tuple[Report, Status]:
+    """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
+
+    Raises
+    ------
+    pipeline.StoreError
+        If there is no readable dataset.
+    ValueError
+        If no member is there yet.
+    """
+    scene, found = dataset_scene(path), status(path)
+    if found.n_done == 0:
+        raise ValueError(f"{path}: no member is done yet; run the scene first")
+    settings = AnalysisSettings(
+        t_burn=scene.analysis.t_burn,
+        dt=scene.analysis.dt,
+        resamples=scene.analysis.resamples,
+        confidence=scene.analysis.confidence,
+        seed=scene.run.seed,
+    )
+    provenance = {
+        "scene": scene.hash,
+        "seed": str(scene.run.seed),
+        "members": f"{found.n_done} of {found.n_members}",
+        "coupling": scene.system.coupling,
+    }
+    change_points = {member_id: (t, n_stick) for member_id, t, n_stick in series(path)}
+    return build(members(path), change_points, settings, scene.title or path.name, scene.about, provenance), found
