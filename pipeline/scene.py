@@ -181,7 +181,9 @@ class AnalysisTable(_Table):
 
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
     dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
-    resamples: Count = Field(default=2000, description="number of resamples of the matrices", examples=[2000])
+    resamples: int = Field(
+        default=200, ge=2, description="number of random orders drawn for each member", examples=[200]
+    )
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.95, description="level of the intervals", examples=[0.95]
     )
@@ -315,11 +317,6 @@ def _did_you_mean(word: object, known: tuple[str, ...]) -> str:
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _fields(model: type[BaseModel]) -> dict[str, Any]:
-    """The model's fields by their names in the file."""
-    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _place(location: tuple[int | str, ...]) -> tuple[str, type[BaseModel], str | None]:

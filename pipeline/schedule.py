@@ -17,6 +17,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm import CommClosedError
 
 from pipeline.audit import Status, status
+from pipeline.manifest import StoreError
 from pipeline.members import Batch, batches, expand
 from pipeline.scene import Scene
 from pipeline.shards import Result, compute
@@ -102,6 +103,12 @@ def run_scene(
         todo = [batch for batch in packed if batch.name not in store.done]
         members = {batch.name: len(batch.members) for batch in packed}
         costs = {batch.name: batch.cost for batch in packed}
+        foreign = sorted(store.done - costs.keys())
+        if foreign:
+            raise StoreError(
+                f"{out}: expected shards as this version of the program packs them, got {foreign[0]}; "
+                f"go on with the version that began, or choose another directory"
+            )
         before = sum(costs[name] for name in store.done)
         n_failed = status(out).outcomes.get("failed", 0)
 

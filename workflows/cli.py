@@ -134,7 +134,7 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 
 def _query(arguments: argparse.Namespace) -> int:
-    from pipeline import sql
+    from pipeline.query import sql
 
     print(sql(arguments.directory, arguments.sql).to_string(index=False))
     return _DONE

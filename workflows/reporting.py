@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from pathlib import Path
 
 from analysis import AnalysisSettings, Report, build
-from pipeline import Status, dataset_scene, members, series, status
+from pipeline import Status, dataset_scene, status
+from pipeline.query import members, series
 
 
 def report(path: Path) -> tuple[Report, Status]:
@@ -29,6 +31,7 @@ def report(path: Path) -> tuple[Report, Status]:
         seed=scene.run.seed,
     )
     provenance = {
+        "stickslip": version("stickslip"),
         "scene": scene.hash,
         "seed": str(scene.run.seed),
         "members": f"{found.n_done} of {found.n_members}",

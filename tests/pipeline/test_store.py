@@ -319,8 +319,8 @@ def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy
     content[column.dictionary_page_offset + column.total_compressed_size - 3] ^= 1
     victim.write_bytes(content)
     forge(copy, victim.name)
-    assert [problem for problem in verify(copy) if "checksum" in problem.lower()]
-    with pytest.raises(StoreError, match=r"(?i)checksum.*run the scene again"):
+    assert ["CRC checksum" in problem for problem in verify(copy)] == [True]
+    with pytest.raises(StoreError, match=r"CRC checksum.*run the scene again"):
         query.members(copy, columns=["member_id"])
     with pytest.raises(query.QueryError):
         query.sql(copy, "SELECT member_id FROM members")
@@ -351,6 +351,15 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
     assert run_scene(parse_scene(changed), changed, copy, workers=0).is_complete
     assert (copy / "scene.toml").read_bytes() == changed
     assert verify(copy) == []
+
+
+def test_shards_packed_otherwise_are_refused_and_kept(copy, scene, source, monkeypatch):
+    kept = {file: file.read_bytes() for file in shards(copy)}
+    monkeypatch.setattr("pipeline.members.TARGET_COST", 9e-3)
+    with pytest.raises(StoreError, match=r"go on with the version that began, or choose another directory"):
+        run_scene(scene, source, copy, workers=0)
+    assert {file: file.read_bytes() for file in shards(copy)} == kept
+    assert "not a shard of this scene" in "".join(verify(copy))
 
 
 def test_a_directory_of_something_else_is_refused_and_left_alone(scene, source, tmp_path):

@@ -62,7 +62,7 @@ def test_query(dataset, capsys):
 
 
 @pytest.mark.parametrize(
-    "sql", ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "DROP VIEW members", "not SQL"]
+    "sql", ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "COPY members TO 'stolen.csv'", "not SQL"]
 )
 def test_a_wrong_query_is_refused(dataset, sql, capsys):
     before = (dataset / "manifest.json").read_bytes()
@@ -77,7 +77,7 @@ BAD = {
     "unknown key": ("matrices = 3", "matrixes = 3", "matrixes", "matrices"),
     "wrong type": ("t_end = 40.0", 't_end = "long"', "run.t_end", "number"),
     "negative n": ("n = 12", "n = -12", "system.n", "got -12"),
-    "missing table": ("[start]\nz = -0.7\nw = -0.4\n", "", "start", "missing"),
+    "missing table": ("[start]\nz = -0.7\nw = -0.4\n", "", "start", "add [start]"),
     "not TOML": ("[system]", "[system", "line", ""),
 }
 

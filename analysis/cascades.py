@@ -1,0 +1,224 @@
+"""Cascade sizes by named definition, from the change points of n_stick.
+
+`n_stick[k]` holds on `[t[k], t[k+1])`, the last value to the end of the run. Every definition counts maximal
+runs of falling steps of n_stick and differs from the others in what a step is and what is added up:
+
+===========  =============================================  ==================================
+definition   steps                                          size of a run
+===========  =============================================  ==================================
+events       every change, no sampling                      blocks let go
+drop         samples every dt                               blocks let go
+length       samples every dt                               number of falling steps
+decreases    samples every dt, steps without change erased  number of falling steps
+===========  =============================================  ==================================
+
+A run that touches the first or the last step of the window is cut, since what lies beyond is not seen; it is
+dropped. The null model loses its cut runs by the same rule, so the comparison with chance is not biased by
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+DEFINITIONS: Mapping[str, str] = {
+    "events": "blocks let go in a maximal run of exits with no entry between; no sampling",
+    "drop": "total decrease of n_stick over a run of consecutive decreasing samples",
+    "length": "number of steps in a run of consecutive decreasing samples",
+    "decreases": "number of decreasing steps between two increases, steps without change ignored",
+}
+
+
+@dataclass(frozen=True, order=True)
+class Law:
+    """A definition of size together with its sampling step (dt is None for `events`)."""
+
+    definition: str
+    dt: float | None = None
+
+    def __str__(self) -> str:
+        return self.definition if self.dt is None else f"{self.definition}, dt = {self.dt:g}"
+
+
+def laws(dts: tuple[float, ...]) -> list[Law]:
+    """Every definition, the sampled ones at each step of `dts`."""
+    return [Law("events")] + [Law(name, dt) for name in DEFINITIONS if name != "events" for dt in dts]
+
+
+@dataclass(frozen=True)
+class Window:
+    """n_stick on [t_start, t_stop]: its level at t_start and each later change.
+
+    Attributes
+    ----------
+    t_start, t_stop : float
+        Ends of the window (dimensionless).
+    level : int
+        n_stick at t_start.
+    t : ndarray, shape (m,), float64
+        Times of change in (t_start, t_stop], not decreasing.
+    step : ndarray, shape (m,), int64
+        The changes, none of them zero.
+    """
+
+    t_start: float
+    t_stop: float
+    level: int
+    t: np.ndarray
+    step: np.ndarray
+
+    def path(self) -> np.ndarray:
+        """n_stick before the first change and after each, shape (m + 1,)."""
+        return self.level + np.concatenate(([0], np.cumsum(self.step)))
+
+    def grid(self, dt: float) -> np.ndarray:
+        """Sample times t_start + k dt up to t_stop."""
+        # The relative slack keeps a last sample that rounding of (t_stop - t_start) / dt would lose.
+        n_steps = int(np.floor((self.t_stop - self.t_start) / dt * (1 + 1e-12)))
+        return self.t_start + dt * np.arange(n_steps + 1)
+
+    def grid_index(self, dt: float) -> np.ndarray:
+        """For each sample time, the number of changes up to and at that time: an index into `path()`."""
+        return np.searchsorted(self.t, self.grid(dt), side="right")
+
+    def time_mean(self) -> float:
+        """Exact time mean of n_stick over the window."""
+        return float(np.dot(self._weights(), self.path()))
+
+    def time_variance(self) -> float:
+        """Exact variance over time of n_stick in the window."""
+        return float(np.dot(self._weights(), (self.path() - self.time_mean()) ** 2))
+
+    def part(self, t_start: float, t_stop: float) -> Window:
+        """The same series on a shorter window."""
+        inside = (self.t > t_start) & (self.t <= t_stop)
+        level = int(self.path()[np.searchsorted(self.t, t_start, side="right")])
+        return Window(t_start, t_stop, level, self.t[inside], self.step[inside])
+
+    def unit_steps(self) -> Window:
+        """The same window with a change by k written as k changes by one at the same time."""
+        repeats = np.abs(self.step)
+        signs = np.repeat(np.sign(self.step), repeats)
+        return Window(self.t_start, self.t_stop, self.level, np.repeat(self.t, repeats), signs)
+
+    def _weights(self) -> np.ndarray:
+        edges = np.concatenate(([self.t_start], self.t, [self.t_stop]))
+        return np.diff(edges) / (self.t_stop - self.t_start)
+
+
+def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> Window:
+    """Restrict a series of change points to [t_start, t_stop].
+
+    Parameters
+    ----------
+    t : array_like, shape (m,)
+        Times of the change points (dimensionless), not decreasing; the first at or before `t_start`.
+    n_stick : array_like of int, shape (m,)
+        n_stick[k] holds on [t[k], t[k+1]). Repeated values are allowed and change nothing.
+    t_start, t_stop : float
+        Ends of the window, t_start < t_stop.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, values are not whole numbers, times fall, or the window is empty or starts too
+        early.
+    """
+    times = np.asarray(t, dtype=np.float64)
+    values = np.asarray(n_stick)
+    if times.ndim != 1 or times.shape != values.shape or times.size == 0:
+        raise ValueError(
+            f"t, n_stick: expected two non-empty arrays of one length, got {times.shape} and {values.shape}"
+        )
+    if not np.issubdtype(values.dtype, np.integer):
+        raise ValueError(f"n_stick: expected integers, got dtype {values.dtype}")
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise ValueError("t: expected finite times that do not decrease; sort the change points by time")
+    if not t_start < t_stop:
+        raise ValueError(f"t_start: expected t_start < t_stop, got {t_start!r} and {t_stop!r}")
+    if times[0] > t_start:
+        raise ValueError(f"t: expected a change point at or before t_start = {t_start!r}, first is {times[0]!r}")
+    first = int(np.searchsorted(times, t_start, side="right")) - 1
+    last = int(np.searchsorted(times, t_stop, side="right"))
+    step = np.diff(values[first:last].astype(np.int64))
+    moved = step != 0
+    return Window(float(t_start), float(t_stop), int(values[first]), times[first + 1 : last][moved], step[moved])
+
+
+def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """n_stick at each time of `grid`, right-continuous: at a change the new value.
+
+    Raises
+    ------
+    ValueError
+        If a grid time lies before the first change point.
+    """
+    index = np.searchsorted(t, grid, side="right") - 1
+    if (index < 0).any():
+        raise ValueError(f"grid: expected times >= t[0] = {t[0]!r}, got {np.min(grid)!r}")
+    return np.asarray(n_stick)[index]
+
+
+def falls(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last index of each maximal falling stretch that a rise or a plateau bounds on both sides.
+
+    Parameters
+    ----------
+    path : ndarray of int, shape (m,)
+
+    Returns
+    -------
+    start, stop : ndarray of int
+        path[start] - path[stop] is what fell, stop - start the number of steps it took.
+    """
+    falling = np.diff(path) < 0
+    turns = np.diff(falling.astype(np.int8))
+    start = np.flatnonzero(turns == 1) + 1
+    stop = np.flatnonzero(turns == -1) + 1
+    if falling.size and falling[0]:  # cut by the start of the window
+        stop = stop[1:]
+    if falling.size and falling[-1]:  # cut by its end
+        start = start[:-1]
+    return start, stop
+
+
+def sizes(win: Window, law: Law) -> np.ndarray:
+    """Sizes of the complete cascades of a window, in order of time, by one definition.
+
+    Raises
+    ------
+    ValueError
+        If the definition is not one of `DEFINITIONS`, or its dt is missing or unwanted.
+    """
+    if law.definition not in DEFINITIONS:
+        raise ValueError(f"definition: expected one of {', '.join(DEFINITIONS)}, got {law.definition!r}")
+    if (law.dt is None) != (law.definition == "events"):
+        raise ValueError(f"dt: expected a step for a sampled definition and None for `events`, got {law!r}")
+    dts = () if law.dt is None else (law.dt,)
+    return sizes_of_path(win.path(), {dt: win.grid_index(dt) for dt in dts})[law]
+
+
+def sizes_of_path(path: np.ndarray, grid_index: Mapping[float, np.ndarray]) -> dict[Law, np.ndarray]:
+    """Sizes by every definition at once; each path is sampled once a dt.
+
+    Parameters
+    ----------
+    path : ndarray of int, shape (m + 1,)
+        n_stick before the first change and after each (`Window.path`).
+    grid_index : mapping of dt to ndarray of int
+        Which entry of `path` each sample sees (`Window.grid_index`).
+    """
+    start, stop = falls(path)
+    found = {Law("events"): path[start] - path[stop]}
+    for dt, index in grid_index.items():
+        samples = path[index]
+        start, stop = falls(samples)
+        found[Law("drop", dt)] = samples[start] - samples[stop]
+        found[Law("length", dt)] = stop - start
+        moved = np.concatenate(([True], np.diff(samples) != 0))
+        start, stop = falls(samples[moved])
+        found[Law("decreases", dt)] = stop - start
+    return found

@@ -1,0 +1,239 @@
+"""Estimates, their intervals, and the null model of random order.
+
+Matrices are the independent units: the cascades of one run, and the runs of one matrix, depend on each other.
+Every estimate here is a function of sums over matrices, and every interval comes from leaving out one matrix
+at a time; resampling cascades or time samples would give intervals far too short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import fft, stats
+
+from analysis.cascades import Law, Window, sizes_of_path
+
+LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
+
+
+class Undefined(ArithmeticError):
+    """A statistic has no value on these data; the message is the reason, in words for a reader."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its interval, or the reason why either is missing (then None, never NaN)."""
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+
+
+Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, shape (m,); may raise Undefined
+
+
+def ratio(sums: np.ndarray) -> np.ndarray:
+    """First column over the second: a mean where the second counts."""
+    if (sums[:, 1] == 0).any():
+        raise Undefined("nothing was counted")
+    return sums[:, 0] / sums[:, 1]
+
+
+def gamma(sums: np.ndarray) -> np.ndarray:
+    """Maximum-likelihood rate of the discrete exponential P(k) = (1 - q) q^(k-1), k >= 1, q = exp(-gamma).
+
+    gamma = -log(1 - 1/mean): the likelihood depends on the sizes through their mean alone.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (m, 2)
+        Total of the sizes, and number of cascades.
+
+    Raises
+    ------
+    Undefined
+        If there are no cascades, or all sizes are 1 (the likelihood then grows without end with gamma).
+    """
+    total, count = sums[:, 0], sums[:, 1]
+    if (count == 0).any():
+        raise Undefined("no complete cascade")
+    if (total <= count).any():
+        raise Undefined("every cascade has size 1, so gamma has no finite value")
+    return -np.log1p(-count / total)
+
+
+def gamma_difference(sums: np.ndarray) -> np.ndarray:
+    """gamma of columns 0 and 1 minus gamma of columns 2 and 3, paired matrix by matrix."""
+    return gamma(sums[:, 0:2]) - gamma(sums[:, 2:4])
+
+
+def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
+    """Value of a statistic of the summed rows, and its standard error from leaving out one row at a time.
+
+    Parameters
+    ----------
+    statistic : callable
+    sums : ndarray, shape (rows, c)
+        At least two rows, independent of each other.
+    """
+    whole = sums.sum(axis=0, keepdims=True)
+    n_rows = len(sums)
+    left_out = statistic(whole - sums)
+    variance = (n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)
+    return float(statistic(whole)[0]), float(np.sqrt(variance))
+
+
+def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:
+    """A statistic of the whole ensemble with a jackknife-t interval over matrices.
+
+    value +- t(G - 1) * jackknife standard error, G the number of rows. For a mean this is the t interval
+    itself.
+
+    Coverage of nominal 95% intervals of `gamma`, measured on planted data (about 200 cascades a matrix, rates
+    that switch inside each matrix, standard deviation 0, 0.03 and 0.08 between matrices; 1000 to 2000
+    ensembles each): 94 to 95% with 4 matrices, 95% with 20, 94 to 96% with 100. The studentised bootstrap
+    over matrices covered 93 to 94, 94 to 95 and 95 to 96% at the same width, the plain percentile bootstrap
+    79 to 80, 91 to 92 and 94 to 96%.
+
+    Parameters
+    ----------
+    statistic : callable
+        Maps sums, shape (m, c), to values, shape (m,); raises `Undefined` with a reason.
+    sums : ndarray, shape (G, c)
+        One row a matrix; rows add.
+    confidence : float
+
+    Returns
+    -------
+    Estimate
+        Without interval, but with a reason, for a single matrix.
+    """
+    if len(sums) == 0:
+        return Estimate(reason="no matrix has data")
+    try:
+        value = float(statistic(sums.sum(axis=0, keepdims=True))[0])
+    except Undefined as undefined:
+        return Estimate(reason=str(undefined))
+    if len(sums) == 1:
+        return Estimate(value, reason="one matrix only, so no interval")
+    try:
+        _, error = jackknife(statistic, sums)
+    except Undefined as undefined:
+        return Estimate(value, reason=f"no interval: with one of the matrices left out, {undefined}")
+    half = float(stats.t.ppf(0.5 + confidence / 2, len(sums) - 1)) * error
+    return Estimate(value, value - half, value + half)
+
+
+@dataclass
+class NullTally:
+    """Cascades of one definition under random order, added up over random orders and members.
+
+    Attributes
+    ----------
+    totals, counts : ndarray, shape (draws,)
+        Total size and number of cascades of each random order.
+    histogram : ndarray of int
+        histogram[k] is the number of cascades of size k over all random orders.
+    """
+
+    totals: np.ndarray
+    counts: np.ndarray
+    histogram: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+
+    def __iadd__(self, other: NullTally) -> NullTally:
+        self.totals = self.totals + other.totals
+        self.counts = self.counts + other.counts
+        self.histogram = add_histograms(self.histogram, other.histogram)
+        return self
+
+    def sums(self) -> np.ndarray:
+        """Totals and counts as the two columns that `gamma` reads, shape (draws, 2)."""
+        return np.column_stack([self.totals, self.counts])
+
+    def rate(self) -> tuple[float, float]:
+        """gamma under random order and its Monte-Carlo error; raises `Undefined` where there is none."""
+        return jackknife(gamma, self.sums())
+
+
+def add_histograms(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of two counts by size, the shorter padded with zeros."""
+    out = np.zeros(max(len(a), len(b)), dtype=np.int64)
+    out[: len(a)] += a
+    out[: len(b)] += b
+    return out
+
+
+def random_order(win: Window, dts: tuple[float, ...], draws: int, rng: np.random.Generator) -> dict[Law, NullTally]:
+    """Cascades that chance gives: the window's own change times, its exits and entries in random order.
+
+    The null hypothesis is that the order is exchangeable. Times of change and the numbers of exits and
+    entries stay as observed; a change by k counts as k changes at one time, so simultaneous exits are not
+    taken as given. The random path may leave 0..n: only falls are counted, their level is not used. With as
+    many exits as entries `events` gives P(k) = 2^-k, gamma = ln 2, up to terms of order one over the number
+    of events.
+
+    On 1000 planted ensembles of 20 exchangeable series (540 changes each), the 95% interval of the paired
+    difference from chance missed zero in 4.7% by `events` and in 4.5 to 5.8% by the sampled definitions.
+
+    Parameters
+    ----------
+    win : Window
+    dts : tuple of float
+        Sampling steps of the sampled definitions.
+    draws : int
+        Number of random orders.
+    rng : numpy.random.Generator
+    """
+    unit = win.unit_steps()
+    grid_index = {dt: unit.grid_index(dt) for dt in dts}
+    tallies: dict[Law, NullTally] = {}
+    signs = unit.step.copy()
+    for draw in range(draws):
+        rng.shuffle(signs)
+        path = np.concatenate(([0], np.cumsum(signs)))
+        for law, found in sizes_of_path(path, grid_index).items():
+            if law not in tallies:
+                tallies[law] = NullTally(np.zeros(draws), np.zeros(draws))
+            tally = tallies[law]
+            tally.totals[draw] = found.sum()
+            tally.counts[draw] = len(found)
+            tally.histogram = add_histograms(tally.histogram, np.bincount(found))
+    return tallies
+
+
+CORRELATION_SAMPLES = 8192  # samples of a window: far finer than the correlation time, cheap by FFT
+SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
+SHORT_WINDOW = 20.0  # below so many correlation times in a window, tau itself is estimated too low
+
+
+def correlation_time(win: Window) -> Estimate:
+    """Integrated autocorrelation time of n_stick, tau = int_0^inf rho(s) ds, with Sokal's automatic window.
+
+    A window of length T holds T / (2 tau) effectively independent samples.
+
+    Returns
+    -------
+    Estimate
+        tau (dimensionless); without a value if n_stick does not change; with a reason beside the value if the
+        window is too short for it.
+    """
+    span = win.t_stop - win.t_start
+    dt = span / CORRELATION_SAMPLES
+    samples = win.path()[win.grid_index(dt)].astype(np.float64)
+    samples -= samples.mean()
+    if not samples.any():
+        return Estimate(reason="n_stick does not change")
+    n = len(samples)
+    spectrum = fft.rfft(samples, fft.next_fast_len(2 * n, real=True))
+    products = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[:n]
+    rho = products / products[0]
+    taus = np.cumsum(rho) - 0.5  # in samples; the trapezoidal rule halves the first
+    wide_enough = np.flatnonzero(np.arange(n) >= SOKAL_WINDOW * taus)
+    # An oscillating series can sum to less than nothing; it never holds more than its own samples.
+    tau = max(float(taus[wide_enough[0]]), 0.5) * dt
+    if span < SHORT_WINDOW * tau:
+        return Estimate(tau, reason=f"the window holds fewer than {SHORT_WINDOW:g} correlation times")
+    return Estimate(tau)

@@ -1,0 +1,145 @@
+"""Members sorted into groups of like members, and what each group's finished runs give.
+
+A group holds the members that differ in the matrix only (and, for the sigmoid, in the draw of the stiffness
+ratios). Only members that reached t_end enter a statistic; the others are counted, with outcome and reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from analysis import words
+from analysis.cascades import Law, Window, laws, sizes_of_path, window
+from analysis.fits import Estimate, NullTally, add_histograms, correlation_time, random_order
+from analysis.settings import AnalysisSettings
+
+Series = Mapping[str, tuple[np.ndarray, np.ndarray]]
+OUTCOMES = ("finished", "collapsed", "diverged", "failed")
+SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
+ENGINE_KEYS = ("engine", "eps", "ratio", "stick", "threshold", "tol", "rtol", "atol")
+REQUIRED = (*SYSTEM_KEYS, *ENGINE_KEYS, "member_id", "matrix", "outcome", "reason", "t_stop")
+
+
+@dataclass
+class LawData:
+    """Cascades by one definition in one group: a row of sums and a histogram for each matrix."""
+
+    sums: np.ndarray  # (G, 4): total size and number of cascades, the same under random order
+    histograms: list[np.ndarray]
+    null: NullTally
+
+
+@dataclass
+class Group:
+    """Members alike in everything but the matrix, with what their finished runs give."""
+
+    label: str
+    key: dict[str, Any]
+    members: pd.DataFrame
+    matrices: list[int] = field(default_factory=list)  # of the finished members, ascending: the rows of all arrays
+    by_law: dict[Law, LawData] = field(default_factory=dict)
+    means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))  # whole, 1st half, 2nd half, variance, 1
+    taus: list[Estimate] = field(default_factory=list)  # one a run
+    n_quiet: int = 0  # finished, but nothing sticks or slips anew after t_burn
+
+    @property
+    def is_perturbed(self) -> bool:
+        return bool(self.key["perturbation_size"] > 0)
+
+
+def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:
+    """Refuse input that cannot mean what it says.
+
+    Raises
+    ------
+    ValueError
+        Naming the column, member or setting, what was expected and what came.
+    """
+    missing = [name for name in REQUIRED if name not in members.columns]
+    if missing:
+        raise ValueError(f"members: missing column(s) {', '.join(missing)}")
+    if members.empty:
+        raise ValueError("members: expected at least one row, got none")
+    if not members["member_id"].is_unique:
+        twice = members.loc[members["member_id"].duplicated(), "member_id"].iloc[0]
+        raise ValueError(f"members: member_id {twice!r} occurs more than once")
+    unknown = sorted({str(outcome) for outcome in members["outcome"]} - set(OUTCOMES))
+    if unknown:
+        raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
+    if settings.t_burn >= members["t_end"].min():
+        raise ValueError(
+            f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
+            "no time is left for statistics"
+        )
+    finished = members.loc[members["outcome"] == "finished", "member_id"]
+    absent = [member_id for member_id in finished if member_id not in series]
+    if absent:
+        raise ValueError(f"series: no change points for the finished member {absent[0]!r}")
+
+
+def groups(members: pd.DataFrame) -> list[Group]:
+    """Split members into groups, unperturbed ones first, then by n and engine."""
+    keys = [*SYSTEM_KEYS, *ENGINE_KEYS]
+    rows = [
+        tuple(None if pd.isna(value) else value for value in row)
+        for row in members[keys].itertuples(index=False, name=None)
+    ]
+
+    def order(row: tuple) -> tuple:
+        key = dict(zip(keys, row, strict=True))
+        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in row])
+
+    distinct = sorted(set(rows), key=order)
+    found = []
+    for row in distinct:
+        key = dict(zip(keys, row, strict=True))
+        alike = members[[other == row for other in rows]].sort_values(["matrix", "member_id"])
+        rivals = [dict(zip(keys, other, strict=True)) for other in distinct]
+        found.append(Group(words.group_label(key, rivals), key, alike))
+    return found
+
+
+def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
+    """Read each finished run of a group once and keep the sums that every table is made of."""
+    finished = group.members[group.members["outcome"] == "finished"]
+    group.matrices = [int(matrix) for matrix in finished["matrix"].unique()]
+    n_rows = len(group.matrices)
+    row_of = {matrix: row for row, matrix in enumerate(group.matrices)}
+    group.means = np.zeros((n_rows, 5))
+    for law in laws(settings.dt):
+        null = NullTally(np.zeros(settings.resamples), np.zeros(settings.resamples))
+        group.by_law[law] = LawData(np.zeros((n_rows, 4)), [np.zeros(1, np.int64)] * n_rows, null)
+    for matrix, member_id, t_end in zip(finished["matrix"], finished["member_id"], finished["t_end"], strict=True):
+        row = row_of[int(matrix)]
+        try:
+            win = window(*series[member_id], settings.t_burn, float(t_end))
+        except ValueError as error:
+            raise ValueError(f"series of member {member_id!r}: {error}") from error
+        _add_run(group, row, win, settings, _generator(settings.seed, str(member_id)))
+
+
+def _generator(seed: int, member_id: str) -> np.random.Generator:
+    """Random orders of a member depend on its name alone, not on its place in the table."""
+    words32 = np.frombuffer(hashlib.sha256(member_id.encode()).digest(), dtype="<u4")
+    return np.random.default_rng(np.random.SeedSequence([seed, *words32.tolist()]))
+
+
+def _add_run(group: Group, row: int, win: Window, settings: AnalysisSettings, rng: np.random.Generator) -> None:
+    middle = 0.5 * (win.t_start + win.t_stop)
+    halves = win.part(win.t_start, middle), win.part(middle, win.t_stop)
+    group.means[row] += [win.time_mean(), *(half.time_mean() for half in halves), win.time_variance(), 1.0]
+    group.taus.append(correlation_time(win))
+    group.n_quiet += not win.step.size
+    found = sizes_of_path(win.path(), {dt: win.grid_index(dt) for dt in settings.dt})
+    null = random_order(win, settings.dt, settings.resamples, rng)
+    for law, data in group.by_law.items():
+        data.sums[row, :2] += [found[law].sum(), len(found[law])]
+        data.sums[row, 2:] += [null[law].totals.sum(), null[law].counts.sum()]
+        data.histograms[row] = add_histograms(data.histograms[row], np.bincount(found[law]))
+        data.null += null[law]

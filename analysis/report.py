@@ -1,0 +1,261 @@
+"""The report: one self-contained HTML page, the same tables as Parquet and JSON, and a headline to print."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from analysis import figures, words
+from analysis.cascades import DEFINITIONS
+from analysis.groups import Group, Series, check, fill, groups
+from analysis.settings import AnalysisSettings
+from analysis.tables import (
+    burn_in_table,
+    engines_table,
+    groups_table,
+    law_table,
+    n_stick_table,
+    outcomes_table,
+    records,
+    sizes_table,
+)
+
+N_DRAWS = 3  # draws shown of n_stick(t), as in figure 5 of the paper
+SIZES_SHOWN = 12  # rows of the size table on the page; all are in the Parquet file
+
+
+@dataclass(frozen=True)
+class Report:
+    """A finished report.
+
+    Attributes
+    ----------
+    html : str
+        The whole page, images inside.
+    tables : dict of str to DataFrame
+        Every table, with nulls where a column does not apply or a number could not be computed.
+    headline : list of str
+        The main statements, for a terminal.
+    """
+
+    html: str
+    tables: dict[str, pd.DataFrame]
+    headline: list[str]
+
+    def write(self, directory: str | os.PathLike[str]) -> Path:
+        """Write report.html, report/<table>.parquet and report/tables.json; return the path of the page.
+
+        Each file is replaced in one step, the page last: whoever finds the page finds its tables.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written; files already there stay whole.
+        """
+        root = Path(directory)
+        folder = root / "report"
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, table in self.tables.items():
+            _replace(folder / f"{name}.parquet", table)
+        as_json = {name: records(table) for name, table in self.tables.items()}
+        _replace(folder / "tables.json", json.dumps(as_json, indent=1, allow_nan=False) + "\n")
+        page = root / "report.html"
+        _replace(page, self.html)
+        return page
+
+
+def _replace(path: Path, content: str | pd.DataFrame) -> None:
+    """Write beside the target, sync, then rename over it."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        if isinstance(content, str):
+            partial.write_text(content, encoding="utf-8")
+        else:
+            content.to_parquet(partial, index=False)
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def build(
+    members: pd.DataFrame,
+    series: Series,
+    settings: AnalysisSettings,
+    title: str,
+    about: str,
+    provenance: Mapping[str, str],
+) -> Report:
+    """Analyse an ensemble and say what was found.
+
+    Parameters
+    ----------
+    members : DataFrame
+        One row a member; the columns in `analysis.groups.REQUIRED`, null where a setting does not apply.
+    series : mapping of member_id to (t, n_stick)
+        Change points, n_stick[k] on [t[k], t[k+1]); needed for every finished member. Each is read once for
+        the statistics and, for a few draws, once more for the first figure, so the mapping may load lazily.
+    settings : AnalysisSettings
+    title, about : str
+        Shown at the head of the page, escaped.
+    provenance : mapping of str to str
+        What the data came from, shown as given, escaped.
+
+    Raises
+    ------
+    ValueError
+        If members, series or settings contradict each other, naming the column, member or setting.
+    """
+    check(members, series, settings)
+    found = groups(members)
+    for group in found:
+        fill(group, series, settings)
+    tables = {
+        "law": law_table(found, settings),
+        "groups": groups_table(found),
+        "outcomes": outcomes_table(found, settings),
+        "n_stick": n_stick_table(found, settings),
+        "burn_in": burn_in_table(found, settings),
+        "sizes": sizes_table(found, settings),
+        "engines": engines_table(found, settings),
+    }
+    rows = {name: records(table) for name, table in tables.items()}
+    shown = [group for group in found if not group.is_perturbed] or found
+    answer = {group.label: _answer(group.label, rows, settings) for group in shown}
+    labels = set(answer)
+    law = [row for row in rows["law"] if row["group"] in labels]
+    paper = words.paper_sentence(law)
+    page = _environment().get_template("report.html")
+    html = page.render(
+        title=title,
+        about=about,
+        answer=answer,
+        paper=paper,
+        paper_gamma=words.PAPER_GAMMA,
+        luck=words.many_rows(sum(row["difference_low"] is not None for row in law), settings.confidence),
+        chance=words.chance_check(law),
+        law=law,
+        perturbed=[row for row in rows["law"] if row["group"] not in labels],
+        rows=rows,
+        settings=settings,
+        level=words.percent(settings.confidence),
+        definitions=DEFINITIONS,
+        trajectories=_trajectories(shown, series, settings),
+        forests=_forests(law),
+        distributions=_distributions(shown, rows["sizes"], settings),
+        provenance=provenance,
+    )
+    headline = [title] + [f"{label}: {line}" for label, lines in answer.items() for line in lines] + [paper]
+    return Report(html, tables, headline)
+
+
+def _answer(label: str, rows: Mapping[str, list[dict]], settings: AnalysisSettings) -> list[str]:
+    """The statements on one group, most important first."""
+    law = [row for row in rows["law"] if row["group"] == label]
+    outcomes = [row for row in rows["outcomes"] if row["group"] == label]
+    (mean,) = (row for row in rows["n_stick"] if row["group"] == label)
+    (group,) = (row for row in rows["groups"] if row["group"] == label)
+    (events,) = (row for row in law if row["definition"] == "events")
+    lines = [words.events_sentence(events, settings.confidence)]
+    if events["gamma"] is not None:
+        lines.append(words.sampled_sentence(law))
+    if mean["mean"] is not None:
+        lines.append(words.mean_n_stick(mean))
+    lines.append(words.left_out(outcomes, group["quiet"]))
+    return [words.sentence(line) for line in lines]
+
+
+def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings) -> dict[str, str] | None:
+    """n_stick(t) of the first draws for the first group of each n and engine."""
+    firsts: dict[tuple[Any, Any], Group] = {}
+    for group in shown:
+        firsts.setdefault((group.key["n"], group.key["engine"]), group)
+    panels = []
+    for group in firsts.values():
+        one_each = group.members.drop_duplicates("matrix")
+        with_series = one_each[[member_id in series for member_id in one_each["member_id"]]].head(N_DRAWS)
+        draws = []
+        for member_id, matrix, outcome, t_stop in zip(
+            *(with_series[name] for name in ("member_id", "matrix", "outcome", "t_stop")), strict=True
+        ):
+            t, n_stick = series[member_id]
+            end = float(t[-1]) if pd.isna(t_stop) else float(t_stop)
+            state = "" if outcome == "finished" else f" ({outcome})"
+            draws.append((f"matrix {matrix}{state}", t, n_stick, end))
+        if draws:
+            panels.append((group.label, draws))
+    if not panels:
+        return None
+    left = len(shown) - len(panels)
+    caption = (
+        f"n_stick, the number of blocks that stick, for the first {N_DRAWS} draws of the matrix. Grey: "
+        f"the time before t_burn = {settings.t_burn:g}, which no statistic uses."
+    )
+    if left:
+        caption += f" {words.count(left, 'further group')} not drawn."
+    return {"caption": caption, "src": _embed(figures.trajectories(panels, settings.t_burn))}
+
+
+def _forests(law: list[dict]) -> list[dict[str, str]]:
+    """One figure of gamma for each n that has any."""
+    found = []
+    for n in sorted({row["n"] for row in law}):
+        some = [row for row in law if row["n"] == n]
+        if any(row["gamma"] is not None for row in some):
+            caption = (
+                f"n = {n}: gamma by definition and sampling step, with intervals over matrices; black ticks: "
+                "the same definition on the same change times in random order."
+            )
+            found.append({"caption": caption, "src": _embed(figures.forest(some))})
+    return found
+
+
+def _distributions(shown: list[Group], sizes: list[dict], settings: AnalysisSettings) -> list[dict[str, Any]]:
+    """Figure and table of the sizes of each group that has cascades; sampled definitions at the first dt."""
+    dt = settings.dt[0]
+    titles = {name: name if name == "events" else f"{name}, dt = {dt:g}" for name in DEFINITIONS}
+    found: list[dict[str, Any]] = []
+    for group in shown:
+        rows = [row for row in sizes if row["group"] == group.label and row["dt"] in (None, dt)]
+        if not rows:
+            continue
+        events = [row for row in rows if row["definition"] == "events"]
+        found.append(
+            {
+                "label": group.label,
+                "src": _embed(figures.distributions(rows, titles)),
+                "fit": words.sentence(f"events: {words.fit_sentence(events)}"),
+                "rows": events[:SIZES_SHOWN],
+                "n_more": max(len(events) - SIZES_SHOWN, 0),
+            }
+        )
+    return found
+
+
+def _embed(figure: Figure) -> str:
+    # As an image, not inline: two inline SVGs would share, and mix up, the ids of their glyphs and clips.
+    encoded = base64.b64encode(figures.svg(figure).encode("utf-8")).decode("ascii")
+    return f"data:image/svg+xml;base64,{encoded}"
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("analysis", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = words.number
+    environment.globals["interval"] = words.interval
+    return environment

@@ -1,0 +1,140 @@
+"""Cascade sizes: counted by hand, and unchanged by what cannot matter."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analysis import Law, laws, sample, sizes, window
+
+EVENTS = Law("events")
+# Change points counted by hand. Steps: -1 -1 | +1 | -1 0 -1 | +2 | -3 | +1 | -1 (cut)
+T = np.array([0.0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10])
+N = np.array([9, 8, 7, 8, 7, 7, 6, 8, 5, 6, 5])
+
+
+def test_events_counted_by_hand():
+    # The first run (9 -> 7) may have begun before the window, the last (6 -> 5) may go on after it.
+    assert sizes(window(T, N, 0.0, 12.0), EVENTS).tolist() == [2, 3]
+
+
+def test_t_burn_cuts_the_run_it_falls_into():
+    assert sizes(window(T, N, 4.5, 12.0), EVENTS).tolist() == [3]  # from 7 -> 6 on, that run is incomplete
+    assert sizes(window(T, N, 3.5, 12.0), EVENTS).tolist() == [3]  # begins with the first change seen: cut too
+    assert sizes(window(T, N, 2.5, 12.0), EVENTS).tolist() == [2, 3]  # the entry at t = 3 is seen
+
+
+def test_sampled_definitions_counted_by_hand():
+    # samples 5 6 4 4 3 3 2 1 2 1, steps +1 -2 0 -1 0 -1 -1 +1 -1; changes fall between the samples
+    samples = np.array([5, 6, 4, 4, 3, 3, 2, 1, 2, 1])
+    t = np.concatenate(([0.0], np.arange(1, 10) - 0.5))
+    win = window(t, samples, 0.0, 9.0)
+    assert sizes(win, Law("drop", 1.0)).tolist() == [2, 1, 2]
+    assert sizes(win, Law("length", 1.0)).tolist() == [1, 1, 2]
+    assert sizes(win, Law("decreases", 1.0)).tolist() == [4]
+    assert sizes(win, EVENTS).tolist() == [5]
+
+
+def test_what_happens_between_samples_is_not_seen_by_the_sampled_definitions():
+    t = np.array([0.0, 0.5, 1.2, 1.4, 1.6, 1.8, 2.5])
+    n = np.array([5, 6, 5, 6, 5, 4, 5])  # samples at 0, 1, 2, 3: 5 6 4 5
+    win = window(t, n, 0.0, 3.0)
+    assert sizes(win, EVENTS).tolist() == [1, 2]
+    assert sizes(win, Law("drop", 1.0)).tolist() == [2]
+    assert sizes(win, Law("length", 1.0)).tolist() == [1]
+
+
+def test_a_sample_at_a_change_sees_the_new_value_and_the_last_value_holds_to_the_end():
+    t, n = np.array([0.0, 1.0, 2.0]), np.array([3, 5, 4])
+    assert sample(t, n, np.array([0.0, 0.999, 1.0, 1.5, 2.0, 50.0])).tolist() == [3, 3, 5, 5, 4, 4]
+    with pytest.raises(ValueError, match="grid"):
+        sample(t, n, np.array([-0.1]))
+
+
+def test_grid_keeps_its_last_sample_where_rounding_would_lose_it():
+    win = window(np.array([0.0]), np.array([1]), 0.0, 0.3)  # 0.3 / 0.1 < 3 in floating point
+    np.testing.assert_allclose(win.grid(0.1), [0.0, 0.1, 0.2, 0.3])
+
+
+def test_mean_and_variance_in_time_are_exact():
+    win = window(np.array([0.0, 2.0, 3.0]), np.array([7, 4, 10]), 1.0, 5.0)  # 7 for 1, 4 for 1, 10 for 2
+    assert win.time_mean() == pytest.approx(31 / 4)
+    assert win.time_variance() == pytest.approx((49 + 16 + 200) / 4 - (31 / 4) ** 2)
+    assert win.part(3.0, 5.0).time_mean() == 10
+
+
+@st.composite
+def change_points(draw):
+    n = draw(st.lists(st.integers(0, 6), min_size=2, max_size=40))
+    gaps = draw(st.lists(st.integers(1, 8), min_size=len(n) - 1, max_size=len(n) - 1))
+    return np.concatenate(([0], np.cumsum(gaps))) / 8.0, np.array(n)  # eighths: shifts and sums are exact
+
+
+@given(change_points(), st.integers(-64, 64))
+def test_shifting_time_changes_nothing(series, shift):
+    t, n = series
+    for law in laws((0.25, 1.0)):
+        here = sizes(window(t, n, 0.0, t[-1] + 1), law)
+        there = sizes(window(t + shift, n, float(shift), t[-1] + 1 + shift), law)
+        assert here.tolist() == there.tolist()
+
+
+@given(change_points(), st.data())
+def test_a_change_point_without_change_changes_nothing(series, data):
+    t, n = series
+    k = data.draw(st.integers(0, len(t) - 2))
+    t_more = np.insert(t, k + 1, 0.5 * (t[k] + t[k + 1]))
+    n_more = np.insert(n, k + 1, n[k])
+    for law in laws((0.25, 1.0)):
+        plain, split = (sizes(window(a, b, 0.0, t[-1] + 1), law) for a, b in ((t, n), (t_more, n_more)))
+        assert plain.tolist() == split.tolist()
+
+
+@given(change_points())
+def test_sizes_agree_with_a_plain_walk(series):
+    t, n = series
+    win = window(t, n, 0.0, t[-1] + 1)
+    samples = sample(t, n, win.grid(0.5)).tolist()
+    for definition, values in (("events", n.tolist()), ("drop", samples), ("length", samples)):
+        law = EVENTS if definition == "events" else Law(definition, 0.5)
+        assert sizes(win, law).tolist() == walk(values, definition)
+    moved = [b for a, b in zip([None, *samples], samples, strict=False) if a != b]
+    assert sizes(win, Law("decreases", 0.5)).tolist() == walk(moved, "length")
+
+
+def walk(values, definition):
+    """Runs of falling steps, one step at a time; `events` does not see plateaus."""
+    found, size, is_seen = [], 0, False
+    for before, after in pairwise(values):
+        if after < before:
+            size += 1 if definition == "length" else before - after
+        elif after > before or definition != "events":
+            if size and is_seen:
+                found.append(size)
+            size, is_seen = 0, True
+    return found
+
+
+@pytest.mark.parametrize(
+    ("t", "n", "start", "stop", "named"),
+    [
+        ([0.0, 1.0], [1], 0.0, 2.0, "n_stick"),
+        ([], [], 0.0, 2.0, "n_stick"),
+        ([0.0, 1.0], [1.0, 2.0], 0.0, 2.0, "integers"),
+        ([1.0, 0.0], [1, 2], 1.0, 2.0, "decrease"),
+        ([0.0, np.nan], [1, 2], 0.0, 2.0, "finite"),
+        ([0.0, 1.0], [1, 2], 2.0, 2.0, "t_start"),
+        ([0.5, 1.0], [1, 2], 0.0, 2.0, "at or before"),
+    ],
+)
+def test_bad_series_are_refused_by_name(t, n, start, stop, named):
+    with pytest.raises(ValueError, match=named):
+        window(np.array(t), np.array(n, dtype=None if n else int), start, stop)
+
+
+@pytest.mark.parametrize("law", [Law("drops", 1.0), Law("events", 1.0), Law("drop")])
+def test_bad_laws_are_refused(law):
+    with pytest.raises(ValueError, match=r"definition|dt"):
+        sizes(window(T, N, 0.0, 12.0), law)

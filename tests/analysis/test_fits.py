@@ -1,0 +1,212 @@
+"""Estimates recover what was planted, intervals cover as often as they say, chance is chance."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from analysis import Law, correlation_time, gamma, over_matrices, random_order, sizes, window
+from analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
+
+EVENTS = Law("events")
+
+
+@pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])
+def test_gamma_of_planted_geometric_sizes(planted):
+    sizes = np.random.default_rng(1).geometric(1 - np.exp(-planted), 100_000)
+    found = gamma(np.array([[sizes.sum(), sizes.size]], dtype=float))[0]
+    # Fisher information of one size: q / (1 - q)^2
+    error = (1 - np.exp(-planted)) / np.sqrt(np.exp(-planted) * sizes.size)
+    assert abs(found - planted) < 4 * error
+
+
+def test_gamma_is_the_maximum_of_the_likelihood():
+    total, n = 37.0, 20.0
+    rates = np.linspace(0.3, 1.5, 120_001)
+    log_likelihood = n * np.log(-np.expm1(-rates)) - rates * (total - n)
+    assert gamma(np.array([[total, n]]))[0] == pytest.approx(rates[log_likelihood.argmax()], abs=1e-5)
+
+
+def test_undefined_rates_are_reasons_not_numbers():
+    with pytest.raises(Undefined, match="size 1"):
+        gamma(np.array([[5.0, 5.0]]))
+    with pytest.raises(Undefined, match="no complete cascade"):
+        gamma(np.array([[0.0, 0.0]]))
+    ones = over_matrices(gamma, np.array([[5.0, 5.0], [3.0, 3.0]]), 0.95)
+    assert (ones.value, ones.low) == (None, None)
+    assert "size 1" in ones.reason
+    # All that is not size 1 lies in one matrix: a value, but nothing to measure its spread with.
+    lone = over_matrices(gamma, np.array([[9.0, 5.0], [3.0, 3.0]]), 0.95)
+    assert lone.value is not None
+    assert lone.low is None
+    assert "left out" in lone.reason
+
+
+def test_one_matrix_has_no_interval_and_none_has_no_value():
+    one = over_matrices(gamma, np.array([[9.0, 5.0]]), 0.95)
+    assert one.value == pytest.approx(-np.log(4 / 9))
+    assert one.low is None
+    assert "one matrix" in one.reason
+    assert over_matrices(gamma, np.zeros((0, 2)), 0.95).reason == "no matrix has data"
+
+
+def test_interval_of_a_mean_is_the_t_interval():
+    values = np.array([1.0, 2.0, 4.0, 7.0])
+    found = over_matrices(ratio, np.column_stack([values, np.ones(4)]), 0.95)
+    half = 3.182446305 * values.std(ddof=1) / 2  # t quantile for 3 degrees of freedom, from tables
+    assert (found.low, found.high) == pytest.approx((3.5 - half, 3.5 + half))
+
+
+def test_interval_covers_the_planted_gamma():
+    """20 matrices, rates that differ between matrices, cascades that come in equal pairs within one."""
+    rng = np.random.default_rng(7)
+    n_ensembles, n_matrices, n_pairs = 1000, 20, 100
+    rates = rng.choice([0.62, 0.78], (n_ensembles, n_matrices))
+    sizes = rng.geometric((1 - np.exp(-rates))[..., None], (n_ensembles, n_matrices, n_pairs))
+    sums = np.stack([2.0 * sizes.sum(-1), np.full(rates.shape, 2.0 * n_pairs)], axis=-1)
+    mean_size = 0.5 * sum(1 / (1 - np.exp(-rate)) for rate in (0.62, 0.78))
+    truth = -np.log1p(-1 / mean_size)
+    intervals = [over_matrices(gamma, one, 0.95) for one in sums]
+    covered = np.mean([one.low <= truth <= one.high for one in intervals])
+    # 1000 ensembles: standard deviation 0.7 points, so 3 of them; percentile resampling (about 91%) falls outside.
+    assert 0.929 <= covered <= 0.971
+
+
+def test_paired_difference_removes_what_both_share():
+    rng = np.random.default_rng(3)
+    shared = rng.uniform(150, 250, 20)
+    sums = np.column_stack([shared + 1, np.full(20, 100.0), shared, np.full(20, 100.0)])
+    paired = over_matrices(gamma_difference, sums, 0.95)
+    alone = over_matrices(gamma, sums[:, :2], 0.95)
+    assert paired.value is not None
+    assert paired.low is not None
+    assert paired.high is not None
+    assert alone.low is not None
+    assert alone.high is not None
+    assert paired.value < 0  # larger sizes, smaller gamma
+    assert paired.high - paired.low < 0.05 * (alone.high - alone.low)
+
+
+def balanced(n_exits, t_stop=100.0):
+    """A window with as many exits as entries, in strict alternation: the order is far from random."""
+    steps = np.tile([1, -1], n_exits)
+    t = np.concatenate(([0.0], np.linspace(0.01, t_stop - 0.01, steps.size)))
+    return window(t, 10 + np.concatenate(([0], np.cumsum(steps))), 0.0, t_stop)
+
+
+def test_random_order_of_as_many_exits_as_entries_gives_ln_2():
+    tally = random_order(balanced(2000), (), 100, np.random.default_rng(5))[EVENTS]
+    rate, error = tally.rate()
+    assert error < 0.005
+    assert abs(rate - LN2) < 4 * error + 1 / 2000
+    shares = tally.histogram[1:6] / tally.histogram.sum()
+    np.testing.assert_allclose(shares, 0.5 ** np.arange(1, 6), rtol=0.03)
+
+
+def test_random_order_agrees_with_every_order_listed():
+    """Six changes: all 20 orders of three exits and three entries, counted without the code under test."""
+    totals, counts = [], []
+    for order in set(permutations("+++---")):
+        runs = "".join(order).split("+")[1:-1]  # what stands before the first entry and after the last is cut
+        totals.append(sum(len(run) for run in runs))
+        counts.append(sum(len(run) > 0 for run in runs))
+    draws = 20_000
+    tally = random_order(balanced(3), (), draws, np.random.default_rng(2))[EVENTS]
+    for exact, drawn in ((totals, tally.totals), (counts, tally.counts)):
+        assert abs(drawn.mean() - np.mean(exact)) < 4 * np.std(exact) / np.sqrt(draws)
+
+
+def test_simultaneous_exits_are_not_taken_as_given_by_chance():
+    """Exits three at a time: by events they are cascades, and random order of single exits does not keep them."""
+    steps = np.tile([1, 1, 1, -3], 500)
+    t = np.arange(steps.size + 1) / steps.size
+    win = window(t, 10 + np.concatenate(([0], np.cumsum(steps))), 0.0, 1.1)
+    rate, error = random_order(win, (), 50, np.random.default_rng(0))[EVENTS].rate()
+    assert abs(rate - LN2) < 4 * error + 1 / 1500
+
+
+def test_fair_series_are_rarely_called_different_from_chance(planted):
+    n_ensembles, n_matrices = 400, 20
+    alarms = 0
+    for ensemble in range(n_ensembles):
+        sums = []
+        for matrix in range(n_matrices):
+            rng = np.random.default_rng([ensemble, matrix])
+            t, n_stick = planted.runs(rng, 200, LN2)
+            win = window(t, n_stick, 100.0, planted.t_end)
+            found = sizes(win, EVENTS)
+            null = random_order(win, (), 5, rng)[EVENTS].sums().sum(axis=0)
+            sums.append([found.sum(), found.size, *null])
+        against = over_matrices(gamma_difference, np.array(sums, dtype=float), 0.95)
+        assert against.low is not None
+        assert against.high is not None
+        alarms += not against.low <= 0 <= against.high
+    # 5% of 400 with a standard deviation of 1.1 points: three of them.
+    assert 0.017 <= alarms / n_ensembles <= 0.083
+
+
+@pytest.mark.parametrize("per_step", [0.5, 1.0, 6.0])
+def test_sampled_chance_has_the_rates_of_independent_sampled_steps(per_step):
+    """Changes at random times in random order: steps of the samples are independent, Skellam(m / 2, m / 2).
+
+    A falling run then is geometric with q = P(step < 0), and its drop has the mean of a fall times the mean
+    length: chance gives a different gamma for each definition and dt, which is why none stands without them.
+    """
+    n_changes, t_stop = 20_000, 1000.0
+    t = np.sort(np.random.default_rng(6).uniform(0, t_stop, n_changes))
+    path = np.concatenate(([0], np.cumsum(np.tile([1, -1], n_changes // 2))))
+    dt = per_step * t_stop / n_changes
+    win = window(np.concatenate(([0.0], t)), path, 0.0, t_stop)
+    tallies = random_order(win, (dt,), 20, np.random.default_rng(1))
+    step = stats.skellam(per_step / 2, per_step / 2)
+    falls = -np.arange(-60, 0)
+    p_fall = step.cdf(-1)
+    mean_fall = np.dot(falls, step.pmf(-falls)) / p_fall
+    expected = {
+        "length": -np.log(p_fall),
+        "drop": -np.log1p(-(1 - p_fall) / mean_fall),
+        "decreases": LN2,
+    }
+    for definition, rate in expected.items():
+        assert tallies[Law(definition, dt)].rate()[0] == pytest.approx(rate, rel=0.03)
+
+
+def test_random_order_is_reproducible():
+    one, two = (random_order(balanced(50), (1.0,), 10, np.random.default_rng(9)) for _ in range(2))
+    assert all(np.array_equal(one[law].sums(), two[law].sums()) for law in one)
+
+
+def test_monte_carlo_error_shrinks_with_the_number_of_orders():
+    errors = [
+        random_order(balanced(200), (), draws, np.random.default_rng(4))[EVENTS].rate()[1] for draws in (20, 2000)
+    ]
+    assert errors[1] == pytest.approx(errors[0] / 10, rel=0.5)  # 20 draws give their own error to about 16%
+
+
+def test_jackknife_needs_every_row():
+    with pytest.raises(Undefined):
+        jackknife(gamma, np.array([[3.0, 2.0], [1.0, 1.0]]))
+
+
+def test_correlation_time_of_independent_blocks_that_flip_at_random():
+    """n blocks flipping at rate a each: the autocorrelation of their number is exp(-2 a s), tau = 1 / (2 a)."""
+    rng = np.random.default_rng(11)
+    n, a, t_stop = 20, 0.5, 4000.0
+    flips = [np.sort(rng.uniform(0, t_stop, rng.poisson(a * t_stop))) for _ in range(n)]
+    steps = [np.where(np.arange(len(flip)) % 2 == 0, 1, -1) for flip in flips]
+    t = np.concatenate(flips)
+    order = np.argsort(t)
+    n_stick = np.concatenate(([0], np.cumsum(np.concatenate(steps)[order])))
+    found = correlation_time(window(np.concatenate(([0.0], t[order])), n_stick, 0.0, t_stop))
+    # relative error sqrt(2 (2 * 5 + 1) tau / T) = 7% (Sokal): three of them
+    assert found.value == pytest.approx(1.0, rel=0.22)
+    assert found.reason == ""
+
+
+def test_correlation_time_says_when_it_cannot_be_known():
+    still = correlation_time(window(np.array([0.0]), np.array([3]), 0.0, 10.0))
+    assert still.value is None
+    assert "does not change" in still.reason
+    ramp = correlation_time(window(np.arange(100.0), np.arange(100), 0.0, 100.0))
+    assert "fewer than" in ramp.reason
