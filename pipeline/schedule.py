@@ -214,7 +214,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address=":0",  # any free port: two runs at once do not quarrel over one
             preload=[_IGNORE_INTERRUPT],
             silence_logs=logging.CRITICAL,  # what matters reaches the caller as an error
         ) as cluster,
