@@ -62,7 +62,8 @@ def test_query(dataset, capsys):
 
 
 @pytest.mark.parametrize(
-    "sql", ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "COPY members TO 'stolen.csv'", "not SQL"]
+    "sql",
+    ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "COPY members TO 'stolen.csv'", "not SQL"],
 )
 def test_a_wrong_query_is_refused(dataset, sql, capsys):
     before = (dataset / "manifest.json").read_bytes()
