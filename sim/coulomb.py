@@ -22,35 +22,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim import fate
+from sim import drive, fate
+from sim.arguments import Floats, flag, number
 from sim.compile import kernel
-from sim.drive import (
-    ALL_SLIP,
-    BUFFER_FULL,
-    CHECK,
-    DIVERGED,
-    DONE,
-    LAST_BLOCK,
-    N_CLOCKS,
-    N_COUNTERS,
-    N_EVENTS,
-    N_PRODUCTS,
-    N_STALLED,
-    N_STEPS,
-    PAUSED,
-    STALLED,
-    STEPS_A_SLICE,
-    TIME,
-    Buffers,
-    drive,
-)  # fmt: skip
-from sim.kernels import ROUNDING, product, roots
+from sim.kernels import ROUNDING, largest, roots, two_products
 from sim.run import Run
-from sim.system import Floats, System
+from sim.system import System
 
-#: Highest order of the series. At |eigenvalue| s about 5 its last term is below 1e-13 and rounding is
-#: amplified by less than exp(5); a longer step loses more to rounding than it gains.
+#: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
+#: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
 ORDER_MAX = 32
+_SPAN = 5.0
 _ORDER_MIN = 4
 
 #: The step aims at this many mean times between events: longer ones are cut by an event before they pay.
@@ -62,33 +44,21 @@ _DECAY = 0.9
 _STALL = 1000
 
 # behind the common clocks: decaying sums for the mean time between events
-_EXPOSURE, _INSTANTS = N_CLOCKS, N_CLOCKS + 1
+_EXPOSURE, _INSTANTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 _UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
 _IDENTICALLY_ZERO = 10 * ORDER_MAX
 
 
 @kernel
-def _expand(law, z, w, mode, touching, series, forces, zeros, side, target, remaining, tol):  # type: ignore[no-untyped-def]
-    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
-
-    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
-    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
-    holds to `tol`, and the number of products.
-    """
-    columns, row_sums, damping, friction, v = law
-    n = len(z)
-    product(columns, z, forces[0])
-    z_max = 0.0
-    for i in range(n):
-        z_max = max(z_max, abs(z[i]))
+def _settle(law, z_max, forces, z, w, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
+    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
+    _, row_sums, damping, friction, v = law
     n_undecided = 0
-    w_max = 0.0
-    for i in range(n):
+    for i in range(len(z)):
         zeros[i] = 0
         side[i] = 0
         if touching[i] or mode[i] == 0:
-            w[i] = v
             mu = friction[i]
             drag = damping[i] * v
             force = drag + forces[0, i]
@@ -102,49 +72,76 @@ def _expand(law, z, w, mode, touching, series, forces, zeros, side, target, rema
                     n_undecided += 1
                     zeros[i] = _IDENTICALLY_ZERO
                     side[i] = _UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
-        w_max = max(w_max, abs(w[i]))
-        series[0, i] = z[i]
-        series[1, i] = w[i]
-        series[2, i] = 0.0
-        if mode[i] != 0:
-            series[2, i] = -0.5 * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    allowed = tol * max(1.0, z_max, w_max)
+    return n_undecided
+
+
+@kernel
+def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[no-untyped-def]
+    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
+    _, row_sums, _, _, _ = law
+    n_decided = 0
+    for i in range(len(mode)):
+        if side[i] != 0 and zeros[i] == _IDENTICALLY_ZERO:
+            push = -forces[k, i]
+            if abs(push) > ROUNDING * row_sums[i] * c_max:
+                n_decided += 1
+                if side[i] == _UNDECIDED_BOTH:
+                    side[i] = 1 if push > 0.0 else -1
+                if push * side[i] > 0.0:
+                    mode[i] = side[i]
+                    zeros[i] = k + 1
+                else:
+                    zeros[i] = k
+    return n_decided
+
+
+@kernel
+def _expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
+    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
+
+    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
+    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
+    holds to `tol`, and the number of products.
+    """
+    columns, _, damping, friction, v = law
+    n = len(z)
+    for i in range(n):
+        if touching[i] or mode[i] == 0:
+            w[i] = v
+    series[0] = z
+    series[1] = w
+    two_products(columns, series[0], series[1], forces[0], forces[1], moving)
+    w_max = largest(w)
+    n_undecided = _settle(law, largest(z), forces, z, w, mode, touching, zeros, side)
+    for i in range(n):
+        slips[i] = 1.0 if mode[i] != 0 else 0.0
+        series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
+    # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
+    allowed = tol * max(w_max, abs(v), 2.0 * largest(series[2]) * target)
 
     n_small = 0
     last = 0.0
     for k in range(1, ORDER_MAX - 1):
-        product(columns, series[k], forces[k])
+        if k % 2 == 0:
+            two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
         if n_undecided > 0:
-            c_max = 0.0
+            n_undecided -= _settle_by_order(law, k, largest(series[k]), forces, mode, zeros, side)
             for i in range(n):
-                c_max = max(c_max, abs(series[k, i]))
-            for i in range(n):
-                if side[i] != 0 and zeros[i] == _IDENTICALLY_ZERO:
-                    push = -forces[k, i]
-                    if abs(push) > ROUNDING * row_sums[i] * c_max:
-                        n_undecided -= 1
-                        if side[i] == _UNDECIDED_BOTH:
-                            side[i] = 1 if push > 0.0 else -1
-                        if push * side[i] > 0.0:
-                            mode[i] = side[i]
-                            zeros[i] = k + 1
-                        else:
-                            zeros[i] = k
+                slips[i] = 1.0 if mode[i] != 0 else 0.0
         factor = -1.0 / ((k + 2) * (k + 1))
-        size = 0.0
         for i in range(n):
-            c = factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-            c = c if mode[i] != 0 else 0.0
-            series[k + 2, i] = c
-            size = max(size, abs(c))
+            series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+        size = largest(series[k + 2])
         order = k + 2
+        n_products = k + 1 + (k + 1) % 2
         # the last term's share of w decides; two in a row, since one can vanish by chance
-        if size == 0.0 and last == 0.0 and n_undecided == 0 and order >= _ORDER_MIN:
-            return order, remaining, k + 1  # a polynomial: exact however far
+        if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
+            return order, remaining, n_products  # a polynomial: exact however far
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
-            if n_small >= 2 and n_undecided == 0 and order >= _ORDER_MIN:
-                return order, target, k + 1
+            # before order = rate * target the terms of a small state may still be on their way up
+            if n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target):
+                return order, target, n_products
         else:
             n_small = 0
         before = last
@@ -155,29 +152,31 @@ def _expand(law, z, w, mode, touching, series, forces, zeros, side, target, rema
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    return order, h, order - 1
+    return order, h, n_products
 
 
 @kernel
-def _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, found):  # type: ignore[no-untyped-def]
+def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found):  # type: ignore[no-untyped-def]
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none.
 
-    `reach[i]` receives how far block i's event function can move within h.
+    `reach[i]` receives how far block i's event function can stray within h from its tangent at the start.
     """
     _, _, damping, friction, v = law
     n = len(mode)
-    reach[:] = 0.0
-    power = h
-    for k in range(1, order):
+    for i in range(n):
+        reach[i] = 0.0
+    power = h * h
+    for k in range(2, order - 1):
         for i in range(n):
-            # forces has two orders less: F is needed to the accuracy of w', not of w
-            c = (k + 1) * series[k + 1, i] if mode[i] != 0 else (forces[k, i] if k < order - 1 else 0.0)
-            reach[i] += abs(c) * power
+            reach[i] += power * abs(slips[i] * (k + 1) * series[k + 1, i] + (1.0 - slips[i]) * forces[k, i])
         power *= h
+    for i in range(n):  # F has two orders less: it is needed to the accuracy of w', not of w
+        reach[i] += power * abs(slips[i] * order * series[order, i])
     block = -1
     for i in range(n):
         if mode[i] != 0:
-            if zeros[i] == 0 and abs(series[1, i] - v) > reach[i]:
+            gap = mode[i] * (series[1, i] - v)
+            if zeros[i] == 0 and min(gap, gap + mode[i] * 2.0 * series[2, i] * h) > reach[i]:
                 continue
             degree = order - 1 - zeros[i]
             power = 1.0
@@ -193,7 +192,7 @@ def _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, 
                 block = i
             continue
         force = damping[i] * v + forces[0, i]
-        if side[i] == 0 and abs(force) + reach[i] < friction[i]:
+        if side[i] == 0 and max(abs(force), abs(force + forces[1, i] * h)) + reach[i] < friction[i]:
             continue
         for sigma in (-1, 1):
             skip = zeros[i] if side[i] == sigma or side[i] == _UNDECIDED_BOTH else 0
@@ -216,7 +215,7 @@ def _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, 
 
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, bound,
+    law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
     event_t, event_block, event_mode, series, forces,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
@@ -225,18 +224,23 @@ def _advance(  # type: ignore[no-untyped-def]
     zeros = np.empty(n, dtype=np.int64)
     side = np.empty(n, dtype=np.int64)
     reach = np.empty(n)
+    slips = np.empty(n)
+    moving = np.empty(n, dtype=np.int64)
     poly = np.empty(ORDER_MAX + 1)
     found = np.empty(1)
     n_recorded = 0
-    for _ in range(STEPS_A_SLICE):
+    for _ in range(drive.STEPS_A_SLICE):
         if n_recorded + n > len(event_t):
-            return BUFFER_FULL, n_recorded
-        t = clock[TIME]
+            return drive.BUFFER_FULL, n_recorded
+        t = clock[drive.TIME]
         remaining = t_end - t
         target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_INSTANTS])
-        order, h, n_products = _expand(law, z, w, mode, touching, series, forces, zeros, side, target, remaining, tol)
-        counters[N_PRODUCTS] += n_products
-        if counters[N_STEPS] == 0:
+        target = min(target, _SPAN / rate) if rate > 0.0 else target
+        order, h, n_products = _expand(
+            law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
+        )
+        counters[drive.N_PRODUCTS] += n_products
+        if counters[drive.N_STEPS] == 0:
             initial_mode[:] = mode
             known_mode[:] = mode
         same = True
@@ -246,17 +250,16 @@ def _advance(  # type: ignore[no-untyped-def]
                 event_block[n_recorded] = i
                 event_mode[n_recorded] = mode[i]
                 n_recorded += 1
-                counters[N_EVENTS] += 1
+                counters[drive.N_EVENTS] += 1
                 known_mode[i] = mode[i]
             same = same and mode[i] == mode[0]
         if remaining <= 0.0:
-            return DONE, n_recorded
-        if same and mode[0] != 0 and t >= clock[CHECK]:
-            return ALL_SLIP, n_recorded
+            return drive.DONE, n_recorded
+        if same and mode[0] != 0 and t >= clock[drive.CHECK]:
+            return drive.ALL_SLIP, n_recorded
 
-        step, block = _first_event(law, mode, series, forces, zeros, side, order, h, reach, poly, found)
-        counters[N_STEPS] += 1
-        state_max = 0.0
+        step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
+        counters[drive.N_STEPS] += 1
         for i in range(n):
             z[i] = series[order, i]
             w[i] = order * series[order, i]
@@ -266,23 +269,23 @@ def _advance(  # type: ignore[no-untyped-def]
                 w[i] = w[i] * step + k * series[k, i]
         for i in range(n):
             z[i] = z[i] * step + series[0, i]
-            touching[i] = mode[i] != 0 and abs(w[i] - v) <= ROUNDING * (abs(series[1, i] - v) + reach[i])
-            state_max = max(state_max, abs(z[i]), abs(w[i]))
+            strayed = abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i]
+            touching[i] = mode[i] != 0 and abs(w[i] - v) <= ROUNDING * strayed
         if block >= 0:
             touching[block] = mode[block] != 0
-            counters[LAST_BLOCK] = block
-        clock[TIME] = t_end if step == remaining else t + step
+            counters[drive.LAST_BLOCK] = block
+        clock[drive.TIME] = t_end if step == remaining else t + step
         clock[_EXPOSURE] = _DECAY * clock[_EXPOSURE] + step
         clock[_INSTANTS] = _DECAY * clock[_INSTANTS] + (1.0 if block >= 0 else 0.0)
-        if clock[TIME] - t <= ROUNDING * max(1.0, abs(t)):
-            counters[N_STALLED] += 1
-            if counters[N_STALLED] > _STALL:
-                return STALLED, n_recorded
+        if clock[drive.TIME] - t <= ROUNDING * max(1.0, abs(t)):
+            counters[drive.N_STALLED] += 1
+            if counters[drive.N_STALLED] > _STALL:
+                return drive.STALLED, n_recorded
         else:
-            counters[N_STALLED] = 0
-        if not state_max <= bound:
-            return DIVERGED, n_recorded
-    return PAUSED, n_recorded
+            counters[drive.N_STALLED] = 0
+        if not max(largest(z), largest(w)) <= bound:
+            return drive.DIVERGED, n_recorded
+    return drive.PAUSED, n_recorded
 
 
 def integrate(
@@ -311,12 +314,12 @@ def integrate(
     Raises
     ------
     ValueError
-        If `tol` is not in [1e-15, 1e-2].
+        If `tol` is not in (1e-16, 1e-2).
     IntegrationError
         If events accumulate at one instant.
     """
-    if not (isinstance(tol, float | int) and 1e-15 <= tol <= 1e-2):
-        raise ValueError(f"tol: expected a number in [1e-15, 1e-2], got {tol!r}")
+    tol = number("tol", tol, 1e-16, 1e-2)
+    stop_early = flag("stop_early", stop_early)
     n = system.n
     v = system.belt_speed
     law = (system.columns, system.row_sums, system.damping, system.friction, v)
@@ -324,26 +327,27 @@ def integrate(
     mode = np.sign(w - v).astype(np.int8)
     touching = mode == 0
     known_mode, initial_mode = mode.copy(), mode.copy()
-    rate = float(system.damping.max() + np.sqrt(system.row_sums.max()))
-    clock = np.zeros(N_CLOCKS + 2)
-    clock[TIME], clock[CHECK] = t_start, t_start if stop_early else np.inf
+    rate = float((np.abs(system.damping) + np.sqrt(system.row_sums)).max())  # bounds |eigenvalues|
+    clock = np.zeros(drive.N_CLOCKS + 2)
+    clock[drive.TIME], clock[drive.CHECK] = t_start, t_start if stop_early else np.inf
     clock[_EXPOSURE], clock[_INSTANTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
-    counters = np.zeros(N_COUNTERS, dtype=np.int64)
-    bound = fate.divergence_bound(z, w)
-    series, forces = np.empty((ORDER_MAX + 1, n)), np.empty((ORDER_MAX + 1, n))
+    counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
+    # NaN: a coefficient used before it was computed would show
+    series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
 
-    def advance(buffers: Buffers) -> tuple[int, int]:
+    def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
-            law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, float(tol), bound,
+            law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
             *buffers, series, forces,
         )  # fmt: skip
 
-    return drive(
+    return drive.complete(
+        system,
         advance,
         certify=lambda slip: fate.collapse(system, z, w, slip),
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=n,
         t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
-        clock=clock, counters=counters, bound=bound,
+        clock=clock, counters=counters,
     )  # fmt: skip

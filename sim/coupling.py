@@ -12,7 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.system import Floats, System
+from sim.arguments import Floats
+from sim.system import System
 
 
 def _on_diagonal(off: Floats, diagonal: Floats) -> Floats:
@@ -93,15 +94,17 @@ def draw_system(
     Raises
     ------
     ValueError
-        If the name is unknown, n < 1, or kappa or rho is negative.
+        If the name is unknown, n < 1, the seed is None, or kappa or rho is negative.
     """
     rule = _rule(coupling)
+    if seed is None:
+        raise ValueError("seed: expected an integer or a SeedSequence, got None, which would differ every time")
     if n < 1:
         raise ValueError(f"n: expected at least one block, got {n}")
     if not (kappa >= 0 and rho >= 0):
         raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
     u, damping = _uniform(n, seed, kappa, (rho, 2 * rho))
-    return System(rule(u), damping, friction, belt_speed)  # type: ignore[arg-type]  # System spreads scalars
+    return System(rule(u), damping, friction, belt_speed)
 
 
 def perturb_system(

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import fate
+from sim.arguments import Floats
 from sim.run import IntegrationError, Outcome, Run, Stats
 from sim.series import EventSeries
-from sim.system import Floats
+from sim.system import System
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -31,8 +32,9 @@ TIME, CHECK, N_CLOCKS = range(3)
 Buffers: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int8]]
 
 
-def drive(
-    advance: Callable[[Buffers], tuple[int, int]],
+def complete(
+    system: System,
+    advance: Callable[[Buffers, float], tuple[int, int]],
     certify: Callable[[int], fate.Certificate],
     stalled: str,
     events_a_step: int,
@@ -44,14 +46,13 @@ def drive(
     initial_mode: NDArray[np.int8],
     clock: Floats,
     counters: NDArray[np.int64],
-    bound: float,
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
 
     Parameters
     ----------
     advance : callable
-        Runs a slice, writing events (t, block, mode) into the buffers it is given.
+        Runs a slice, writing events (t, block, mode) into the buffers it is given, until the state passes a bound.
     certify : callable
         From the common direction of slip to a certificate of collapse.
     stalled : str
@@ -60,16 +61,15 @@ def drive(
         The most events that a step can record.
     z, w, mode, initial_mode, clock, counters
         The state that `advance` works on.
-    bound : float
-        The size of state beyond which `advance` calls the run diverged.
     """
     capacity = max(2 * events_a_step, 4096)
     buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
     recorded: list[Buffers] = []
+    bound = fate.divergence_bound(system, z, w)
     outcome: Outcome = "finished"
     reason = ""
     while True:
-        status, n_recorded = advance(buffers)
+        status, n_recorded = advance(buffers, bound)
         recorded.append(tuple(buffer[:n_recorded].copy() for buffer in buffers))  # type: ignore[arg-type]
         t = float(clock[TIME])
         if status == DONE:
@@ -81,11 +81,19 @@ def drive(
                 break
             clock[CHECK] = t + certificate.ask_again_after
         elif status == DIVERGED:
-            outcome, reason = "diverged", fate.divergence_reason(z, w, t, bound)
-            break
+            if fate.grows(system):
+                outcome, reason = "diverged", fate.divergence_reason(z, w, t, bound)
+                break
+            bound = np.inf  # far out, but of a motion that does not grow
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
+        if not (np.isfinite(z).all() and np.isfinite(w).all()):
+            raise IntegrationError(
+                f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
+            )
     event_t, event_block, event_mode = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
+    order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
+    event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     known_to = t if outcome == "diverged" else t_end
     return Run(
         z=z,

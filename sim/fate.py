@@ -8,18 +8,34 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.system import Floats, System
+from sim.arguments import Floats
+from sim.system import System
 
-#: A run whose state exceeds this many times max(1, its start) is called diverged. Friction is bounded by mu, so
-#: out there the motion is that of the linear all-slip system, which grows.
+#: A run is called diverged when its state exceeds this many times max(1, |v|, its start) and the all-slip system
+#: is unstable: friction is bounded by mu, so out there the motion is that of the linear system, which grows.
 _DIVERGENCE_FACTOR = 1e6
+
+#: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: seconds). Beyond, nothing is certified,
+#: and what passes the bound counts as diverged.
+_EIGENVALUES_MAX = 1000
+
+#: Real parts closer to zero than this share of the largest eigenvalue are not told from zero.
+_EIGENVALUE_ROUNDING = 1e-12
 
 _NEVER = float("inf")
 
 
-def divergence_bound(z: Floats, w: Floats) -> float:
-    """The size of |z| or |w| beyond which a run from this start is called diverged."""
-    return _DIVERGENCE_FACTOR * max(1.0, float(np.abs(z).max()), float(np.abs(w).max()))
+def divergence_bound(system: System, z: Floats, w: Floats) -> float:
+    """The size of |z| or |w| beyond which a run from this start may be called diverged."""
+    return _DIVERGENCE_FACTOR * max(1.0, abs(system.belt_speed), float(np.abs(z).max()), float(np.abs(w).max()))
+
+
+def grows(system: System) -> bool:
+    """Whether the all-slip system is unstable (up to the rounding of its eigenvalues), or too large to tell."""
+    if system.n > _EIGENVALUES_MAX:
+        return True
+    modes = _modes(system)
+    return modes.growth > _EIGENVALUE_ROUNDING * modes.largest
 
 
 def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
@@ -40,10 +56,14 @@ class Certificate:
 
 @dataclass(frozen=True)
 class _Modes:
-    """The all-slip system A T = T Lambda: max Re Lambda, |T| for the velocities (n, 2n), T^-1 (2n, 2n), and the
-    bound on |w_i| that unit forces on the blocks cause, sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n)."""
+    """The all-slip system A T = T Lambda.
+
+    Max Re Lambda, max |Lambda|, |T| for the velocities (n, 2n), T^-1 (2n, 2n; infinite if A is defective), and the
+    bound on |w_i| that unit forces on the blocks cause, sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n).
+    """
 
     growth: float
+    largest: float
     velocity_parts: Floats
     inverse: NDArray[np.complex128]
     response: Floats
@@ -56,15 +76,15 @@ def _modes(system: System) -> _Modes:
     if system not in _MODES:
         eigenvalues, vectors = np.linalg.eig(system.slip_matrix())
         velocity_parts = np.abs(vectors[system.n :])
+        growth, largest = float(eigenvalues.real.max()), float(np.abs(eigenvalues).max())
         try:
             inverse = np.linalg.inv(vectors)
         except np.linalg.LinAlgError:  # a defective matrix: no certificate by this bound
-            _MODES[system] = _Modes(_NEVER, velocity_parts, vectors, velocity_parts)
+            _MODES[system] = _Modes(growth, largest, velocity_parts, np.full_like(vectors, np.inf), velocity_parts)
             return _MODES[system]
-        growth = float(eigenvalues.real.max())
         with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
             response = (velocity_parts / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        _MODES[system] = _Modes(growth, velocity_parts, inverse, response)
+        _MODES[system] = _Modes(growth, largest, velocity_parts, inverse, response)
     return _MODES[system]
 
 
@@ -102,8 +122,10 @@ def collapse(
     widest = float(np.max(band))
     if slip * system.belt_speed >= 0 or widest >= speed:  # w = 0, the rest, is across the belt or in the layer
         return Certificate(False, "", _NEVER)
+    if system.n > _EIGENVALUES_MAX:
+        return Certificate(False, "", _NEVER)
     modes = _modes(system)
-    if not modes.growth < 0:
+    if not modes.growth < -_EIGENVALUE_ROUNDING * modes.largest or np.isinf(modes.inverse).any():
         return Certificate(False, "", _NEVER)
     try:
         rest = system.rest_state(np.full(system.n, slip))

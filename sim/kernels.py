@@ -79,13 +79,88 @@ def product(columns, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
+    """y = K x and z = K u in one pass over K: the pass, not the arithmetic, is what a product costs.
+
+    Columns of blocks with x_j = u_j = 0 are not read; `moving` is work space for the others, eight of which
+    share a pass over y and z.
+    """
+    dense, indptr, indices, data = columns
+    n = len(x)
+    for i in range(n):
+        y[i] = 0.0
+        z[i] = 0.0
+    if dense.shape[0] == 0:
+        for j in range(n):
+            if x[j] != 0.0 or u[j] != 0.0:
+                for k in range(indptr[j], indptr[j + 1]):
+                    y[indices[k]] += data[k] * x[j]
+                    z[indices[k]] += data[k] * u[j]
+        return
+    m = 0
+    for j in range(n):
+        if x[j] != 0.0 or u[j] != 0.0:
+            moving[m] = j
+            m += 1
+    eights = m - m % 8
+    for j in range(0, eights, 8):
+        c0, c1, c2, c3 = moving[j], moving[j + 1], moving[j + 2], moving[j + 3]
+        c4, c5, c6, c7 = moving[j + 4], moving[j + 5], moving[j + 6], moving[j + 7]
+        k0, k1, k2, k3, k4, k5, k6, k7 = (
+            dense[c0], dense[c1], dense[c2], dense[c3], dense[c4], dense[c5], dense[c6], dense[c7],
+        )  # fmt: skip
+        x0, x1, x2, x3, x4, x5, x6, x7 = x[c0], x[c1], x[c2], x[c3], x[c4], x[c5], x[c6], x[c7]
+        u0, u1, u2, u3, u4, u5, u6, u7 = u[c0], u[c1], u[c2], u[c3], u[c4], u[c5], u[c6], u[c7]
+        for i in range(n):
+            a, b, c, d, e, f, g, h = k0[i], k1[i], k2[i], k3[i], k4[i], k5[i], k6[i], k7[i]
+            y[i] += ((a * x0 + b * x1) + (c * x2 + d * x3)) + ((e * x4 + f * x5) + (g * x6 + h * x7))
+            z[i] += ((a * u0 + b * u1) + (c * u2 + d * u3)) + ((e * u4 + f * u5) + (g * u6 + h * u7))
+    for j in range(eights, m):
+        column = dense[moving[j]]
+        xj, uj = x[moving[j]], u[moving[j]]
+        for i in range(n):
+            y[i] += column[i] * xj
+            z[i] += column[i] * uj
+
+
+@numba.extending.intrinsic
+def _bits(typing_context, value):  # type: ignore[no-untyped-def]
+    """The 64 bits of a float64 as an integer; of floats >= 0 they are in the order of the floats."""
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+    return numba.types.int64(numba.types.float64), codegen
+
+
+@numba.extending.intrinsic
+def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
+    """The float64 with these 64 bits."""
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+    return numba.types.float64(numba.types.int64), codegen
+
+
+@kernel
+def largest(x):  # type: ignore[no-untyped-def]
+    """max |x_i|, NaN if there is one: taken over the bits, since a maximum of floats does not vectorise."""
+    most = np.int64(0)
+    for i in range(len(x)):
+        bits = _bits(abs(x[i]))  # type: ignore[call-arg, var-annotated]
+        most = bits if bits > most else most
+    return _as_float(most)  # type: ignore[call-arg]
+
+
+@kernel
 def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-def]
-    """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k."""
-    for j in range(degree + 1):
-        total = 0.0
-        for k in range(j + 1):
-            total += BINOMIALS[j, k] / BINOMIALS[degree, k] * coefficients[k]
-        bernstein[j] = total
+    """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k, by sums of neighbours."""
+    for k in range(degree + 1):
+        bernstein[k] = coefficients[k] / BINOMIALS[degree, k]
+    for k in range(1, degree + 1):
+        for j in range(degree, k - 1, -1):
+            bernstein[j] += bernstein[j - 1]
 
 
 @kernel
@@ -192,16 +267,6 @@ def roots(coefficients, degree, only_first, found):  # type: ignore[no-untyped-d
             if only_first or n_found == len(found):
                 return n_found
     return n_found
-
-
-@numba.extending.intrinsic
-def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
-    """The float64 with these 64 bits."""
-
-    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
-
-    return numba.types.float64(numba.types.int64), codegen
 
 
 _LOG2_E = 1.4426950408889634

@@ -20,8 +20,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.arguments import Floats, number, per_block
 from sim.series import EventSeries
-from sim.system import Floats, System, per_block
+from sim.system import System
 
 Outcome = Literal["finished", "collapsed", "diverged"]
 Engine = Literal["coulomb", "sigmoid"]
@@ -113,12 +114,12 @@ def simulate(
     from sim import coulomb, sigmoid  # the engines build on this contract
 
     engines: dict[str, Callable[..., Run]] = {"coulomb": coulomb.integrate, "sigmoid": sigmoid.integrate}
-    if engine not in engines:
+    if not isinstance(system, System):
+        raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
+    if engine not in get_args(Engine):
         raise ValueError(f"engine: expected one of {', '.join(get_args(Engine))}, got {engine!r}")
-    for name, value in (("t_start", t_start), ("t_end", t_end)):
-        if not (np.ndim(value) == 0 and np.isfinite(value)):
-            raise ValueError(f"{name}: expected a finite number, got {value!r}")
+    t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
-    return engines[engine](system, z, w, float(t_start), float(t_end), **settings)
+    return engines[engine](system, z, w, t_start, t_end, **settings)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.system import Floats
+from sim.arguments import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +102,10 @@ class EventSeries:
         Raises
         ------
         ValueError
-            If the time lies outside [t_start, t_end].
+            If the time is no number in [t_start, t_end].
         """
+        if np.ndim(time) != 0:
+            raise ValueError(f"time: expected one number, got {time!r}")
         self._known(time)
         mode = self.initial_mode.copy()
         upto = np.searchsorted(self.t, time, side="right")

@@ -20,7 +20,7 @@ When does a block stick?
   Coulomb law as eps -> 0.
 - ``stick="threshold"``: |w_i - v| < c delta_i, that is |lambda| < tanh c: the plain reading, which does not.
 
-A block without friction never sticks.
+A block without friction never sticks (unless it rests on the belt, with no force: there it has no side).
 """
 
 from __future__ import annotations
@@ -32,31 +32,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim import fate
+from sim import drive, fate
+from sim.arguments import Floats, flag, number, per_block
 from sim.compile import kernel
-from sim.drive import (
-    ALL_SLIP,
-    BUFFER_FULL,
-    CHECK,
-    DIVERGED,
-    DONE,
-    LAST_BLOCK,
-    N_CLOCKS,
-    N_COUNTERS,
-    N_EVENTS,
-    N_PRODUCTS,
-    N_REJECTED,
-    N_STEPS,
-    PAUSED,
-    STALLED,
-    STEPS_A_SLICE,
-    TIME,
-    Buffers,
-    drive,
-)  # fmt: skip
-from sim.kernels import product, roots, tanh_positive
+from sim.kernels import largest, product, roots, tanh_positive, two_products
 from sim.run import Run
-from sim.system import Floats, System, per_block
+from sim.system import System
 
 Stick = Literal["manifold", "threshold"]
 
@@ -111,13 +92,17 @@ _EXPONENT = 1.0 / 4.0
 _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
 #: A stage is solved when its residual is this share of the tolerance (the last Newton step squares it).
 _SOLVED = 1e-2
+#: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
+_UNRESOLVED = 2.0
+#: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
+_MISSED = 10.0
 _NEWTON_MAX = 400
 
 #: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
 _PASSES = 16
 
 # behind the common clocks: the next step to try, and the error of the last one
-_STEP, _LAST_ERROR = N_CLOCKS, N_CLOCKS + 1
+_STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 
 @kernel
@@ -159,9 +144,9 @@ def _solve_stage(law, h, base, coupling, x, w, rate, allowed):  # type: ignore[n
 
 
 @kernel
-def _step(law, h, z, w, rate, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol):  # type: ignore[no-untyped-def]
+def _step(law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol):  # type: ignore[no-untyped-def]
     """One trial step. Returns the largest error over tolerance and its block."""
-    columns, _, _, delta, v = law
+    columns, damping, friction, delta, v = law
     n = len(z)
     stage_w[0] = w
     stage_rate[0] = rate
@@ -185,22 +170,30 @@ def _step(law, h, z, w, rate, coupling, stage_w, stage_rate, base, x, new_z, new
         if not _solve_stage(law, h, base, coupling, x, stage_w[s], stage_rate[s], _SOLVED * atol):
             return np.inf, 0
     last = _STAGES - 1
-    worst = 0.0
-    block = 0
     for i in range(n):
         new_z[i] += h * _GAMMA * stage_w[last, i]
         new_w[i] = stage_w[last, i]
-        error_z = 0.0
-        error_w = 0.0
+        error_z, error_w = 0.0, 0.0
         for j in range(_STAGES):
             error_z += _ERROR[j] * stage_w[j, i]
             error_w += _ERROR[j] * stage_rate[j, i]
-        error_z = abs(h * error_z) / (atol + rtol * max(abs(z[i]), abs(new_z[i])))
-        error_w = abs(h * error_w) / (atol + rtol * max(abs(w[i]), abs(new_w[i])))
-        larger = max(error_z, error_w)
-        if not larger <= worst:
-            worst = larger
-            block = i
+        allowed_z = atol + rtol * max(abs(z[i]), abs(new_z[i]))
+        allowed_w = atol + rtol * max(abs(w[i]), abs(new_w[i]))
+        x[i] = max(abs(h * error_z) / allowed_z, abs(h * error_w) / allowed_w)
+        # While |F| < mu the layer attracts: a step that reaches it ends in it, or its stages missed the turn, which
+        # the embedded error need not show.
+        drag = damping[i] * v
+        attracts = (abs(drag + force[i]) < friction[i]) & (abs(drag + coupling[i]) < friction[i])
+        gap, new_gap = w[i] - v, new_w[i] - v
+        if attracts and abs(new_gap) > band[i] and h * friction[i] > _UNRESOLVED * delta[i]:
+            reached = gap * new_gap < 0.0
+            for j in range(_STAGES):
+                reached = reached or abs(stage_w[j, i] - v) < band[i]
+            x[i] = max(x[i], _MISSED) if reached else x[i]
+    worst = largest(x)
+    block = 0
+    for i in range(n):
+        block = i if x[i] == worst else block
     return worst, block
 
 
@@ -209,133 +202,124 @@ def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
     """Mode of a block from w - v and F."""
     if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
         return 0
-    return 1 if gap > 0.0 else -1
+    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
 
 
 @kernel
-def _hermite(y0, d0, y1, d1, poly):  # type: ignore[no-untyped-def]
-    """Cubic on [0, 1] from values and slopes at both ends, in the power basis."""
-    poly[0] = y0
+def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
+    """Append the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
+    start, end = y0 - bound, y1 - bound
+    # Bernstein coefficients: no change of sign, no root
+    inner, outer = start + d0 / 3.0, end - d1 / 3.0
+    if (start > 0.0 and inner > 0.0 and outer > 0.0 and end > 0.0) or (
+        start < 0.0 and inner < 0.0 and outer < 0.0 and end < 0.0
+    ):
+        return n_marks
+    poly[0] = start
     poly[1] = d0
-    poly[2] = 3.0 * (y1 - y0) - 2.0 * d0 - d1
-    poly[3] = 2.0 * (y0 - y1) + d0 + d1
+    poly[2] = 3.0 * (end - start) - 2.0 * d0 - d1
+    poly[3] = 2.0 * (start - end) + d0 + d1
+    skip = 0  # a root at the start belongs to the step before; the others count
+    while skip < 3 and poly[skip] == 0.0:
+        skip += 1
+    for k in range(roots(poly[skip:], 3 - skip, False, where)):
+        marks[n_marks] = where[k]
+        n_marks += 1
+    return n_marks
 
 
 @kernel
-def _cubic(poly, x):  # type: ignore[no-untyped-def]
-    return poly[0] + x * (poly[1] + x * (poly[2] + x * poly[3]))
+def _between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
+    """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
+    y = 1.0 - x
+    return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
 
 
 @kernel
-def _outside(y0, d0, y1, d1, low, high):  # type: ignore[no-untyped-def]
-    """Whether a Hermite cubic keeps to one of the three sides of (low, high): -1 below, +1 above, 0 inside; 2: no.
+def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
+    """End slopes of a cubic, cut to [0, 3] times its mean slope where it is known to be monotone.
 
-    By its Bernstein coefficients y0, y0 + d0 / 3, y1 - d1 / 3, y1, whose hull holds the cubic.
+    The bound under which a cubic cannot overshoot: F. N. Fritsch and R. E. Carlson, SIAM Journal on Numerical
+    Analysis 17 (1980) 238-246, doi:10.1137/0717021.
     """
-    p, q = y0 + d0 / 3.0, y1 - d1 / 3.0
-    smallest, largest = min(min(y0, y1), min(p, q)), max(max(y0, y1), max(p, q))
-    if largest <= low:
-        return -1
-    if smallest >= high:
-        return 1
-    if smallest > low and largest < high:
-        return 0
-    return 2
+    mean = y1 - y0
+    low, high = min(0.0, 3.0 * mean), max(0.0, 3.0 * mean)
+    cut0 = d0 if d0 > low else low
+    cut1 = d1 if d1 > low else low
+    cut0 = cut0 if cut0 < high else high
+    cut1 = cut1 if cut1 < high else high
+    return (cut0, cut1) if is_monotone else (d0, d1)
 
 
 @kernel
-def _block_events(gap, force, mu, band, by_force, mode, marks, where, shifted, out_x, out_mode):  # type: ignore[no-untyped-def]
-    """Changes of one block's mode in a step, from the cubics of w - v and F on [0, 1].
+def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
+    """Side of (-bound, bound) to which a cubic keeps, by the hull of its Bernstein coefficients.
 
-    Every place where either passes a bound is found; between two such places the mode is constant.
+    +1 above, -1 below, 0 inside, 2 if that cannot be said; without branches, so that a loop is vectorised.
     """
-    n_marks = 0
-    for which in range(5):
-        if which < 3:
-            shifted[:] = gap
-            shifted[0] -= (which - 1) * band
-        elif by_force:
-            shifted[:] = force
-            shifted[0] -= (2 * which - 7) * mu
-        else:
-            continue
-        if shifted[0] == 0.0:  # starts on a bound: the midpoint behind it tells the mode
-            continue
-        found = roots(shifted, 3, False, where)
-        for k in range(found):
-            marks[n_marks] = where[k]
-            n_marks += 1
-    marks[:n_marks].sort()
-    n_out = 0
-    for k in range(n_marks + 1):
-        left = marks[k - 1] if k > 0 else 0.0
-        right = marks[k] if k < n_marks else 1.0
-        if right <= left:
-            continue
-        middle = 0.5 * (left + right)
-        new = _mode(_cubic(gap, middle), _cubic(force, middle), mu, band, by_force)
-        if new != mode:
-            out_x[n_out] = left
-            out_mode[n_out] = new
-            n_out += 1
-            mode = new
-    return n_out
+    inner, outer = y0 + d0 / 3.0, y1 - d1 / 3.0
+    above = (y0 >= bound) & (inner >= bound) & (outer >= bound) & (y1 >= bound)
+    below = (y0 <= -bound) & (inner <= -bound) & (outer <= -bound) & (y1 <= -bound)
+    inside = (abs(y0) < bound) & (abs(inner) < bound) & (abs(outer) < bound) & (abs(y1) < bound)
+    return 1 if above else (-1 if below else (0 if inside else 2))
 
 
 @kernel
 def _step_events(  # type: ignore[no-untyped-def]
-    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode,
-    step_x, step_block, step_mode,
+    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
+    slope0, slope1, step_x, step_block, step_mode,
 ):  # fmt: skip
-    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date."""
-    _, damping, friction, _, v = law
+    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date.
+
+    w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
+    places the mode is constant.
+    """
+    _, damping, friction, delta, v = law
     n = len(w)
-    gap_poly = np.empty(4)
-    force_poly = np.empty(4)
-    shifted = np.empty(4)
-    marks = np.empty(_PASSES)
-    where = np.empty(3)
-    out_x = np.empty(_PASSES)
-    out_mode = np.empty(_PASSES, dtype=np.int8)
-    count = 0
     for i in range(n):
         drag = damping[i] * v
-        gap0, gap1 = w[i] - v, new_w[i] - v
-        slope0, slope1 = h * rate[i], h * new_rate[i]
         wide = band[i] if friction[i] > 0.0 else 0.0
-        place = _outside(gap0, slope0, gap1, slope1, -wide, wide)
-        if place == mode[i] and place != 0:
+        # A step that touches the layer without resolving it relaxes in it, monotone; its end slopes are off by what
+        # the stiffness makes of the error of w, and would carry the cubic out of the layer and back.
+        gap0, gap1 = w[i] - v, new_w[i] - v
+        relaxes = (min(abs(gap0), abs(gap1)) < wide) & (h * friction[i] > _UNRESOLVED * delta[i])
+        slope0[i], slope1[i] = _slopes(gap0, h * rate[i], gap1, h * new_rate[i], relaxes)
+        by_speed = _side(gap0, slope0[i], gap1, slope1[i], wide)
+        pull, new_pull = h * force_rate[i], h * new_force_rate[i]
+        held = _side(drag + force[i], pull, drag + new_force[i], new_pull, friction[i])
+        calm[i] = (by_speed == mode[i]) & ((by_speed != 0) | (held == 0) | (not by_force))
+    poly, where, marks = np.empty(4), np.empty(3), np.empty(_PASSES)
+    count = 0
+    for i in range(n):
+        if calm[i]:
             continue
-        if place == 0 and by_force:
-            place_force = _outside(
-                drag + force[i], h * force_rate[i], drag + new_force[i], h * new_force_rate[i],
-                -friction[i], friction[i],
-            )  # fmt: skip
-            if place_force == 0 and mode[i] == 0:
+        gap0, gap1 = w[i] - v, new_w[i] - v
+        rate0, rate1 = slope0[i], slope1[i]
+        force0, force1 = damping[i] * v + force[i], damping[i] * v + new_force[i]
+        pull0, pull1 = h * force_rate[i], h * new_force_rate[i]
+        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, 0, poly, where)
+        if friction[i] > 0.0:
+            for sign in (-1.0, 1.0):
+                n_marks = _marks(gap0, rate0, gap1, rate1, sign * band[i], marks, n_marks, poly, where)
+                if by_force:
+                    bound = sign * friction[i]
+                    n_marks = _marks(force0, pull0, force1, pull1, bound, marks, n_marks, poly, where)
+        marks[:n_marks].sort()
+        for k in range(n_marks + 1):
+            left = marks[k - 1] if k > 0 else 0.0
+            right = marks[k] if k < n_marks else 1.0
+            if right <= left:
                 continue
-        elif place == 0 and mode[i] == 0:
-            continue
-        _hermite(gap0, slope0, gap1, slope1, gap_poly)
-        _hermite(drag + force[i], h * force_rate[i], drag + new_force[i], h * new_force_rate[i], force_poly)
-        found = _block_events(
-            gap_poly,
-            force_poly,
-            friction[i],
-            band[i],
-            by_force,
-            mode[i],
-            marks,
-            where,
-            shifted,
-            out_x,
-            out_mode,
-        )
-        for k in range(found):
-            step_x[count] = out_x[k]
-            step_block[count] = i
-            step_mode[count] = out_mode[k]
-            mode[i] = out_mode[k]
-            count += 1
+            middle = 0.5 * (left + right)
+            gap = _between(gap0, rate0, gap1, rate1, middle)
+            pull = _between(force0, pull0, force1, pull1, middle)
+            new = _mode(gap, pull, friction[i], band[i], by_force)
+            if new != mode[i]:
+                step_x[count] = left
+                step_block[count] = i
+                step_mode[count] = new
+                mode[i] = new
+                count += 1
     return count
 
 
@@ -350,45 +334,48 @@ def _advance(  # type: ignore[no-untyped-def]
     coupling, base, x, new_z, new_w, new_force, new_force_rate = (
         work[0], work[1], work[2], work[3], work[4], work[5], work[6],
     )  # fmt: skip
+    calm = np.empty(n, dtype=np.bool_)
+    moving = np.empty(n, dtype=np.int64)
     step_x = np.empty(_PASSES * n)
     step_block = np.empty(_PASSES * n, dtype=np.int32)
     step_mode = np.empty(_PASSES * n, dtype=np.int8)
     n_recorded = 0
     rejected = False
-    for _ in range(STEPS_A_SLICE):
-        t = clock[TIME]
+    for _ in range(drive.STEPS_A_SLICE):
+        t = clock[drive.TIME]
         remaining = t_end - t
         if remaining <= 0.0:
-            return DONE, n_recorded
+            return drive.DONE, n_recorded
         if n_recorded + _PASSES * n > len(event_t):
-            return BUFFER_FULL, n_recorded
-        if t >= clock[CHECK]:
+            return drive.BUFFER_FULL, n_recorded
+        if t >= clock[drive.CHECK]:
             same = mode[0] != 0
             for i in range(n):
                 same = same and mode[i] == mode[0]
             if same:
-                return ALL_SLIP, n_recorded
+                return drive.ALL_SLIP, n_recorded
         h = clock[_STEP]
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
-        worst, block = _step(law, h, z, w, rate, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol)
-        counters[N_PRODUCTS] += _STAGES - 1
+        worst, block = _step(
+            law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol
+        )
+        counters[drive.N_PRODUCTS] += _STAGES - 1
         if not worst <= 1.0:
-            counters[N_REJECTED] += 1
-            counters[LAST_BLOCK] = block
+            counters[drive.N_REJECTED] += 1
+            counters[drive.LAST_BLOCK] = block
             factor = _SAFETY * worst**-_EXPONENT if worst < np.inf else _SHRINK
             clock[_STEP] = h * max(_SHRINK, factor)
             rejected = True
             if clock[_STEP] <= 1e-15 * max(1.0, abs(t)):
-                return STALLED, n_recorded
+                return drive.STALLED, n_recorded
             continue
-        counters[N_STEPS] += 1
-        product(columns, new_z, new_force)
-        product(columns, new_w, new_force_rate)
-        counters[N_PRODUCTS] += 2
+        counters[drive.N_STEPS] += 1
+        two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
+        counters[drive.N_PRODUCTS] += 2
         count = _step_events(
             law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[_STAGES - 1], new_force,
-            new_force_rate, mode, step_x, step_block, step_mode,
+            new_force_rate, mode, calm, base, x, step_x, step_block, step_mode,
         )  # fmt: skip
         order = np.argsort(step_x[:count], kind="mergesort")  # stable: at one instant by block
         for k in range(count):
@@ -396,24 +383,22 @@ def _advance(  # type: ignore[no-untyped-def]
             event_block[n_recorded] = step_block[order[k]]
             event_mode[n_recorded] = step_mode[order[k]]
             n_recorded += 1
-        counters[N_EVENTS] += count
-        size = 0.0
+        counters[drive.N_EVENTS] += count
         for i in range(n):
             z[i] = new_z[i]
             w[i] = new_w[i]
             rate[i] = stage_rate[_STAGES - 1, i]
             force[i] = new_force[i]
             force_rate[i] = new_force_rate[i]
-            size = max(size, abs(z[i]), abs(w[i]))
-        clock[TIME] = t_end if h == remaining else t + h
+        clock[drive.TIME] = t_end if h == remaining else t + h
         worst = max(worst, 1e-4)
         factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
         clock[_LAST_ERROR] = worst
         clock[_STEP] = h * min(max(factor, _SHRINK), 1.0 if rejected else _GROW)
         rejected = False
-        if not size <= bound:
-            return DIVERGED, n_recorded
-    return PAUSED, n_recorded
+        if not max(largest(z), largest(w)) <= bound:
+            return drive.DIVERGED, n_recorded
+    return drive.PAUSED, n_recorded
 
 
 def integrate(
@@ -458,9 +443,9 @@ def integrate(
     IntegrationError
         If the step shrinks to rounding.
     """
-    for name, value in (("eps", eps), ("rtol", rtol), ("atol", atol), ("threshold", threshold)):
-        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: expected a positive number, got {value!r}")
+    eps, atol = number("eps", eps, above=0.0), number("atol", atol, above=0.0)
+    rtol, threshold = number("rtol", rtol, 0.0, 0.1), number("threshold", threshold, above=0.0)
+    stop_early = flag("stop_early", stop_early)
     if stick not in get_args(Stick):
         raise ValueError(f"stick: expected one of {', '.join(get_args(Stick))}, got {stick!r}")
     n = system.n
@@ -484,29 +469,31 @@ def integrate(
     held = (friction > 0) & (np.abs(w - v) < band)
     if by_force:
         held &= np.abs(system.damping * v + force) < friction
-    mode = np.where(held, 0, np.where(w > v, 1, -1)).astype(np.int8)
+    side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
+    mode = np.where(held, 0, side).astype(np.int8)
     initial_mode = mode.copy()
-    clock = np.zeros(N_CLOCKS + 2)
-    clock[TIME], clock[_LAST_ERROR], clock[CHECK] = t_start, 1.0, t_start if stop_early else np.inf
+    clock = np.zeros(drive.N_CLOCKS + 2)
+    clock[drive.TIME], clock[_LAST_ERROR], clock[drive.CHECK] = t_start, 1.0, t_start if stop_early else np.inf
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
-    counters = np.zeros(N_COUNTERS, dtype=np.int64)
-    counters[N_PRODUCTS] = 2
-    bound = fate.divergence_bound(z, w)
-    work, stage_w, stage_rate = np.empty((7, n)), np.empty((_STAGES, n)), np.empty((_STAGES, n))
+    counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
+    counters[drive.N_PRODUCTS] = 2
+    # NaN: a value used before it was computed would show
+    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (7, _STAGES, _STAGES))
 
-    def advance(buffers: Buffers) -> tuple[int, int]:
+    def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
             law, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end,
-            float(rtol), float(atol), bound, *buffers, work, stage_w, stage_rate,
+            rtol, atol, bound, *buffers, work, stage_w, stage_rate,
         )  # fmt: skip
 
-    return drive(
+    return drive.complete(
+        system,
         advance,
         certify=lambda slip: fate.collapse(system, z, w, slip, band, delta),
         stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=_PASSES * n,
         t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
-        clock=clock, counters=counters, bound=bound,
+        clock=clock, counters=counters,
     )  # fmt: skip

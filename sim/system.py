@@ -16,30 +16,13 @@ import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.linalg import splu
 
-Floats: TypeAlias = NDArray[np.float64]
+from sim.arguments import Floats, floats, number, per_block
 
 #: K by columns as the kernels take it: (K transposed, dense) or, when that is empty, CSC (indptr, indices, data)
 Columns: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int32], Floats]
 
 
-def per_block(name: str, value: ArrayLike, n: int) -> Floats:
-    """A read-only float64 array of shape (n,) from a scalar or one value a block; errors name the argument."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"{name}: expected a number or {n} numbers, got {value!r}") from error
-    if array.ndim == 0:
-        array = np.full(n, array)
-    if array.shape != (n,):
-        raise ValueError(f"{name}: expected a number or an array of shape ({n},), got shape {array.shape}")
-    if not np.isfinite(array).all():
-        block = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
-    array.flags.writeable = False
-    return array
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class System:
     """n blocks: stiffness K, damping R, friction mu and the speed v of the belt (dimensionless).
 
@@ -62,33 +45,40 @@ class System:
 
     stiffness: Floats | scipy.sparse.csc_array
     damping: Floats
-    friction: Floats = 1.0  # type: ignore[assignment]  # scalars are spread over the blocks below
-    belt_speed: float = -0.2
+    friction: Floats
+    belt_speed: float
 
-    def __post_init__(self) -> None:
-        if scipy.sparse.issparse(self.stiffness):
-            stiffness = scipy.sparse.csc_array(self.stiffness, dtype=np.float64, copy=True)
-            stiffness.sum_duplicates()
-            entries = stiffness.data
+    def __init__(
+        self,
+        stiffness: ArrayLike | scipy.sparse.sparray | scipy.sparse.spmatrix,
+        damping: ArrayLike,
+        friction: ArrayLike = 1.0,
+        belt_speed: float = -0.2,
+    ) -> None:
+        if scipy.sparse.issparse(stiffness):
+            matrix = scipy.sparse.csc_array(stiffness)
+            matrix = scipy.sparse.csc_array(
+                (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
+            )
+            matrix.sum_duplicates()
+            entries = matrix.data
         else:
-            stiffness = np.array(self.stiffness, dtype=np.float64)
-            entries = stiffness
-        if stiffness.ndim != 2 or stiffness.shape[0] != stiffness.shape[1] or stiffness.shape[0] == 0:
-            raise ValueError(f"stiffness: expected a square matrix, got shape {stiffness.shape}")
+            matrix = floats("stiffness", stiffness, "a square matrix of numbers")
+            entries = matrix
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
+            raise ValueError(f"stiffness: expected a square matrix, got shape {matrix.shape}")
         if not np.isfinite(entries).all():
             raise ValueError("stiffness: expected finite entries, got NaN or infinity")
         entries.flags.writeable = False
-        n = stiffness.shape[0]
-        if not (np.ndim(self.belt_speed) == 0 and np.isfinite(self.belt_speed)):
-            raise ValueError(f"belt_speed: expected a finite number, got {self.belt_speed!r}")
-        friction = per_block("friction", self.friction, n)
-        if (friction < 0).any():
-            block = int(np.flatnonzero(friction < 0)[0])
-            raise ValueError(f"friction: expected mu >= 0, got {friction[block]} for block {block}")
-        object.__setattr__(self, "stiffness", stiffness)
-        object.__setattr__(self, "damping", per_block("damping", self.damping, n))
-        object.__setattr__(self, "friction", friction)
-        object.__setattr__(self, "belt_speed", float(self.belt_speed))
+        n = matrix.shape[0]
+        mu = per_block("friction", friction, n)
+        if (mu < 0).any():
+            block = int(np.flatnonzero(mu < 0)[0])
+            raise ValueError(f"friction: expected mu >= 0, got {mu[block]} for block {block}")
+        object.__setattr__(self, "stiffness", matrix)
+        object.__setattr__(self, "damping", per_block("damping", damping, n))
+        object.__setattr__(self, "friction", mu)
+        object.__setattr__(self, "belt_speed", number("belt_speed", belt_speed))
 
     @property
     def n(self) -> int:

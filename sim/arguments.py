@@ -1,0 +1,51 @@
+"""Arguments as users give them, into what the kernels take; errors name the argument."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def floats(name: str, value: ArrayLike, expected: str) -> Floats:
+    """A new float64 array; TypeError for what holds no real numbers."""
+    try:
+        array = np.asarray(value)
+        if not np.can_cast(array.dtype, np.float64, casting="same_kind"):
+            raise TypeError(f"numbers of type {array.dtype}")
+        return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected {expected}, got {value!r} ({error})") from error
+
+
+def per_block(name: str, value: ArrayLike, n: int) -> Floats:
+    """A read-only float64 array of shape (n,) from one finite number or one a block."""
+    array = floats(name, value, f"a number or {n} numbers")
+    if array.ndim == 0:
+        array = np.full(n, array)
+    if array.shape != (n,):
+        raise ValueError(f"{name}: expected a number or an array of shape ({n},), got shape {array.shape}")
+    if not np.isfinite(array).all():
+        block = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
+    array.flags.writeable = False
+    return array
+
+
+def number(name: str, value: Any, above: float = -np.inf, below: float = np.inf) -> float:
+    """One finite number in the open interval (above, below)."""
+    expected = "a finite number" if above == -np.inf else f"a number in ({above:g}, {below:g})"
+    array = floats(name, value, expected)
+    if array.ndim != 0 or not np.isfinite(array) or not above < array < below:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")
+    return float(array)
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False, and nothing that merely looks like it."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name}: expected True or False, got {value!r}")
+    return bool(value)

@@ -1,0 +1,420 @@
+"""Starts and systems on the edge: folds, cusps, tangencies, twins, no friction, no stiffness, no belt, bad input."""
+
+import numpy as np
+import pytest
+import scipy.sparse
+from scipy.linalg import expm
+
+from sim import IntegrationError, System, simulate
+
+from .reference import follow
+
+EXACT = {"tol": 1e-15, "stop_early": False}
+
+
+def listed(run):
+    return [(float(t), int(i), int(m)) for t, i, m in zip(*run_arrays(run), strict=True)]
+
+
+def run_arrays(run):
+    return run.events.t, run.events.block, run.events.mode
+
+
+def assert_follows_reference(system, z0, w0, t_end):
+    expected = follow(system, z0, w0, t_end)
+    run = simulate(system, z0, w0, t_end, **EXACT)
+    assert run.events.initial_mode.tolist() == expected.initial_mode
+    assert run.events.block.tolist() == expected.block
+    assert run.events.mode.tolist() == expected.mode
+    np.testing.assert_allclose(run.events.t, expected.t, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(run.w, expected.w, rtol=0, atol=1e-10)
+    return expected
+
+
+# A block that starts on the belt. One block: F = R v + K z, F' = K v.
+
+
+@pytest.mark.parametrize(
+    ("force", "mode"),
+    [(0.0, 0), (0.99, 0), (-0.99, 0), (1.01, -1), (-1.01, 1)],
+    ids=["centre", "inside above", "inside below", "beyond above", "beyond below"],
+)
+def test_one_block_on_the_belt(force, mode):
+    system = System([[0.5]], 0.25, belt_speed=-0.5)
+    z0 = (force + 0.125) / 0.5
+    assert assert_follows_reference(system, z0, -0.5, 3.0).initial_mode == [mode]
+
+
+@pytest.mark.parametrize(("stiffness", "v"), [(0.5, -0.5), (0.5, 0.5), (-0.5, -0.5), (-0.5, 0.5)])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_one_block_at_its_fold_leaves_if_the_force_grows(stiffness, v, side):
+    z0 = (side - 0.25 * v) / stiffness  # F = side exactly: every number is dyadic
+    expected = assert_follows_reference(System([[stiffness]], 0.25, belt_speed=v), z0, v, 2.0)
+    assert expected.initial_mode == [-side if side * stiffness * v > 0 else 0]
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("acceleration", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("jerk", [-1, 1])
+def test_tangency_and_cusp(side, acceleration, jerk):
+    """F_1 = side mu and F_1' = 0 at the start; F_1'' = -w_2'/2, and where that vanishes F_1''' = -w_2''/2 decides."""
+    z2, w2 = 0.5, -2.0  # block 2 slips left
+    z1 = side + 0.25 + 0.5 * z2  # F_1 = -0.25 + z1 - z2 / 2
+    # w_2' = -R_2 w_2 - c z1 - d z2 + mu_2 and w_2'' = -R_2 w_2' + c + 2 d
+    c = 0.25 * jerk
+    mu2 = 1.0
+    d = (mu2 + 2 * 0.125 - c * z1 - acceleration) / z2
+    system = System([[1.0, -0.5], [c, d]], [0.25, 0.125], [1.0, mu2], -1.0)
+    turn = -0.5 * acceleration if acceleration != 0 else -0.5 * (c + 2 * d)
+    assert turn != 0
+    expected = assert_follows_reference(system, [z1, z2], [-1.0, w2], 1.5)
+    assert expected.initial_mode == [-side if side * turn > 0 else 0, -1]
+
+
+def test_a_force_that_rests_at_its_bound_holds():
+    """K (1, 1) = 0: two blocks ride with F_1 = mu for ever."""
+    system = System([[1.0, -1.0], [-1.0, 1.0]], 0.0, [1.0, 1.0], -0.5)
+    run = simulate(system, [1.0, 0.0], -0.5, 1000.0, **EXACT)
+    assert run.events.initial_mode.tolist() == [0, 0]
+    assert len(run.events) == 0
+    np.testing.assert_allclose(run.z, [-499.0, -500.0], rtol=1e-14)
+
+
+# No friction: a free oscillator z = cos t, w = -sin t.
+
+
+def free(v, n=1):
+    return System(np.eye(n), 0.0, 0.0, v)
+
+
+def test_free_oscillator_crosses_where_it_should():
+    run = simulate(free(-0.5), 1.0, 0.0, 20.0, **EXACT)
+    first = np.arcsin(0.5) + 2 * np.pi * np.arange(4)
+    times = np.sort(np.concatenate((first, np.pi - np.arcsin(0.5) + 2 * np.pi * np.arange(3))))
+    np.testing.assert_allclose(run.events.t, times[times < 20], rtol=0, atol=1e-12)
+    assert run.events.mode.tolist() == [-1, 1] * 3 + [-1]
+    assert run.z[0] == pytest.approx(np.cos(20.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-6, 1e-10])
+def test_two_crossings_close_together_are_both_found(gap):
+    """w dips below v = -(1 - gap) for 2 sqrt(2 gap) only, far shorter than a step."""
+    run = simulate(free(gap - 1), 1.0, 0.0, 3.0, **EXACT)
+    half = np.arccos(1 - gap)
+    assert run.events.mode.tolist() == [-1, 1]
+    middle = run.events.t.mean()
+    assert middle == pytest.approx(np.pi / 2, abs=1e-14 / half + 1e-13)
+    assert run.events.t[1] - middle == pytest.approx(half, rel=1e-13 / gap + 1e-12, abs=1e-9)
+    assert len(simulate(free(-1 - gap), 1.0, 0.0, 3.0, **EXACT).events) == 0
+
+
+def test_a_graze_changes_nothing_for_longer_than_rounding():
+    run = simulate(free(-1.0), 1.0, 0.0, 7.0, **EXACT)
+    assert all(abs(t - np.pi / 2) < 1e-6 for t in run.events.t)
+    assert run.events.mode_at(7.0).tolist() == [1]
+    assert run.z[0] == pytest.approx(np.cos(7.0), abs=1e-12)
+
+
+def test_friction_on_one_block_only():
+    system = System([[1.0, -0.5], [0.5, 2.0]], [0.25, 0.0], [1.0, 0.0], -0.5)
+    expected = assert_follows_reference(system, [1.0, -1.0], [0.0, -0.5], 12.0)
+    assert 0 not in [m for m, i in zip(expected.mode, expected.block, strict=True) if i == 1]
+
+
+def test_free_blocks_obey_the_matrix_exponential():
+    rng = np.random.default_rng(4)
+    system = System(rng.normal(size=(3, 3)) + 3 * np.eye(3), rng.uniform(0, 0.5, 3), 0.0, 0.1)
+    z0, w0 = rng.normal(size=3), rng.normal(size=3)
+    run = simulate(system, z0, w0, 5.0, **EXACT)
+    expected = expm(5.0 * system.slip_matrix()) @ np.concatenate((z0, w0))
+    np.testing.assert_allclose(np.concatenate((run.z, run.w)), expected, rtol=0, atol=1e-11)
+
+
+# No stiffness, no damping, no belt speed.
+
+
+def test_no_stiffness_no_damping_is_a_parabola():
+    run = simulate(System([[0.0]], 0.0, 2.0, -1.0), 5.0, 3.0, 10.0, **EXACT)
+    assert listed(run) == [(pytest.approx(2.0, abs=1e-14), 0, 0)]  # w = 3 - 2 t
+    assert run.z[0] == pytest.approx(5 + 3 * 2 - 4 - 8, abs=1e-12)
+
+
+def test_no_stiffness_with_damping_is_an_exponential():
+    """w' = -R w - mu from w0: w = (w0 + mu/R) exp(-R t) - mu/R reaches v."""
+    r, mu, v, w0 = 0.5, 0.25, -0.125, 2.0
+    run = simulate(System([[0.0]], r, mu, v), 0.0, w0, 30.0, **EXACT)
+    assert listed(run) == [(pytest.approx(np.log((w0 + mu / r) / (v + mu / r)) / r, abs=1e-12), 0, 0)]
+
+
+def test_singular_stiffness():
+    assert_follows_reference(
+        System([[1.0, -1.0], [-1.0, 1.0]], 0.25, [1.0, 0.5], -0.5), [2.0, -1.0], [0.5, 1.0], 12.0
+    )
+
+
+def test_negative_damping():
+    assert_follows_reference(System([[1.0, 0.5], [-0.5, 2.0]], [-0.25, 0.125], 1.0, -0.5), [1.0, -1.0], 0.25, 8.0)
+
+
+def test_a_belt_at_rest_holds_what_comes_to_rest():
+    run = simulate(System(np.eye(2), 0.0, 1.0, 0.0), [4.5, 0.5], 0.0, 100.0, **EXACT)
+    # each half swing loses 2 mu: 4.5 -> -2.5 -> 0.5, then it is held; block 2 is held from the start
+    assert run.events.initial_mode.tolist() == [-1, 0]
+    np.testing.assert_allclose(run.events.t, [np.pi, 2 * np.pi], rtol=0, atol=1e-12)
+    assert run.events.mode.tolist() == [1, 0]
+    np.testing.assert_allclose(run.z, [0.5, 0.5], atol=1e-12)
+    assert run.w.tolist() == [0.0, 0.0]
+
+
+def test_a_belt_that_hardly_moves_is_a_belt_at_rest_until_it_carries_the_blocks_off():
+    system = System([[1.0]], 0.0, 1.0, -1e-12)
+    run = simulate(system, 4.5, 0.0, 100.0, **EXACT)
+    # w = 0 is above the belt: w = -5.5 t crosses it at once
+    np.testing.assert_allclose(run.events.t, [1e-12 / 5.5, np.pi, 2 * np.pi], rtol=1e-12, atol=1e-12)
+    assert run.events.mode.tolist() == [-1, 1, 0]
+
+
+# Twins and mirror images
+
+
+def test_twins_do_everything_at_the_same_instant():
+    n = 4
+    coupling = 0.3 * (np.ones((n, n)) - np.eye(n))
+    system = System(np.eye(n) * 1.7 + coupling, 0.1, 1.0, -0.2)
+    run = simulate(system, 3.0, 1.0, 20.0, **EXACT)
+    one = simulate(System([[1.7 + 0.3 * (n - 1)]], 0.1, 1.0, -0.2), 3.0, 1.0, 20.0, **EXACT)
+    assert len(one.events) >= 3
+    assert run.events.block.tolist() == list(range(n)) * len(one.events)
+    np.testing.assert_array_equal(run.events.mode, np.repeat(one.events.mode, n))
+    np.testing.assert_array_equal(run.events.t, np.repeat(run.events.t[::n], n))
+    np.testing.assert_allclose(run.events.t[::n], one.events.t, rtol=0, atol=1e-12)
+    assert np.ptp(run.z) < 1e-12
+
+
+def test_mirror_images_on_a_belt_at_rest():
+    system = System([[2.0, 0.7], [0.7, 2.0]], 0.1, 1.0, 0.0)
+    run = simulate(system, [3.0, -3.0], [1.0, -1.0], 30.0, **EXACT)
+    assert len(run.events) > 2
+    np.testing.assert_array_equal(run.events.t[::2], run.events.t[1::2])
+    assert run.events.block.tolist() == [0, 1] * (len(run.events) // 2)
+    np.testing.assert_array_equal(run.events.mode[::2], -run.events.mode[1::2])
+    assert run.z[0] == pytest.approx(-run.z[1], abs=1e-12)
+
+
+# Where a run begins and ends
+
+
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+def test_no_time_at_all(engine):
+    run = simulate(System(np.eye(2), 0.1), [1.0, 0.0], [0.5, -0.2], 3.0, t_start=3.0, engine=engine)
+    assert (run.outcome, run.t_end, len(run.events)) == ("finished", 3.0, 0)
+    assert run.events.initial_mode.tolist() == [1, 0]
+    assert run.n_stick(3.0) == 1
+    np.testing.assert_array_equal(run.z, [1.0, 0.0])
+    np.testing.assert_array_equal(run.w, [0.5, -0.2])
+
+
+def test_an_event_at_the_end_belongs_to_the_run():
+    """w = 3 - 2 t reaches v = -1 at t = 2 exactly."""
+    system = System([[0.0]], 0.0, 2.0, -1.0)
+    run = simulate(system, 0.0, 3.0, 2.0, **EXACT)
+    assert listed(run) == [(2.0, 0, 0)]
+    assert run.n_stick([np.nextafter(2.0, 0), 2.0]).tolist() == [0, 1]
+    resumed = simulate(system, run.z, run.w, 4.0, t_start=2.0, **EXACT)
+    assert resumed.events.initial_mode.tolist() == [0]  # what happened at t_start is not told twice
+    assert len(resumed.events) == 0
+
+
+def test_all_stuck_for_ever():
+    run = simulate(System(np.zeros((3, 3)), 0.0, 1.0, -0.25), 0.0, -0.25, 4096.0, **EXACT)
+    assert (run.outcome, len(run.events), run.n_stick(4096.0)) == ("finished", 0, 3)
+    np.testing.assert_array_equal(run.z, np.full(3, -1024.0))
+    assert run.stats.n_steps == 1
+
+
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+def test_divergence_is_an_outcome_and_the_series_ends_there(engine):
+    system = System([[-4.0]], 0.0, 1.0, -0.2)
+    run = simulate(system, 3.0, 0.0, 50.0, engine=engine)
+    assert run.outcome == "diverged"
+    assert "block 0" in run.reason
+    assert run.t_end < 50
+    assert run.events.t_end == run.t_end
+    assert np.isfinite(run.z).all()
+    assert np.isfinite(run.w).all()
+    with pytest.raises(ValueError, match="times"):
+        run.n_stick(run.t_end + 1)
+
+
+def test_sparse_equals_dense():
+    rng = np.random.default_rng(8)
+    dense = np.where(rng.random((12, 12)) < 0.3, rng.normal(size=(12, 12)), 0.0) + 2 * np.eye(12)
+    z0, w0 = rng.normal(size=12), rng.normal(size=12)
+    for engine, settings in (("coulomb", EXACT), ("sigmoid", {"rtol": 1e-8, "atol": 1e-8})):
+        a, b = (
+            simulate(System(k, 0.5), z0, w0, 10.0, engine=engine, **settings)
+            for k in (dense, scipy.sparse.csr_array(dense))
+        )
+        assert len(a.events) > 12
+        np.testing.assert_array_equal(a.events.block, b.events.block)
+        np.testing.assert_array_equal(a.events.mode, b.events.mode)
+        np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("delta", [0.3, 1e-5])
+def test_frictionless_blocks_of_the_smoothed_law_are_free(delta):
+    run = simulate(free(-0.5), 1.0, 0.0, 20.0, engine="sigmoid", eps=delta, rtol=1e-9, atol=1e-9)
+    assert run.z[0] == pytest.approx(np.cos(20.0), abs=1e-7)
+    exact = simulate(free(-0.5), 1.0, 0.0, 20.0, **EXACT)
+    np.testing.assert_allclose(run.events.t, exact.events.t, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(run.events.mode, exact.events.mode)
+
+
+# Scales, sizes and thin layers
+
+
+def test_growth_from_next_to_nothing():
+    """z'' = z from z = w = a: z = a exp(t). The last step covers 70 time constants with a polynomial of order 4."""
+    run = simulate(System([[-1.0]], 0.0, 0.0, -5.0), 1e-25, 1e-25, 100.0, tol=1e-10)
+    assert run.outcome == "diverged"  # z = 3e18
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e8])
+def test_scale_of_one_block(scale):
+    """z, w, v and mu scaled together: the same events."""
+    unit = simulate(System([[1.0]], 0.1, 1.0, -0.2), 3.0, 1.0, 10.0, tol=1e-12)
+    run = simulate(System([[1.0]], 0.1, scale, -0.2 * scale), 3 * scale, scale, 10.0, tol=1e-12)
+    assert run.events.mode.tolist() == unit.events.mode.tolist()
+    np.testing.assert_allclose(run.events.t, unit.events.t, rtol=0, atol=1e-9)
+
+
+def test_a_strong_belt_takes_a_block_from_rest():
+    """mu = 1e8, v = 1e7 from rest at z = 0: it reaches the belt and is held, z stays below (mu - R v) / K."""
+    unit = simulate(System([[1.0]], 0.1, 1.0, 0.1), 0.0, 0.0, 5.0)
+    run = simulate(System([[1.0]], 0.1, 1e8, 1e7), 0.0, 0.0, 5.0)
+    assert (unit.outcome, unit.events.mode.tolist()) == ("finished", [0])
+    assert run.outcome == "finished"
+
+
+def test_a_distant_end_hides_no_event():
+    """Block 1 is free and at rest; block 2 has w = 1 - t."""
+    run = simulate(System(np.zeros((2, 2)), 0.0, [0.0, 1.0], 0.0), 0.0, [0.0, 1.0], 1e12)
+    assert listed(run) == [(pytest.approx(1.0), 1, 0)]
+
+
+@pytest.mark.parametrize(
+    "stiffness",
+    [1e14, 1e26],
+    ids=["stiff", "beyond float64"],
+)
+def test_a_stiff_spring_is_bounded(stiffness):
+    """z = cos(omega t), |w| <= omega, for sixteen periods; where float64 ends, an error and never a NaN."""
+    omega = np.sqrt(stiffness)
+    try:
+        run = simulate(System([[stiffness]], 0.0, 0.0, 0.0), 1.0, -0.5, 100 / omega)
+    except IntegrationError:
+        return
+    assert run.outcome == "finished"
+    assert run.z[0] == pytest.approx(np.cos(100.0), abs=1e-5)
+
+
+def test_events_of_one_time_are_in_order_of_the_blocks():
+    system = System(np.eye(2), 0.1, 1.0, -0.2)
+    run = simulate(system, [-0.5 + 1e-12, -0.5], -0.2, 1e6 + 20, t_start=1e6, stop_early=False)
+    assert run.events.t[0] == run.events.t[1]
+    assert run.events.block.tolist() == [0, 1]
+
+
+def test_smoothed_law_finds_the_return_of_a_block_that_starts_on_the_belt():
+    """z = -a cos t + v sin t, w - v = a sin t - v (1 - cos t): back on the belt at tan(t / 2) = a / v."""
+    a, v = 1e-4, 0.2
+    run = simulate(free(v), -a, v, 1.0, engine="sigmoid", stick="threshold")
+    exact = simulate(free(v), -a, v, 1.0)
+    back = 2 * np.arctan(a / v)
+    assert exact.events.initial_mode.tolist() == [1]
+    assert exact.events.t.tolist() == [pytest.approx(back, abs=1e-12)]
+    assert run.events.t[-1] == pytest.approx(back, abs=1e-6)
+
+
+def test_smoothed_initial_mode_holds_right_after_the_start():
+    run = simulate(free(0.2), -0.5, 0.2, 0.5, engine="sigmoid")
+    assert run.events.initial_mode.tolist() == [1]
+
+
+@pytest.mark.parametrize("eps", [1e-6, 1e-8])
+def test_a_very_thin_layer_has_the_events_of_coulomb(eps):
+    system = System([[1.0]], 0.1, 1.0, -0.2)
+    run = simulate(system, 3.0, 1.0, 20.0, engine="sigmoid", eps=eps, stop_early=False)
+    assert run.events.mode.tolist() == [-1, 0, 1]
+
+
+# Bad input: an error that names the argument
+
+
+ONE = System([[1.0]], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("stiffness", lambda: System([1.0], 0.1)),
+        ("stiffness", lambda: System(np.ones((2, 3)), 0.1)),
+        ("stiffness", lambda: System([[np.nan]], 0.1)),
+        ("stiffness", lambda: System(scipy.sparse.csc_array([[np.inf]]), 0.1)),
+        ("stiffness", lambda: System(np.empty((0, 0)), 0.1)),
+        ("stiffness", lambda: System("soft", 0.1)),
+        ("stiffness", lambda: System([[1.0, 2.0], [1.0]], 0.1)),
+        ("stiffness", lambda: System(np.array([[1j]]), 0.1)),
+        ("damping", lambda: System([[1.0]], [0.1, 0.2])),
+        ("damping", lambda: System([[1.0]], np.inf)),
+        ("damping", lambda: System([[1.0]], "x")),
+        ("damping", lambda: System([[1.0]], np.array([1j]))),
+        ("friction", lambda: System([[1.0]], 0.1, -1.0)),
+        ("friction", lambda: System([[1.0]], 0.1, [np.nan])),
+        ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, np.nan)),
+        ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, [0.1])),
+        ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, None)),
+        ("system", lambda: simulate(np.eye(1), 0.0, 0.0, 1.0)),
+        ("z0", lambda: simulate(ONE, [0.0, 0.0], 0.0, 1.0)),
+        ("w0", lambda: simulate(ONE, 0.0, np.nan, 1.0)),
+        ("t_end", lambda: simulate(ONE, 0.0, 0.0, -1.0)),
+        ("t_end", lambda: simulate(ONE, 0.0, 0.0, np.inf)),
+        ("t_end", lambda: simulate(ONE, 0.0, 0.0, None)),
+        ("t_start", lambda: simulate(ONE, 0.0, 0.0, 1.0, t_start=np.nan)),
+        ("engine", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="stokes")),
+        ("tol", lambda: simulate(ONE, 0.0, 0.0, 1.0, tol=0.0)),
+        ("tol", lambda: simulate(ONE, 0.0, 0.0, 1.0, tol=np.nan)),
+        ("tol", lambda: simulate(ONE, 0.0, 0.0, 1.0, tol=0.1)),
+        ("tol", lambda: simulate(ONE, 0.0, 0.0, 1.0, tol="fine")),
+        ("eps", lambda: simulate(ONE, 0.0, 0.0, 1.0, eps=0.1)),
+        ("eps", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", eps=0.0)),
+        ("eps", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", eps=2.0)),
+        ("eps", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", eps="thin")),
+        ("rtol", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", rtol=-1e-6)),
+        ("atol", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", atol=np.nan)),
+        ("ratio", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", ratio=0.0)),
+        ("ratio", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", ratio=[1.0, 1.0])),
+        ("stick", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", stick="glue")),
+        ("threshold", lambda: simulate(ONE, 0.0, 0.0, 1.0, engine="sigmoid", threshold=0.0)),
+        ("stop_early", lambda: simulate(ONE, 0.0, 0.0, 1.0, stop_early="no")),
+        ("times", lambda: simulate(ONE, 0.0, 0.0, 1.0).n_stick([0.5, np.nan])),
+        ("time", lambda: simulate(ONE, 0.0, 0.0, 1.0).events.mode_at([0.1, 0.2])),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
+def test_bad_input_names_the_argument(name, call):
+    with pytest.raises((TypeError, ValueError), match=rf"(^|\b){name}\b"):
+        call()
+
+
+def test_arguments_are_left_alone():
+    z0, w0 = np.array([0.5]), np.array([0.1])
+    stiffness = np.array([[1.0]])
+    system = System(stiffness, 0.1)
+    for engine in ("coulomb", "sigmoid"):
+        simulate(system, z0, w0, 5.0, engine=engine)
+    assert (z0[0], w0[0]) == (0.5, 0.1)
+    stiffness[0, 0] = 7.0
+    assert system.stiffness[0, 0] == 1.0

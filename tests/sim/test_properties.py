@@ -1,0 +1,461 @@
+"""What must hold for every system: agreement with references, and the symmetries of the law."""
+
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from sim import EventSeries, System, simulate
+
+from .reference import follow
+
+EXACT = {"tol": 1e-15, "stop_early": False}
+MANY = settings(derandomize=True, max_examples=40, deadline=None, database=None)
+FEW = settings(derandomize=True, max_examples=12, deadline=None, database=None)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def draw(seed, n_max=4):
+    """A system and a start; some blocks without friction, some starting on the belt."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, n_max + 1))
+    k = rng.normal(size=(n, n)) * rng.choice([0.5, 2.0])
+    kind = rng.integers(3)
+    if kind == 0:
+        k = k @ k.T / n
+    elif kind == 1:
+        k = (k - k.T) / 2 + np.diag(np.abs(np.diag(k)))
+    damping = rng.uniform(-0.2, 1.0, n) * rng.choice([0.1, 1.0, 4.0])
+    friction = rng.choice([0.0, 0.1, 0.5, 1.0, 2.0], n)
+    v = rng.choice([-1.0, -0.2, 0.0, 0.5])
+    z0 = rng.normal(size=n) * rng.choice([0.1, 1.0, 3.0])
+    w0 = np.where(rng.random(n) < 0.4, v, rng.normal(size=n))
+    return System(k, damping, friction, v), z0, w0, rng
+
+
+def assert_same(run, t, block, mode, atol=1e-9):
+    """The events of a run are these, in any order of the blocks at one instant."""
+    order = np.lexsort((block, t))
+    t, block, mode = (np.asarray(x)[order] for x in (t, block, mode))
+    assert run.events.block.tolist() == list(block)
+    assert run.events.mode.tolist() == list(mode)
+    np.testing.assert_allclose(run.events.t, t, rtol=0, atol=atol)
+
+
+def draw_lattice(seed):
+    """Small dyadic numbers throughout: blocks on the belt, at their folds, at cusps, in pairs, without stiffness."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    k = rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], (n, n))
+    if rng.random() < 0.5:
+        k -= np.diag(k.sum(axis=1))  # singular: K (1, ..., 1) = 0
+    v = rng.choice([-1.0, -0.5, 0.0, 0.5])
+    system = System(k, rng.choice([-0.25, 0.0, 0.5, 1.0], n), rng.choice([0.0, 0.5, 1.0], n), v)
+    return (
+        system,
+        rng.choice([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0], n),
+        rng.choice([v, v, -1.0, 0.0, 0.5], n),
+    )
+
+
+# The exact engine
+
+
+@MANY
+@given(SEEDS)
+def test_agrees_with_the_reference_on_coincidences(seed):
+    system, z0, w0 = draw_lattice(seed)
+    expected = follow(system, z0, w0, 2.0)
+    run = simulate(system, z0, w0, 2.0, **EXACT)
+    assert run.events.initial_mode.tolist() == expected.initial_mode
+    assert_same(run, expected.t, expected.block, expected.mode)
+    np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(run.w, expected.w, rtol=0, atol=1e-11)
+
+
+@FEW
+@given(SEEDS)
+def test_agrees_with_the_reference(seed):
+    system, z0, w0, _ = draw(seed)
+    expected = follow(system, z0, w0, 3.0)
+    run = simulate(system, z0, w0, 3.0, **EXACT)
+    assert run.events.initial_mode.tolist() == expected.initial_mode
+    assert_same(run, expected.t, expected.block, expected.mode)
+    scale = max(1.0, np.abs(expected.z).max())
+    np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-10 * scale)
+    np.testing.assert_allclose(run.w, expected.w, rtol=0, atol=1e-10 * scale)
+
+
+@MANY
+@given(SEEDS)
+def test_renumbering_the_blocks_renumbers_the_run(seed):
+    system, z0, w0, rng = draw(seed, 8)
+    order = rng.permutation(system.n)
+    place = np.argsort(order)
+    other = System(
+        system.stiffness[np.ix_(order, order)],
+        system.damping[order],
+        system.friction[order],
+        system.belt_speed,
+    )
+    a = simulate(system, z0, w0, 6.0, **EXACT)
+    b = simulate(other, z0[order], w0[order], 6.0, **EXACT)
+    np.testing.assert_array_equal(a.events.initial_mode[order], b.events.initial_mode)
+    assert_same(b, a.events.t, place[a.events.block], a.events.mode)
+    np.testing.assert_allclose(a.z[order], b.z, rtol=1e-9, atol=1e-9)
+
+
+@MANY
+@given(SEEDS, st.floats(0.0, 6.0))
+def test_a_run_resumed_from_its_state_is_the_run(seed, cut):
+    system, z0, w0, _ = draw(seed, 8)
+    whole = simulate(system, z0, w0, 6.0, **EXACT)
+    first = simulate(system, z0, w0, cut, **EXACT)
+    second = simulate(system, first.z, first.w, 6.0, t_start=cut, **EXACT)
+    np.testing.assert_array_equal(first.events.mode_at(cut), second.events.initial_mode)
+    assert_same(
+        whole,
+        np.concatenate((first.events.t, second.events.t)),
+        np.concatenate((first.events.block, second.events.block)),
+        np.concatenate((first.events.mode, second.events.mode)),
+    )
+    np.testing.assert_allclose(second.z, whole.z, rtol=1e-9, atol=1e-9)
+
+
+@MANY
+@given(SEEDS, st.integers(-1000, 1000))
+def test_the_clock_may_start_anywhere(seed, t_start):
+    system, z0, w0, _ = draw(seed, 6)
+    a = simulate(system, z0, w0, 6.0, **EXACT)
+    b = simulate(system, z0, w0, t_start + 6.0, t_start=t_start, **EXACT)
+    assert b.t_end == t_start + 6.0
+    assert_same(b, a.events.t + t_start, a.events.block, a.events.mode)
+    np.testing.assert_allclose(a.z, b.z, rtol=1e-9, atol=1e-9)
+
+
+@MANY
+@given(SEEDS, st.sampled_from([2.0**-8, 0.7, 3.0, 2.0**20]), st.sampled_from([-1, 1]))
+def test_scale_and_mirror(seed, scale, sign):
+    """z, w, v times sign * scale and mu times scale: the same times, the modes times sign."""
+    system, z0, w0, _ = draw(seed)
+    other = System(system.stiffness, system.damping, scale * system.friction, sign * scale * system.belt_speed)
+    a = simulate(system, z0, w0, 6.0, **EXACT)
+    b = simulate(other, sign * scale * z0, sign * scale * w0, 6.0, **EXACT)
+    assert_same(b, a.events.t, a.events.block, sign * a.events.mode)
+    np.testing.assert_allclose(b.z / scale, sign * a.z, rtol=1e-8, atol=1e-8)
+
+
+@MANY
+@given(SEEDS, st.sampled_from([0.25, 0.9, 5.0]))
+def test_scale_of_time(seed, s):
+    """t -> s t: R / s, K / s^2, mu / s^2, v / s, w / s."""
+    system, z0, w0, _ = draw(seed)
+    other = System(system.stiffness / s**2, system.damping / s, system.friction / s**2, system.belt_speed / s)
+    on_belt = w0 == system.belt_speed
+    a = simulate(system, z0, w0, 5.0, **EXACT)
+    b = simulate(other, z0, np.where(on_belt, other.belt_speed, w0 / s), 5.0 * s, **EXACT)
+    assert_same(b, a.events.t * s, a.events.block, a.events.mode)
+    np.testing.assert_allclose(b.z, a.z, rtol=1e-8, atol=1e-8)
+
+
+@FEW
+@given(SEEDS)
+def test_energy_balance(seed):
+    """w^2 / 2 + z K z / 2 changes by the work of dampers and friction, K symmetric.
+
+    Friction works with -mu sigma w on a slipping block and, through F, with F v on a sticking one; Gauss's rule
+    between events, where all is analytic.
+    """
+    system, z0, w0, _ = draw(seed, 5)
+    k = (system.stiffness + system.stiffness.T) / 2
+    system = System(k, system.damping, system.friction, system.belt_speed)
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    run = simulate(system, z0, w0, 4.0, **EXACT)
+    cuts = np.unique(np.concatenate((run.events.t, np.linspace(0.0, 4.0, 17))))
+    z, w, work = z0, w0, 0.0
+    for start, end in pairwise(cuts):
+        mode = run.events.mode_at(0.5 * (start + end))
+        for x, weight in zip(nodes, weights, strict=True):
+            at = simulate(system, z, w, 0.5 * (start + end) + 0.5 * (end - start) * x, t_start=start, **EXACT)
+            friction = np.where(mode == 0, system.holding_force(at.z), -system.friction * mode)
+            work += 0.5 * (end - start) * weight * float(at.w @ (friction - system.damping * at.w))
+        after = simulate(system, z, w, end, t_start=start, **EXACT)
+        z, w = after.z, after.w
+    change = 0.5 * (w @ w + z @ k @ z) - 0.5 * (w0 @ w0 + z0 @ k @ z0)
+    assert change == pytest.approx(work, rel=1e-8, abs=1e-8)
+
+
+def collapsing(n_systems):
+    """Seeded small systems whose all-slip motion is stable."""
+    found = []
+    for seed in range(10 * n_systems):
+        rng = np.random.default_rng([seed, 7])
+        n = int(rng.integers(1, 6))
+        k = rng.normal(size=(n, n)) * 0.5
+        k = (k - k.T) / 2 + np.diag(rng.uniform(0.2, 1.5, n))
+        system = System(k, rng.uniform(0.2, 3.0, n), rng.uniform(0.2, 1.0, n), rng.choice([-0.5, -0.2, 0.3]))
+        if np.linalg.eigvals(system.slip_matrix()).real.max() < -0.02:
+            found.append((system, rng.normal(size=n), rng.normal(size=n)))
+    return found[:n_systems]
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        {"engine": "coulomb", "tol": 1e-12},
+        {"engine": "sigmoid", "eps": 0.02, "rtol": 1e-7, "atol": 1e-7},
+        {
+            "engine": "sigmoid",
+            "eps": 0.02,
+            "rtol": 1e-7,
+            "atol": 1e-7,
+            "stick": "threshold",
+            "threshold": 3.0,
+        },
+    ],
+    ids=["coulomb", "sigmoid", "sigmoid with a threshold"],
+)
+def test_nothing_happens_after_a_certified_collapse(law):
+    n_collapsed = 0
+    for system, z0, w0 in collapsing(100):
+        run = simulate(system, z0, w0, 150.0, **law)
+        if run.outcome != "collapsed":
+            continue
+        n_collapsed += 1
+        full = simulate(system, z0, w0, 150.0, stop_early=False, **law)
+        assert full.outcome == "finished"
+        assert_same(full, run.events.t, run.events.block, run.events.mode)
+        assert run.n_stick(150.0) == 0
+        there = simulate(system, z0, w0, run.t_end, stop_early=False, **law)
+        np.testing.assert_allclose(run.z, there.z, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(run.w, there.w, rtol=0, atol=1e-5)
+    assert n_collapsed > 80
+
+
+# The series
+
+
+@MANY
+@given(SEEDS)
+def test_series_against_a_walk_through_its_events(seed):
+    """Times on a coarse grid, so that many events share an instant."""
+    rng = np.random.default_rng(seed)
+    n, t_start, t_end = int(rng.integers(1, 7)), -1.0, 4.0
+    initial = rng.integers(-1, 2, n).astype(np.int8)
+    modes, rows = initial.copy(), []
+    walk = [(t_start, initial.copy())]
+    counts = {"n_entries": 0, "n_exits": 0, "n_crossings": 0}
+    previous = []
+    for t in np.arange(t_start, t_end, 0.25):
+        for i in range(n):
+            if rng.random() < 0.4:
+                new = int(rng.choice([m for m in (-1, 0, 1) if m != modes[i]]))
+                kind = "n_entries" if new == 0 else ("n_exits" if modes[i] == 0 else "n_crossings")
+                counts[kind] += 1
+                previous.append(int(modes[i]))
+                rows.append((t, i, new))
+                modes[i] = new
+        walk.append((t, modes.copy()))
+    t, block, mode = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
+    series = EventSeries(
+        np.array(t, dtype=float),
+        np.array(block, dtype=np.int32),
+        np.array(mode, dtype=np.int8),
+        initial,
+        t_start,
+        t_end,
+    )
+    assert series.counts() == counts
+    assert series.previous_mode.tolist() == previous
+    times = np.concatenate((rng.uniform(t_start, t_end, 20), [t_start, t_end], np.arange(t_start, t_end, 0.25)))
+    for time in times:
+        at = [m for s, m in walk if s <= time][-1]
+        np.testing.assert_array_equal(series.mode_at(time), at)
+        assert series.n_stick(time) == np.count_nonzero(at == 0)
+    change_t, n_stick = series.change_points()
+    assert change_t[0] == t_start
+    assert (np.diff(change_t) > 0).all()
+    assert (np.diff(n_stick) != 0).all()
+    for k, start in enumerate(change_t):  # n_stick[k] holds on [t[k], t[k+1])
+        end = change_t[k + 1] if k + 1 < len(change_t) else np.nextafter(t_end, np.inf)
+        assert set(series.n_stick([start, 0.5 * (start + end), np.nextafter(end, t_start)])) == {n_stick[k]}
+    for outside in (np.nextafter(t_start, -np.inf), np.nextafter(t_end, np.inf)):
+        with pytest.raises(ValueError, match="times"):
+            series.n_stick(outside)
+
+
+# The stiff engine
+
+
+def field(system, delta):
+    n = system.n
+
+    def rate(_, y):
+        w = y[n:]
+        pull = system.friction * np.tanh((w - system.belt_speed) / delta)
+        return np.concatenate((w, -system.damping * w - system.stiffness @ y[:n] - pull))
+
+    return rate
+
+
+SMOOTH = [
+    (2, 0.1, (1.0, 0.5)),
+    (3, 0.01, (1.0, 0.1, 0.3)),
+    (2, 1e-3, (1.0, 1.0)),
+    (3, 0.03, (1.0, 0.1, 0.01)),
+]
+
+
+@lru_cache
+def smooth(case):
+    """A system under the smoothed law, followed by Radau IIA to 1e-11 with dense output."""
+    n, eps, ratio = SMOOTH[case]
+    rng = np.random.default_rng([case, 11])
+    k = rng.normal(size=(n, n))
+    k = (k - k.T) / 2 + np.diag(np.abs(np.diag(k)))
+    system = System(k, rng.uniform(0.1, 1.0, n), np.array([1.0, 0.5, 0.0])[:n], -0.3)
+    z0, w0 = rng.normal(size=n), rng.normal(size=n)
+    delta = eps * np.array(ratio)
+    y = solve_ivp(
+        field(system, delta),
+        (0, 5),
+        np.concatenate((z0, w0)),
+        method="Radau",
+        rtol=1e-11,
+        atol=1e-12,
+        dense_output=True,
+    )
+    return system, z0, w0, eps, np.array(ratio), y.sol
+
+
+@pytest.mark.parametrize("case", range(len(SMOOTH)))
+def test_the_error_follows_the_tolerance(case):
+    system, z0, w0, eps, ratio, sol = smooth(case)
+    for tol in 10.0 ** -np.arange(3, 10):
+        run = simulate(system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol)
+        if run.t_end == 5.0:
+            error = np.abs(np.concatenate((run.z, run.w)) - sol(5.0)).max()
+            assert error < 100 * tol
+    assert error > 0
+
+
+def test_order_four_on_a_smooth_stretch():
+    system = System([[4.0, 1.0], [-1.0, 9.0]], 0.1, [0.5, 0.0], -0.3)
+    z0, w0 = np.array([1.0, -1.0]), np.array([0.5, 0.2])
+    delta = np.array([2.0, 2.0])  # the law is smooth on the scale of the motion
+    end = solve_ivp(
+        field(system, delta), (0, 10), np.concatenate((z0, w0)), method="DOP853", rtol=1e-13, atol=1e-13
+    ).y[:, -1]
+    steps, errors = [], []
+    for tol in 10.0 ** -np.arange(7, 12):
+        run = simulate(
+            system,
+            z0,
+            w0,
+            10.0,
+            engine="sigmoid",
+            eps=2.0,
+            stick="threshold",
+            rtol=tol,
+            atol=tol,
+            stop_early=False,
+        )
+        steps.append(run.stats.n_steps)
+        errors.append(np.abs(np.concatenate((run.z, run.w)) - end).max())
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(-4, abs=0.15)
+
+
+def located(system, delta, band, by_force, sol, t_end):
+    """Changes of mode on a dense reference, by bisection of the definition of sticking."""
+    n = system.n
+
+    def modes(t):
+        y = sol(t)
+        gap = y[n:] - system.belt_speed
+        held = (system.friction > 0) & (np.abs(gap) < band)
+        if by_force:
+            held &= np.abs(system.holding_force(y[:n])) < system.friction
+        return np.where(held, 0, np.where(gap > 0, 1, -1))
+
+    rows = []
+    grid = np.linspace(0.0, t_end, 4001)
+    seen = [modes(t) for t in grid]
+    for k in range(len(grid) - 1):
+        for i in np.flatnonzero(seen[k] != seen[k + 1]):
+            low, high, old = grid[k], grid[k + 1], seen[k][i]
+            while high - low > 1e-13:
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if modes(middle)[i] == old else (low, middle)
+            rows.append((high, int(i), int(seen[k + 1][i])))
+    return seen[0], sorted(rows)
+
+
+@pytest.mark.parametrize("stick", ["manifold", "threshold"])
+@pytest.mark.parametrize("case", range(len(SMOOTH)))
+def test_entries_and_exits_are_located(case, stick):
+    system, z0, w0, eps, ratio, sol = smooth(case)
+    delta = eps * ratio
+    band = delta * np.log(1 / delta) if stick == "manifold" else 1.5 * delta
+    initial, rows = located(system, delta, band, stick == "manifold", sol, 5.0)
+    assert len(rows) > 1
+    run = simulate(
+        system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, stick=stick, threshold=1.5, rtol=1e-9, atol=1e-9,
+        stop_early=False,
+    )  # fmt: skip
+    np.testing.assert_array_equal(run.events.initial_mode, initial)
+    t, block, mode = zip(*rows, strict=True)
+    assert_same(run, t, block, mode, atol=1e-6)
+
+
+@FEW
+@given(SEEDS)
+def test_smoothed_runs_renumbered_split_and_shifted(seed):
+    system, z0, w0, rng = draw(seed, 6)
+    ratio = rng.uniform(0.05, 1.0, system.n)
+    settings = {"engine": "sigmoid", "eps": 0.05, "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
+    whole = simulate(system, z0, w0, 5.0, ratio=ratio, **settings)
+
+    order = rng.permutation(system.n)
+    other = System(
+        system.stiffness[np.ix_(order, order)],
+        system.damping[order],
+        system.friction[order],
+        system.belt_speed,
+    )
+    run = simulate(other, z0[order], w0[order], 5.0, ratio=ratio[order], **settings)
+    assert_same(run, whole.events.t, np.argsort(order)[whole.events.block], whole.events.mode, atol=1e-6)
+    np.testing.assert_allclose(run.z, whole.z[order], rtol=1e-6, atol=1e-6)
+
+    first = simulate(system, z0, w0, 2.5, ratio=ratio, **settings)
+    second = simulate(system, first.z, first.w, 5.0, t_start=2.5, ratio=ratio, **settings)
+    parts = [np.concatenate((getattr(first.events, x), getattr(second.events, x))) for x in ("t", "block", "mode")]
+    assert_same(whole, *parts, atol=1e-5)
+    np.testing.assert_allclose(second.w, whole.w, rtol=1e-6, atol=1e-6)
+
+    shifted = simulate(system, z0, w0, 105.0, t_start=100.0, ratio=ratio, **settings)
+    assert_same(shifted, whole.events.t + 100.0, whole.events.block, whole.events.mode, atol=1e-6)
+
+
+@pytest.mark.parametrize("eps", [0.03, 1e-8])
+@pytest.mark.parametrize("ratio", [1.0, 1e-4])
+def test_no_layer_is_too_thin(eps, ratio):
+    """The state tends to that of Coulomb, error O(delta), until the tolerance is all that is left."""
+    system, z0, w0, _ = smooth(0)[:4]
+    exact = simulate(system, z0, w0, 5.0, **EXACT)
+    run = simulate(
+        system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, rtol=1e-8, atol=1e-8, stop_early=False
+    )
+    assert np.abs(run.z - exact.z).max() < 10 * eps * ratio + 1e-6
+    assert run.events.t_end == 5.0
+
+
+def test_smoothed_law_on_a_belt_at_rest():
+    """Held blocks creep on the smoothed law, w = -delta atanh(F / mu); the exact law holds them."""
+    system = System(np.eye(2), 0.0, 1.0, 0.0)
+    run = simulate(system, [4.5, 0.5], 0.0, 8.0, engine="sigmoid", eps=1e-5, rtol=1e-8, atol=1e-8)
+    assert run.n_stick([0.0, 3.0, 7.0]).tolist() == [1, 1, 2]
+    np.testing.assert_allclose(run.z, [0.5, 0.5], rtol=0, atol=1e-4)
