@@ -237,7 +237,21 @@ def _advance(  # type: ignore[no-untyped-def]
         target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_INSTANTS])
         target = min(target, _SPAN / rate) if rate > 0.0 else target
         order, h, n_products = _expand(
-            law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
+            law,
+            z,
+            w,
+            mode,
+            slips,
+            touching,
+            series,
+            forces,
+            zeros,
+            side,
+            target,
+            remaining,
+            tol,
+            rate,
+            moving,
         )
         counters[drive.N_PRODUCTS] += n_products
         if counters[drive.N_STEPS] == 0:

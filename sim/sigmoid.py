@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from sim import drive, fate
 from sim.arguments import Floats, flag, number, per_block
 from sim.compile import kernel
-from sim.kernels import largest, product, roots, tanh_positive, two_products
+from sim.kernels import ROUGH, largest, one_product, roots, rough_product, tanh_positive, two_products
 from sim.run import Run
 from sim.system import System
 
@@ -92,6 +92,8 @@ _EXPONENT = 1.0 / 4.0
 _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
 #: A stage is solved when its residual is this share of the tolerance (the last Newton step squares it).
 _SOLVED = 1e-2
+#: The share of the tolerance that K in float32 may cost in w.
+_ROUGH_SHARE = 0.05
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
 _UNRESOLVED = 2.0
 #: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
@@ -106,45 +108,49 @@ _STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 
 @kernel
-def _solve_stage(law, h, base, coupling, x, w, rate, allowed):  # type: ignore[no-untyped-def]
-    """Solve w = base + h gamma w'(w) for all blocks; `x` holds a guess of (w - v) / delta and is the work space.
+def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # type: ignore[no-untyped-def]
+    """Solve w = base + h gamma w'(w) for all blocks from a guess x of (w - v) / delta.
 
     In |x| the function a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to
-    the root, from the right its first step lands left of it, and `low` bounds how far left.
+    the root, from the right its first step lands left of it, and `low` bounds how far left. `x`, `beta` and `low`
+    are work space.
     """
     _, damping, friction, delta, v = law
     n = len(w)
     step = h * _GAMMA
+    for i in range(n):
+        grow = 1.0 + step * damping[i]
+        a, b = delta[i] * grow, step * friction[i]
+        beta[i] = base[i] - step * coupling[i] - v * grow
+        size = abs(beta[i])
+        linear, saturated = size / (a + b), (size - b) / a
+        low[i] = saturated if saturated > linear else linear
+        y = math.copysign(1.0, beta[i]) * x[i]
+        x[i] = y if y > low[i] else low[i]
     unsolved = n
     for _ in range(_NEWTON_MAX):
         unsolved = 0  # counted, since a maximum of floats would keep the loop from being vectorised
         for i in range(n):
-            grow = 1.0 + step * damping[i]
-            a = delta[i] * grow
-            b = step * friction[i]
-            beta = base[i] - step * coupling[i] - v * grow
-            size = abs(beta)
-            low = size / (a + b)
-            saturated = (size - b) / a
-            low = saturated if saturated > low else low
-            y = math.copysign(1.0, beta) * x[i]
-            y = y if y > low else low
+            a, b = delta[i] * (1.0 + step * damping[i]), step * friction[i]
+            y = x[i]
             tanh = tanh_positive(y)
-            residual = a * y + b * tanh - size
+            residual = a * y + b * tanh - abs(beta[i])
             y -= residual / (a + b * (1.0 - tanh * tanh))
-            y = y if y > low else low
-            x[i] = math.copysign(y, beta)
+            x[i] = y if y > low[i] else low[i]
             unsolved += 1 if abs(residual) > allowed else 0
         if unsolved == 0:
             break
     for i in range(n):
-        w[i] = v + delta[i] * x[i]
+        w[i] = v + delta[i] * math.copysign(x[i], beta[i])
         rate[i] = (w[i] - base[i]) / step
     return unsolved == 0
 
 
 @kernel
-def _step(law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol):  # type: ignore[no-untyped-def]
+def _step(  # type: ignore[no-untyped-def]
+    law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w, rtol,
+    atol, moving, single,
+):  # fmt: skip
     """One trial step. Returns the largest error over tolerance and its block."""
     columns, damping, friction, delta, v = law
     n = len(z)
@@ -153,7 +159,7 @@ def _step(law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, 
     for s in range(1, _STAGES):
         for i in range(n):
             base[i] = w[i]
-            new_z[i] = z[i]
+            new_z[i] = 0.0
             new_w[i] = w[i]
         for j in range(s):
             a = h * _A[s, j]
@@ -166,12 +172,18 @@ def _step(law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, 
             new_w[i] = new_z[i] + h * _GAMMA * new_w[i]
             # the layer moves with its block: the last stage is the best guess inside it, harmless outside
             x[i] = (stage_w[s - 1, i] - v) / delta[i]
-        product(columns, new_w, coupling)
-        if not _solve_stage(law, h, base, coupling, x, stage_w[s], stage_rate[s], _SOLVED * atol):
+        # K z is known at the start of the step; K times what z moves is small, and may be rough
+        if h * rough * largest(new_w) <= _ROUGH_SHARE * atol:
+            rough_product(columns, new_w, coupling, moving, single)
+        else:
+            one_product(columns, new_w, coupling, moving)
+        for i in range(n):
+            coupling[i] += force[i]
+        if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
             return np.inf, 0
     last = _STAGES - 1
     for i in range(n):
-        new_z[i] += h * _GAMMA * stage_w[last, i]
+        new_z[i] = z[i] + (new_z[i] + h * _GAMMA * stage_w[last, i])
         new_w[i] = stage_w[last, i]
         error_z, error_w = 0.0, 0.0
         for j in range(_STAGES):
@@ -325,17 +337,18 @@ def _step_events(  # type: ignore[no-untyped-def]
 
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    law, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end, rtol, atol, bound,
+    law, rough, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end, rtol, atol, bound,
     event_t, event_block, event_mode, work, stage_w, stage_rate,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     columns = law[0]
     n = len(z)
-    coupling, base, x, new_z, new_w, new_force, new_force_rate = (
-        work[0], work[1], work[2], work[3], work[4], work[5], work[6],
+    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate = (
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8],
     )  # fmt: skip
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
+    single = np.empty((2, n), dtype=np.float32)
     step_x = np.empty(_PASSES * n)
     step_block = np.empty(_PASSES * n, dtype=np.int32)
     step_mode = np.empty(_PASSES * n, dtype=np.int8)
@@ -358,8 +371,9 @@ def _advance(  # type: ignore[no-untyped-def]
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
         worst, block = _step(
-            law, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, new_z, new_w, rtol, atol
-        )
+            law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w,
+            rtol, atol, moving, single,
+        )  # fmt: skip
         counters[drive.N_PRODUCTS] += _STAGES - 1
         if not worst <= 1.0:
             counters[drive.N_REJECTED] += 1
@@ -462,6 +476,7 @@ def integrate(
     by_force = stick == "manifold"
     v, friction = system.belt_speed, system.friction
     law = (system.columns, system.damping, friction, delta, v)
+    rough = ROUGH * float(system.row_sums.max())
 
     z, w = z0.copy(), w0.copy()
     force, force_rate = system.stiffness @ z, system.stiffness @ w
@@ -479,11 +494,11 @@ def integrate(
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     counters[drive.N_PRODUCTS] = 2
     # NaN: a value used before it was computed would show
-    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (7, _STAGES, _STAGES))
+    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (9, _STAGES, _STAGES))
 
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
-            law, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end,
+            law, rough, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end,
             rtol, atol, bound, *buffers, work, stage_w, stage_rate,
         )  # fmt: skip
 

@@ -18,8 +18,9 @@ from scipy.sparse.linalg import splu
 
 from sim.arguments import Floats, floats, number, per_block
 
-#: K by columns as the kernels take it: (K transposed, dense) or, when that is empty, CSC (indptr, indices, data)
-Columns: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int32], Floats]
+#: K by columns as the kernels take it: K transposed, dense, in float64 and float32; or, when these are empty, CSC
+#: (indptr, indices, data)
+Columns: TypeAlias = tuple[Floats, NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], Floats]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -90,9 +91,17 @@ class System:
         """K by columns, the form in which the kernels stream it."""
         no_index, no_data = np.empty(0, dtype=np.int32), np.empty(0)
         if isinstance(self.stiffness, np.ndarray):
-            return np.ascontiguousarray(self.stiffness.T), no_index, no_index, no_data
+            transposed = np.ascontiguousarray(self.stiffness.T)
+            return transposed, transposed.astype(np.float32), no_index, no_index, no_data
         csc = self.stiffness
-        return np.empty((0, 0)), csc.indptr.astype(np.int32), csc.indices.astype(np.int32), csc.data.copy()
+        none = np.empty((0, 0))
+        return (
+            none,
+            none.astype(np.float32),
+            csc.indptr.astype(np.int32),
+            csc.indices.astype(np.int32),
+            csc.data.copy(),
+        )
 
     @cached_property
     def row_sums(self) -> Floats:
