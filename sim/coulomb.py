@@ -16,6 +16,10 @@ root. At an event every block with w = v is decided anew from |F| against mu; wh
 starts there) the first coefficient of F that does not vanish decides, order by order, while the series is
 being built: until a block is decided its motion is the same under either mode, so simultaneous events, folds,
 cusps and tangencies of any order need no case of their own.
+
+An event changes the law of one block. That block's own series changes from the second order on, those of the
+others from the fourth, by a column of K: most events are carried over in O(n) by `_correct`, without a product,
+and one expansion serves a window of several events.
 """
 
 from __future__ import annotations
@@ -35,16 +39,21 @@ ORDER_MAX = 32
 _SPAN = 5.0
 _ORDER_MIN = 4
 
-#: The step aims at this many mean times between events: longer ones are cut by an event before they pay.
-_REACH = 2.0
-#: Memory of the running mean of the time between events.
+#: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
+_REACH = 1.2
+#: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
+#: far below the tolerance.
+_PASSED_ON = 0.002
+#: What is left of a window is used if it is more than this share of the mean length.
+_WORTH = 0.1
+#: Memory of that mean.
 _DECAY = 0.9
 
 #: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
 _STALL = 1000
 
-# behind the common clocks: decaying sums for the mean time between events
-_EXPOSURE, _INSTANTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
+# behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
+_EXPOSURE, _CUTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 _UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
 _IDENTICALLY_ZERO = 10 * ORDER_MAX
@@ -136,12 +145,12 @@ def _expand(law, z, w, mode, slips, touching, series, forces, zeros, side, targe
         n_products = k + 1 + (k + 1) % 2
         # the last term's share of w decides; two in a row, since one can vanish by chance
         if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
-            return order, remaining, n_products  # a polynomial: exact however far
+            return order, remaining, allowed, n_products  # a polynomial: exact however far
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
             if n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target):
-                return order, target, n_products
+                return order, target, allowed, n_products
         else:
             n_small = 0
         before = last
@@ -152,7 +161,7 @@ def _expand(law, z, w, mode, slips, touching, series, forces, zeros, side, targe
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    return order, h, n_products
+    return order, h, allowed, n_products
 
 
 @kernel
@@ -214,59 +223,176 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
 
 
 @kernel
+def _shift(series, order, step):  # type: ignore[no-untyped-def]
+    """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
+    n = series.shape[1]
+    for k in range(order):
+        for m in range(order - 1, k - 1, -1):
+            for i in range(n):
+                series[m, i] += step * series[m + 1, i]
+
+
+@kernel
+def _correct(law, block, mode, slips, series, forces, zeros, side, order, h, allowed, column, change, last):  # type: ignore[no-untyped-def]
+    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
+
+    From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
+    K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
+    like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
+    to the accuracy of the series (then nothing has changed, and a new expansion decides).
+    """
+    columns, row_sums, damping, friction, v = law
+    i = block
+    n = len(mode)
+    mu = friction[i]
+    force = damping[i] * v + forces[0, i]
+    doubt = 1e3 * (allowed + ROUNDING * (abs(damping[i] * v) + mu + row_sums[i] * largest(series[0])))
+    new = -1 if force > 0.0 else 1
+    if mode[i] == 0:
+        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= doubt:
+            return 0.0
+    elif abs(force) < mu - doubt:
+        new = 0
+    elif abs(force) <= mu + doubt:
+        return 0.0
+
+    dense, _, indptr, indices, data = columns
+    if len(dense) == 0:
+        column[:] = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            column[indices[k]] = data[k]
+    else:
+        column[:] = dense[i]
+    own = column[i]
+    column[i] = 0.0
+    was_stuck = mode[i] == 0
+    series[1, i] = v
+    for k in range(order - 1):
+        c = 0.0
+        if new != 0:
+            c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
+            if k == 0:
+                c = 0.0 if was_stuck else c - 0.5 * mu * new
+        change[k + 2] = c - series[k + 2, i]
+        series[k + 2, i] = c
+        if k + 2 <= order - 2:
+            forces[k + 2, i] += own * change[k + 2]
+    mode[i] = new
+    slips[i] = 1.0 if new != 0 else 0.0
+    zeros[:] = 0
+    side[:] = 0
+    zeros[i] = 0 if new == 0 else (2 if was_stuck else 1)
+
+    last[:] = 0.0
+    passed_on = 0.0
+    power = h**4
+    for k in range(2, order - 1):
+        factor = -1.0 / ((k + 2) * (k + 1))
+        for j in range(n):
+            pull = column[j] * change[k]
+            forces[k, j] += pull
+            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + pull)
+            series[k + 2, j] += last[j]
+        passed_on += largest(last) * power
+        power *= h
+    error = largest(row_sums) * passed_on * h / 5.0
+    if error > _PASSED_ON * allowed:
+        h *= (_PASSED_ON * allowed / error) ** 0.2
+    tail = order * abs(series[order, i]) * h ** (order - 1)
+    if tail > allowed:
+        h *= (allowed / tail) ** (1.0 / (order - 1))
+    return h
+
+
+@kernel
+def _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode):  # type: ignore[no-untyped-def]
+    """Write down, by block, which modes are not those known; returns the events recorded, and whether all agree."""
+    same = True
+    for i in range(len(mode)):
+        if mode[i] != known_mode[i]:
+            event_t[n_recorded] = t
+            event_block[n_recorded] = i
+            event_mode[n_recorded] = mode[i]
+            known_mode[i] = mode[i]
+            n_recorded += 1
+        same = same and mode[i] == mode[0]
+    return n_recorded, same
+
+
+@kernel
+def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
+    """z and w after a step."""
+    n = len(z)
+    z[:] = series[order]
+    for i in range(n):
+        w[i] = order * series[order, i]
+    for k in range(order - 1, 0, -1):
+        for i in range(n):
+            z[i] = z[i] * step + series[k, i]
+            w[i] = w[i] * step + k * series[k, i]
+    for i in range(n):
+        z[i] = z[i] * step + series[0, i]
+
+
+@kernel
+def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching):  # type: ignore[no-untyped-def]
+    """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
+
+    With the forces of this instant known, sticking blocks with |F| = mu count too.
+    """
+    _, row_sums, damping, friction, v = law
+    count = 0
+    for i in range(len(mode)):
+        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v) <= near[i]
+        concerned = touching[i] or i == block
+        if mode[i] == 0 and has_forces:
+            drag = damping[i] * v
+            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + friction[i])
+            concerned = concerned or abs(drag + forces[0, i]) >= friction[i] - slack
+        count += concerned
+    if block >= 0:
+        touching[block] = mode[block] != 0
+    return count
+
+
+@kernel
 def _advance(  # type: ignore[no-untyped-def]
     law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
     event_t, event_block, event_mode, series, forces,
 ):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
+
+    A window is the reach of one expansion. An event inside it is carried over by `_correct` where that can be done,
+    else it ends the window.
+    """
     v = law[4]
     n = len(z)
-    zeros = np.empty(n, dtype=np.int64)
-    side = np.empty(n, dtype=np.int64)
-    reach = np.empty(n)
-    slips = np.empty(n)
-    moving = np.empty(n, dtype=np.int64)
-    poly = np.empty(ORDER_MAX + 1)
-    found = np.empty(1)
+    zeros, side = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    reach, near, slips, column, last = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    moving = np.zeros(n, dtype=np.int64)
+    poly, change, found = np.zeros(ORDER_MAX + 1), np.zeros(ORDER_MAX + 1), np.zeros(1)
     n_recorded = 0
+    is_open, is_cut = False, False
+    order, h, allowed = 0, 0.0, 0.0
     for _ in range(drive.STEPS_A_SLICE):
         if n_recorded + n > len(event_t):
             return drive.BUFFER_FULL, n_recorded
         t = clock[drive.TIME]
         remaining = t_end - t
-        target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_INSTANTS])
-        target = min(target, _SPAN / rate) if rate > 0.0 else target
-        order, h, n_products = _expand(
-            law,
-            z,
-            w,
-            mode,
-            slips,
-            touching,
-            series,
-            forces,
-            zeros,
-            side,
-            target,
-            remaining,
-            tol,
-            rate,
-            moving,
-        )
-        counters[drive.N_PRODUCTS] += n_products
+        if not is_open:
+            target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
+            target = min(target, _SPAN / rate) if rate > 0.0 else target
+            order, h, allowed, n_products = _expand(
+                law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
+            )  # fmt: skip
+            counters[drive.N_PRODUCTS] += n_products
+            is_open, is_cut = True, False
         if counters[drive.N_STEPS] == 0:
             initial_mode[:] = mode
             known_mode[:] = mode
-        same = True
-        for i in range(n):
-            if mode[i] != known_mode[i]:
-                event_t[n_recorded] = t
-                event_block[n_recorded] = i
-                event_mode[n_recorded] = mode[i]
-                n_recorded += 1
-                counters[drive.N_EVENTS] += 1
-                known_mode[i] = mode[i]
-            same = same and mode[i] == mode[0]
+        before = n_recorded
+        n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
+        counters[drive.N_EVENTS] += n_recorded - before
         if remaining <= 0.0:
             return drive.DONE, n_recorded
         if same and mode[0] != 0 and t >= clock[drive.CHECK]:
@@ -274,23 +400,35 @@ def _advance(  # type: ignore[no-untyped-def]
 
         step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
         counters[drive.N_STEPS] += 1
-        for i in range(n):
-            z[i] = series[order, i]
-            w[i] = order * series[order, i]
-        for k in range(order - 1, 0, -1):
-            for i in range(n):
-                z[i] = z[i] * step + series[k, i]
-                w[i] = w[i] * step + k * series[k, i]
-        for i in range(n):
-            z[i] = z[i] * step + series[0, i]
-            strayed = abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i]
-            touching[i] = mode[i] != 0 and abs(w[i] - v) <= ROUNDING * strayed
         if block >= 0:
-            touching[block] = mode[block] != 0
             counters[drive.LAST_BLOCK] = block
+        for i in range(n):  # what rounding does to w - v in this step
+            near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
+        left = h - step
+        if block >= 0 and left > 0.0:
+            _shift(series, order, step)
+            _shift(forces, order - 2, step)
+            z[:] = series[0]
+            w[:] = series[1]
+            h = 0.0
+            if _on_the_edge(law, mode, largest(z), w, forces, block, True, near, touching) == 1:
+                h = _correct(
+                    law, block, mode, slips, series, forces, zeros, side, order, left, allowed, column, change,
+                    last,
+                )  # fmt: skip
+                touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same
+            is_cut = is_cut or h < left
+            is_open = h > _WORTH * clock[_EXPOSURE] / clock[_CUTS]
+        else:
+            _evaluate(series, order, step, z, w)
+            _on_the_edge(law, mode, 0.0, w, forces, block, False, near, touching)
+            is_open = False
+            is_cut = is_cut or block >= 0
         clock[drive.TIME] = t_end if step == remaining else t + step
-        clock[_EXPOSURE] = _DECAY * clock[_EXPOSURE] + step
-        clock[_INSTANTS] = _DECAY * clock[_INSTANTS] + (1.0 if block >= 0 else 0.0)
+        clock[_EXPOSURE] += step
+        if not is_open:
+            clock[_EXPOSURE] *= _DECAY
+            clock[_CUTS] = _DECAY * (clock[_CUTS] + (1.0 if is_cut else 0.0))
         if clock[drive.TIME] - t <= ROUNDING * max(1.0, abs(t)):
             counters[drive.N_STALLED] += 1
             if counters[drive.N_STALLED] > _STALL:
@@ -344,7 +482,7 @@ def integrate(
     rate = float((np.abs(system.damping) + np.sqrt(system.row_sums)).max())  # bounds |eigenvalues|
     clock = np.zeros(drive.N_CLOCKS + 2)
     clock[drive.TIME], clock[drive.CHECK] = t_start, t_start if stop_early else np.inf
-    clock[_EXPOSURE], clock[_INSTANTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
+    clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     # NaN: a coefficient used before it was computed would show
     series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)

@@ -84,3 +84,17 @@ def test_the_structure_of_each_ensemble():
     assert np.abs(k["antisymmetric_triangle"][off]).max() > 0.19  # up to kappa, not kappa averaged with itself
     assert np.linalg.eigvalsh(k["springs"]).min() > 0
     np.testing.assert_allclose(k["springs"].sum(axis=1), np.abs(np.diag(k["full"])))  # grounding springs remain
+
+
+def test_most_events_of_a_large_system_cost_no_product():
+    """A window of one expansion (at least a dozen products) serves many events, and more the larger n is."""
+    shares = []
+    for n in (100, 800):
+        system = draw_system(
+            "antisymmetric", n, seed=1, kappa=0.2 * np.sqrt(200 / n)
+        )  # the same strength of coupling
+        stats = simulate(system, *START, 4.0, stop_early=False).stats
+        assert stats.n_events > n / 2
+        shares.append(stats.n_products / stats.n_events)
+    assert shares[1] < 6
+    assert shares[1] < shares[0] / 2
