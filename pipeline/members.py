@@ -100,9 +100,9 @@ class Member:
 
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
         """
-        rate = 3e-7 * self.n + 7e-11 * self.n**3
+        rate = 2.5e-7 * self.n + 3.7e-11 * self.n**3
         if self.rtol is not None and self.atol is not None:  # steps of a method of order four
-            rate *= 1.4 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
+            rate *= 0.85 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
         return 1e-3 + self.t_end * rate
 
 

@@ -7,6 +7,7 @@ Exit codes: 0 done; 1 the work could not be finished or the data are damaged; 2 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -177,8 +178,9 @@ def main(argv: list[str] | None = None) -> int:
     except (StoreError, ScheduleError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _UNFINISHED
-    except BrokenPipeError:  # the reader, `head` for one, has seen enough
-        return _DONE
+    except BrokenPipeError:  # the reader, `head` for one, has seen enough; nothing can be told it any more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _UNFINISHED
 
 
 if __name__ == "__main__":

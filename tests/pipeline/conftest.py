@@ -47,9 +47,9 @@ dt = 0.5
 
 @pytest.fixture(autouse=True, scope="session")
 def small_batches():
-    """Four or so members a shard: a small scene then has many."""
+    """Three or so members a shard: a small scene then has many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(members, "TARGET_COST", 4.5e-3)
+        patch.setattr(members, "TARGET_COST", 3.5e-3)
         yield
 
 

@@ -106,7 +106,7 @@ def test_ctrl_c_is_answered_by_the_driver_alone(source, tmp_path):
 import os, signal, sys
 from pathlib import Path
 from pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 4.5e-3
+members.TARGET_COST = 3.5e-3
 source = Path(sys.argv[1]).read_bytes()
 def interrupt(progress):
     if progress.n_done:

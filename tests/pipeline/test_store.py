@@ -123,7 +123,7 @@ KILLED = """
 import os, sys
 from pathlib import Path
 from pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 4.5e-3
+members.TARGET_COST = 3.5e-3
 source, out = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2])
 scene = parse_scene(source)
 for moment in map(int, sys.argv[3:]):
@@ -169,14 +169,14 @@ def test_killed_at_each_step_of_a_commit_then_resumed(scene, source, finished, c
         assert content(out) == content(finished), moment
         timings = [json.loads(line) for line in (out / "timings.jsonl").read_text().splitlines()]
         assert {timing["shard"] for timing in timings} <= set(read_manifest(out).shards)
-    assert leftovers > 5  # the kills did hit
+    assert leftovers >= 4  # some kills hit between the writing of a file and its renaming
 
 
 DRIVER = """
 import os, sys
 from pathlib import Path
 from pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 4.5e-3
+members.TARGET_COST = 3.5e-3
 source = Path(sys.argv[1]).read_bytes()
 scene = parse_scene(source)
 def half_way(progress):
@@ -218,7 +218,7 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
     with pytest.raises(StoreError, match=r"No space left on device.*run the same scene again"):
         run_scene(scene, source, out, workers=0)
     monkeypatch.undo()
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 4.5e-3)
+    monkeypatch.setattr("pipeline.members.TARGET_COST", 3.5e-3)
     assert list(out.rglob(".tmp-*")) == []
     assert not (out / ".lock").exists()
     run_scene(scene, source, out, workers=0)
@@ -355,7 +355,7 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
 
 def test_shards_packed_otherwise_are_refused_and_kept(copy, scene, source, monkeypatch):
     kept = {file: file.read_bytes() for file in shards(copy)}
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 9e-3)
+    monkeypatch.setattr("pipeline.members.TARGET_COST", 7e-3)
     with pytest.raises(StoreError, match=r"go on with the version that began, or choose another directory"):
         run_scene(scene, source, copy, workers=0)
     assert {file: file.read_bytes() for file in shards(copy)} == kept
