@@ -1,12 +1,7 @@
 """The exact engine: set-valued Coulomb friction, event by event, Taylor series between events.
 
-Between events a sticking block moves with the belt (z linear in t: nothing to integrate) and a slipping one
-obeys a linear law, so with z(t0 + s) = sum_k c_k s^k
-
-    (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
-
-One product with K an order gives the series of every block and, as K c_k, that of lambda of the sticking ones.
-The next event is the first root of
+Between events a sticking block moves with the belt (z linear in t: nothing to integrate) and a slipping one obeys
+a linear law: `sim.taylor` expands them all. The next event is the first root of
 
     sigma (w - v)     of a slipping block,
     mu + sigma F      of a sticking one, F = R v + K z = -mu lambda, for either sigma.
@@ -18,8 +13,10 @@ being built: until a block is decided its motion is the same under either mode, 
 cusps and tangencies of any order need no case of their own.
 
 An event changes the law of one block. That block's own series changes from the second order on, those of the
-others from the fourth, by a column of K: most events are carried over in O(n) by `_correct`, without a product,
-and one expansion serves a window of several events.
+others from the fourth, by a column of K: `sim.taylor.correct` carries most events over in O(n), without a product, and
+one expansion serves a window of several events.
+
+The series are explicit: a damping far above the other rates (R h about 5 limits the step) calls for engine="sigmoid".
 """
 
 from __future__ import annotations
@@ -29,21 +26,13 @@ import numpy as np
 from sim import drive, fate
 from sim.arguments import Floats, flag, number
 from sim.compile import kernel
-from sim.kernels import ROUNDING, largest, roots, two_products
+from sim.kernels import ROUNDING, largest, roots
 from sim.run import Run
 from sim.system import System
-
-#: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
-#: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
-ORDER_MAX = 32
-_SPAN = 5.0
-_ORDER_MIN = 4
+from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, shift
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
 _REACH = 1.2
-#: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
-#: far below the tolerance.
-_PASSED_ON = 0.002
 #: What is left of a window is used if it is more than this share of the mean length.
 _WORTH = 0.1
 #: Memory of that mean.
@@ -54,114 +43,6 @@ _STALL = 1000
 
 # behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
 _EXPOSURE, _CUTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
-
-_UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
-_IDENTICALLY_ZERO = 10 * ORDER_MAX
-
-
-@kernel
-def _settle(law, z_max, forces, z, w, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
-    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
-    _, row_sums, damping, friction, v = law
-    n_undecided = 0
-    for i in range(len(z)):
-        zeros[i] = 0
-        side[i] = 0
-        if touching[i] or mode[i] == 0:
-            mu = friction[i]
-            drag = damping[i] * v
-            force = drag + forces[0, i]
-            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + mu)
-            if abs(force) > mu + slack:
-                mode[i] = -1 if force > 0.0 else 1
-                zeros[i] = 1
-            else:
-                mode[i] = 0
-                if abs(force) >= mu - slack:
-                    n_undecided += 1
-                    zeros[i] = _IDENTICALLY_ZERO
-                    side[i] = _UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
-    return n_undecided
-
-
-@kernel
-def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[no-untyped-def]
-    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
-    _, row_sums, _, _, _ = law
-    n_decided = 0
-    for i in range(len(mode)):
-        if side[i] != 0 and zeros[i] == _IDENTICALLY_ZERO:
-            push = -forces[k, i]
-            if abs(push) > ROUNDING * row_sums[i] * c_max:
-                n_decided += 1
-                if side[i] == _UNDECIDED_BOTH:
-                    side[i] = 1 if push > 0.0 else -1
-                if push * side[i] > 0.0:
-                    mode[i] = side[i]
-                    zeros[i] = k + 1
-                else:
-                    zeros[i] = k
-    return n_decided
-
-
-@kernel
-def _expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
-    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
-
-    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
-    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
-    holds to `tol`, and the number of products.
-    """
-    columns, _, damping, friction, v = law
-    n = len(z)
-    for i in range(n):
-        if touching[i] or mode[i] == 0:
-            w[i] = v
-    series[0] = z
-    series[1] = w
-    two_products(columns, series[0], series[1], forces[0], forces[1], moving)
-    w_max = largest(w)
-    n_undecided = _settle(law, largest(z), forces, z, w, mode, touching, zeros, side)
-    for i in range(n):
-        slips[i] = 1.0 if mode[i] != 0 else 0.0
-        series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
-    allowed = tol * max(w_max, abs(v), 2.0 * largest(series[2]) * target)
-
-    n_small = 0
-    last = 0.0
-    for k in range(1, ORDER_MAX - 1):
-        if k % 2 == 0:
-            two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
-        if n_undecided > 0:
-            n_undecided -= _settle_by_order(law, k, largest(series[k]), forces, mode, zeros, side)
-            for i in range(n):
-                slips[i] = 1.0 if mode[i] != 0 else 0.0
-        factor = -1.0 / ((k + 2) * (k + 1))
-        for i in range(n):
-            series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        size = largest(series[k + 2])
-        order = k + 2
-        n_products = k + 1 + (k + 1) % 2
-        # the last term's share of w decides; two in a row, since one can vanish by chance
-        if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
-            return order, remaining, allowed, n_products  # a polynomial: exact however far
-        if order * size * target ** (order - 1) <= allowed:
-            n_small += 1
-            # before order = rate * target the terms of a small state may still be on their way up
-            if n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target):
-                return order, target, allowed, n_products
-        else:
-            n_small = 0
-        before = last
-        last = size
-    h = target
-    order = ORDER_MAX
-    if last > 0.0:
-        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
-    if before > 0.0:
-        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    return order, h, allowed, n_products
 
 
 @kernel
@@ -204,7 +85,7 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
         if side[i] == 0 and max(abs(force), abs(force + forces[1, i] * h)) + reach[i] < friction[i]:
             continue
         for sigma in (-1, 1):
-            skip = zeros[i] if side[i] == sigma or side[i] == _UNDECIDED_BOTH else 0
+            skip = zeros[i] if side[i] == sigma or side[i] == UNDECIDED_BOTH else 0
             degree = order - 2 - skip
             if degree < 1:
                 continue
@@ -220,88 +101,6 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
                 h *= found[0]
                 block = i
     return h, block
-
-
-@kernel
-def _shift(series, order, step):  # type: ignore[no-untyped-def]
-    """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
-    n = series.shape[1]
-    for k in range(order):
-        for m in range(order - 1, k - 1, -1):
-            for i in range(n):
-                series[m, i] += step * series[m + 1, i]
-
-
-@kernel
-def _correct(law, block, mode, slips, series, forces, zeros, side, order, h, allowed, column, change, last):  # type: ignore[no-untyped-def]
-    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
-
-    From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
-    K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
-    like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
-    to the accuracy of the series (then nothing has changed, and a new expansion decides).
-    """
-    columns, row_sums, damping, friction, v = law
-    i = block
-    n = len(mode)
-    mu = friction[i]
-    force = damping[i] * v + forces[0, i]
-    doubt = 1e3 * (allowed + ROUNDING * (abs(damping[i] * v) + mu + row_sums[i] * largest(series[0])))
-    new = -1 if force > 0.0 else 1
-    if mode[i] == 0:
-        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= doubt:
-            return 0.0
-    elif abs(force) < mu - doubt:
-        new = 0
-    elif abs(force) <= mu + doubt:
-        return 0.0
-
-    dense, _, indptr, indices, data = columns
-    if len(dense) == 0:
-        column[:] = 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            column[indices[k]] = data[k]
-    else:
-        column[:] = dense[i]
-    own = column[i]
-    column[i] = 0.0
-    was_stuck = mode[i] == 0
-    series[1, i] = v
-    for k in range(order - 1):
-        c = 0.0
-        if new != 0:
-            c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
-            if k == 0:
-                c = 0.0 if was_stuck else c - 0.5 * mu * new
-        change[k + 2] = c - series[k + 2, i]
-        series[k + 2, i] = c
-        if k + 2 <= order - 2:
-            forces[k + 2, i] += own * change[k + 2]
-    mode[i] = new
-    slips[i] = 1.0 if new != 0 else 0.0
-    zeros[:] = 0
-    side[:] = 0
-    zeros[i] = 0 if new == 0 else (2 if was_stuck else 1)
-
-    last[:] = 0.0
-    passed_on = 0.0
-    power = h**4
-    for k in range(2, order - 1):
-        factor = -1.0 / ((k + 2) * (k + 1))
-        for j in range(n):
-            pull = column[j] * change[k]
-            forces[k, j] += pull
-            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + pull)
-            series[k + 2, j] += last[j]
-        passed_on += largest(last) * power
-        power *= h
-    error = largest(row_sums) * passed_on * h / 5.0
-    if error > _PASSED_ON * allowed:
-        h *= (_PASSED_ON * allowed / error) ** 0.2
-    tail = order * abs(series[order, i]) * h ** (order - 1)
-    if tail > allowed:
-        h *= (allowed / tail) ** (1.0 / (order - 1))
-    return h
 
 
 @kernel
@@ -362,7 +161,7 @@ def _advance(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
-    A window is the reach of one expansion. An event inside it is carried over by `_correct` where that can be done,
+    A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
     else it ends the window.
     """
     v = law[4]
@@ -381,8 +180,8 @@ def _advance(  # type: ignore[no-untyped-def]
         remaining = t_end - t
         if not is_open:
             target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
-            target = min(target, _SPAN / rate) if rate > 0.0 else target
-            order, h, allowed, n_products = _expand(
+            target = min(target, SPAN / rate) if rate > 0.0 else target
+            order, h, allowed, n_products = expand(
                 law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
             )  # fmt: skip
             counters[drive.N_PRODUCTS] += n_products
@@ -406,13 +205,13 @@ def _advance(  # type: ignore[no-untyped-def]
             near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
         left = h - step
         if block >= 0 and left > 0.0:
-            _shift(series, order, step)
-            _shift(forces, order - 2, step)
+            shift(series, order, step)
+            shift(forces, order - 2, step)
             z[:] = series[0]
             w[:] = series[1]
             h = 0.0
             if _on_the_edge(law, mode, largest(z), w, forces, block, True, near, touching) == 1:
-                h = _correct(
+                h = correct(
                     law, block, mode, slips, series, forces, zeros, side, order, left, allowed, column, change,
                     last,
                 )  # fmt: skip

@@ -242,8 +242,8 @@ def roots(coefficients, degree, only_first, found):  # type: ignore[no-untyped-d
     """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
 
     By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
-    root, one change means exactly one root, more are halved. So two roots close together are both found,
-    and a polynomial that touches zero within rounding is reported once, where it touches.
+    root, one change means exactly one root, more are halved. So two roots close together are both found;
+    where a polynomial only touches zero, rounding decides between a pair, one root at the touch, and none.
 
     Returns the number of roots; their places are in `found`.
     """

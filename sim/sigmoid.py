@@ -10,8 +10,7 @@ by (h gamma) K times the predictor's error, O(h^5) in w), each stage is one mono
 
 which Newton's method solves from any start: no Newton failure, however small delta. One product with K a stage.
 
-The method is ESDIRK4(3)6L[2]SA, the implicit half of ARK4(3)6L[2]SA: C. A. Kennedy and M. H. Carpenter, Applied
-Numerical Mathematics 44 (2003) 139-181, doi:10.1016/S0168-9274(02)00138-1.
+The method is in `sim.esdirk`, the search for entries and exits in `sim.layer`.
 
 When does a block stick?
 
@@ -26,7 +25,6 @@ A block without friction never sticks (unless it rests on the belt, with no forc
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from typing import Literal, get_args
 
 import numpy as np
@@ -35,57 +33,13 @@ from numpy.typing import ArrayLike
 from sim import drive, fate
 from sim.arguments import Floats, flag, number, per_block
 from sim.compile import kernel
-from sim.kernels import ROUGH, largest, one_product, roots, rough_product, tanh_positive, two_products
+from sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
+from sim.kernels import ROUGH, largest, one_product, rough_product, tanh_positive, two_products
+from sim.layer import PASSES, UNRESOLVED, step_events
 from sim.run import Run
 from sim.system import System
 
 Stick = Literal["manifold", "threshold"]
-
-_F = Fraction
-#: Stage weights a_ij by rows; the last row is b (stiffly accurate). gamma = 1/4 on the diagonal.
-TABLEAU = (
-    (),
-    (_F(1, 4), _F(1, 4)),
-    (_F(8611, 62500), _F(-1743, 31250), _F(1, 4)),
-    (_F(5012029, 34652500), _F(-654441, 2922500), _F(174375, 388108), _F(1, 4)),
-    (
-        _F(15267082809, 155376265600),
-        _F(-71443401, 120774400),
-        _F(730878875, 902184768),
-        _F(2285395, 8070912),
-        _F(1, 4),
-    ),
-    (_F(82889, 524892), _F(0), _F(15625, 83664), _F(69875, 102672), _F(-2260, 8211), _F(1, 4)),
-)
-#: Weights of the embedded method of order 3.
-EMBEDDED = (
-    _F(4586570599, 29645900160),
-    _F(0),
-    _F(178811875, 945068544),
-    _F(814220225, 1159782912),
-    _F(-3700637, 11593932),
-    _F(61727, 225920),
-)
-NODES = tuple(sum(row, _F(0)) for row in TABLEAU)
-
-_STAGES = len(TABLEAU)
-_GAMMA = float(TABLEAU[1][1])
-_A = np.array([[float(a) for a in row] + [0.0] * (_STAGES - len(row)) for row in TABLEAU])
-_ERROR = np.array([float(b - e) for b, e in zip(TABLEAU[-1], EMBEDDED, strict=True)])
-
-
-def _predictor() -> Floats:
-    """p_ij with w(c_i) ~ w_0 + h sum_{j<i} p_ij w'_j: w' extrapolated through the stages before and integrated."""
-    nodes = np.array([float(c) for c in NODES])
-    weights = np.zeros((_STAGES, _STAGES))
-    for i in range(1, _STAGES):
-        powers = np.arange(i)
-        moments = nodes[i] ** (powers + 1) / (powers + 1)
-        weights[i, :i] = np.linalg.solve(np.vander(nodes[:i], increasing=True).T, moments)
-    return weights
-
-
-_PREDICT = _predictor()
 
 #: Step control: the embedded error is O(h^4); a step changes by a factor in [_SHRINK, _GROW].
 _EXPONENT = 1.0 / 4.0
@@ -94,14 +48,9 @@ _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
 _SOLVED = 1e-2
 #: The share of the tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
-#: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
-_UNRESOLVED = 2.0
 #: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
 _MISSED = 10.0
 _NEWTON_MAX = 400
-
-#: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
-_PASSES = 16
 
 # behind the common clocks: the next step to try, and the error of the last one
 _STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
@@ -117,7 +66,7 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
     """
     _, damping, friction, delta, v = law
     n = len(w)
-    step = h * _GAMMA
+    step = h * GAMMA
     for i in range(n):
         grow = 1.0 + step * damping[i]
         a, b = delta[i] * grow, step * friction[i]
@@ -156,20 +105,20 @@ def _step(  # type: ignore[no-untyped-def]
     n = len(z)
     stage_w[0] = w
     stage_rate[0] = rate
-    for s in range(1, _STAGES):
+    for s in range(1, STAGES):
         for i in range(n):
             base[i] = w[i]
             new_z[i] = 0.0
             new_w[i] = w[i]
         for j in range(s):
-            a = h * _A[s, j]
-            p = h * _PREDICT[s, j]
+            a = h * WEIGHTS[s, j]
+            p = h * PREDICT[s, j]
             for i in range(n):
                 base[i] += a * stage_rate[j, i]
                 new_z[i] += a * stage_w[j, i]
                 new_w[i] += p * stage_rate[j, i]
         for i in range(n):
-            new_w[i] = new_z[i] + h * _GAMMA * new_w[i]
+            new_w[i] = new_z[i] + h * GAMMA * new_w[i]
             # the layer moves with its block: the last stage is the best guess inside it, harmless outside
             x[i] = (stage_w[s - 1, i] - v) / delta[i]
         # K z is known at the start of the step; K times what z moves is small, and may be rough
@@ -181,14 +130,14 @@ def _step(  # type: ignore[no-untyped-def]
             coupling[i] += force[i]
         if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
             return np.inf, 0
-    last = _STAGES - 1
+    last = STAGES - 1
     for i in range(n):
-        new_z[i] = z[i] + (new_z[i] + h * _GAMMA * stage_w[last, i])
+        new_z[i] = z[i] + (new_z[i] + h * GAMMA * stage_w[last, i])
         new_w[i] = stage_w[last, i]
         error_z, error_w = 0.0, 0.0
-        for j in range(_STAGES):
-            error_z += _ERROR[j] * stage_w[j, i]
-            error_w += _ERROR[j] * stage_rate[j, i]
+        for j in range(STAGES):
+            error_z += ERROR[j] * stage_w[j, i]
+            error_w += ERROR[j] * stage_rate[j, i]
         allowed_z = atol + rtol * max(abs(z[i]), abs(new_z[i]))
         allowed_w = atol + rtol * max(abs(w[i]), abs(new_w[i]))
         x[i] = max(abs(h * error_z) / allowed_z, abs(h * error_w) / allowed_w)
@@ -197,9 +146,9 @@ def _step(  # type: ignore[no-untyped-def]
         drag = damping[i] * v
         attracts = (abs(drag + force[i]) < friction[i]) & (abs(drag + coupling[i]) < friction[i])
         gap, new_gap = w[i] - v, new_w[i] - v
-        if attracts and abs(new_gap) > band[i] and h * friction[i] > _UNRESOLVED * delta[i]:
+        if attracts and abs(new_gap) > band[i] and h * friction[i] > UNRESOLVED * delta[i]:
             reached = gap * new_gap < 0.0
-            for j in range(_STAGES):
+            for j in range(STAGES):
                 reached = reached or abs(stage_w[j, i] - v) < band[i]
             x[i] = max(x[i], _MISSED) if reached else x[i]
     worst = largest(x)
@@ -207,132 +156,6 @@ def _step(  # type: ignore[no-untyped-def]
     for i in range(n):
         block = i if x[i] == worst else block
     return worst, block
-
-
-@kernel
-def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
-    """Mode of a block from w - v and F."""
-    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
-        return 0
-    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
-
-
-@kernel
-def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
-    """Append the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
-    start, end = y0 - bound, y1 - bound
-    # Bernstein coefficients: no change of sign, no root
-    inner, outer = start + d0 / 3.0, end - d1 / 3.0
-    if (start > 0.0 and inner > 0.0 and outer > 0.0 and end > 0.0) or (
-        start < 0.0 and inner < 0.0 and outer < 0.0 and end < 0.0
-    ):
-        return n_marks
-    poly[0] = start
-    poly[1] = d0
-    poly[2] = 3.0 * (end - start) - 2.0 * d0 - d1
-    poly[3] = 2.0 * (start - end) + d0 + d1
-    skip = 0  # a root at the start belongs to the step before; the others count
-    while skip < 3 and poly[skip] == 0.0:
-        skip += 1
-    for k in range(roots(poly[skip:], 3 - skip, False, where)):
-        marks[n_marks] = where[k]
-        n_marks += 1
-    return n_marks
-
-
-@kernel
-def _between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
-    """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
-    y = 1.0 - x
-    return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
-
-
-@kernel
-def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
-    """End slopes of a cubic, cut to [0, 3] times its mean slope where it is known to be monotone.
-
-    The bound under which a cubic cannot overshoot: F. N. Fritsch and R. E. Carlson, SIAM Journal on Numerical
-    Analysis 17 (1980) 238-246, doi:10.1137/0717021.
-    """
-    mean = y1 - y0
-    low, high = min(0.0, 3.0 * mean), max(0.0, 3.0 * mean)
-    cut0 = d0 if d0 > low else low
-    cut1 = d1 if d1 > low else low
-    cut0 = cut0 if cut0 < high else high
-    cut1 = cut1 if cut1 < high else high
-    return (cut0, cut1) if is_monotone else (d0, d1)
-
-
-@kernel
-def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
-    """Side of (-bound, bound) to which a cubic keeps, by the hull of its Bernstein coefficients.
-
-    +1 above, -1 below, 0 inside, 2 if that cannot be said; without branches, so that a loop is vectorised.
-    """
-    inner, outer = y0 + d0 / 3.0, y1 - d1 / 3.0
-    above = (y0 >= bound) & (inner >= bound) & (outer >= bound) & (y1 >= bound)
-    below = (y0 <= -bound) & (inner <= -bound) & (outer <= -bound) & (y1 <= -bound)
-    inside = (abs(y0) < bound) & (abs(inner) < bound) & (abs(outer) < bound) & (abs(y1) < bound)
-    return 1 if above else (-1 if below else (0 if inside else 2))
-
-
-@kernel
-def _step_events(  # type: ignore[no-untyped-def]
-    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
-    slope0, slope1, step_x, step_block, step_mode,
-):  # fmt: skip
-    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date.
-
-    w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
-    places the mode is constant.
-    """
-    _, damping, friction, delta, v = law
-    n = len(w)
-    for i in range(n):
-        drag = damping[i] * v
-        wide = band[i] if friction[i] > 0.0 else 0.0
-        # A step that touches the layer without resolving it relaxes in it, monotone; its end slopes are off by what
-        # the stiffness makes of the error of w, and would carry the cubic out of the layer and back.
-        gap0, gap1 = w[i] - v, new_w[i] - v
-        relaxes = (min(abs(gap0), abs(gap1)) < wide) & (h * friction[i] > _UNRESOLVED * delta[i])
-        slope0[i], slope1[i] = _slopes(gap0, h * rate[i], gap1, h * new_rate[i], relaxes)
-        by_speed = _side(gap0, slope0[i], gap1, slope1[i], wide)
-        pull, new_pull = h * force_rate[i], h * new_force_rate[i]
-        held = _side(drag + force[i], pull, drag + new_force[i], new_pull, friction[i])
-        calm[i] = (by_speed == mode[i]) & ((by_speed != 0) | (held == 0) | (not by_force))
-    poly, where, marks = np.empty(4), np.empty(3), np.empty(_PASSES)
-    count = 0
-    for i in range(n):
-        if calm[i]:
-            continue
-        gap0, gap1 = w[i] - v, new_w[i] - v
-        rate0, rate1 = slope0[i], slope1[i]
-        force0, force1 = damping[i] * v + force[i], damping[i] * v + new_force[i]
-        pull0, pull1 = h * force_rate[i], h * new_force_rate[i]
-        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, 0, poly, where)
-        if friction[i] > 0.0:
-            for sign in (-1.0, 1.0):
-                n_marks = _marks(gap0, rate0, gap1, rate1, sign * band[i], marks, n_marks, poly, where)
-                if by_force:
-                    bound = sign * friction[i]
-                    n_marks = _marks(force0, pull0, force1, pull1, bound, marks, n_marks, poly, where)
-        marks[:n_marks].sort()
-        for k in range(n_marks + 1):
-            left = marks[k - 1] if k > 0 else 0.0
-            right = marks[k] if k < n_marks else 1.0
-            if right <= left:
-                continue
-            middle = 0.5 * (left + right)
-            gap = _between(gap0, rate0, gap1, rate1, middle)
-            pull = _between(force0, pull0, force1, pull1, middle)
-            new = _mode(gap, pull, friction[i], band[i], by_force)
-            if new != mode[i]:
-                step_x[count] = left
-                step_block[count] = i
-                step_mode[count] = new
-                mode[i] = new
-                count += 1
-    return count
 
 
 @kernel
@@ -349,9 +172,9 @@ def _advance(  # type: ignore[no-untyped-def]
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
     single = np.empty((2, n), dtype=np.float32)
-    step_x = np.empty(_PASSES * n)
-    step_block = np.empty(_PASSES * n, dtype=np.int32)
-    step_mode = np.empty(_PASSES * n, dtype=np.int8)
+    step_x = np.empty(PASSES * n)
+    step_block = np.empty(PASSES * n, dtype=np.int32)
+    step_mode = np.empty(PASSES * n, dtype=np.int8)
     n_recorded = 0
     rejected = False
     for _ in range(drive.STEPS_A_SLICE):
@@ -359,7 +182,7 @@ def _advance(  # type: ignore[no-untyped-def]
         remaining = t_end - t
         if remaining <= 0.0:
             return drive.DONE, n_recorded
-        if n_recorded + _PASSES * n > len(event_t):
+        if n_recorded + PASSES * n > len(event_t):
             return drive.BUFFER_FULL, n_recorded
         if t >= clock[drive.CHECK]:
             same = mode[0] != 0
@@ -374,7 +197,7 @@ def _advance(  # type: ignore[no-untyped-def]
             law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w,
             rtol, atol, moving, single,
         )  # fmt: skip
-        counters[drive.N_PRODUCTS] += _STAGES - 1
+        counters[drive.N_PRODUCTS] += STAGES - 1
         if not worst <= 1.0:
             counters[drive.N_REJECTED] += 1
             counters[drive.LAST_BLOCK] = block
@@ -387,8 +210,8 @@ def _advance(  # type: ignore[no-untyped-def]
         counters[drive.N_STEPS] += 1
         two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
         counters[drive.N_PRODUCTS] += 2
-        count = _step_events(
-            law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[_STAGES - 1], new_force,
+        count = step_events(
+            law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
             new_force_rate, mode, calm, base, x, step_x, step_block, step_mode,
         )  # fmt: skip
         order = np.argsort(step_x[:count], kind="mergesort")  # stable: at one instant by block
@@ -401,7 +224,7 @@ def _advance(  # type: ignore[no-untyped-def]
         for i in range(n):
             z[i] = new_z[i]
             w[i] = new_w[i]
-            rate[i] = stage_rate[_STAGES - 1, i]
+            rate[i] = stage_rate[STAGES - 1, i]
             force[i] = new_force[i]
             force_rate[i] = new_force_rate[i]
         clock[drive.TIME] = t_end if h == remaining else t + h
@@ -494,7 +317,7 @@ def integrate(
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     counters[drive.N_PRODUCTS] = 2
     # NaN: a value used before it was computed would show
-    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (9, _STAGES, _STAGES))
+    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (9, STAGES, STAGES))
 
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
@@ -508,7 +331,7 @@ def integrate(
         certify=lambda slip: fate.collapse(system, z, w, slip, band, delta),
         stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
-        events_a_step=_PASSES * n,
+        events_a_step=PASSES * n,
         t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
         clock=clock, counters=counters,
     )  # fmt: skip

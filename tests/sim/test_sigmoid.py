@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim import System, draw_system, simulate
+from sim.esdirk import EMBEDDED, NODES, TABLEAU
 from sim.kernels import tanh_positive
-from sim.sigmoid import EMBEDDED, NODES, TABLEAU
 
 START = (-0.7, -0.4)
 

@@ -1,0 +1,142 @@
+"""Who sticks under the smoothed law, and when that changes: events in a step, by the layer |w - v| < band around v.
+
+`sim.sigmoid` says what the two definitions of sticking are. Here w - v and F = R v + K z are cubics on a step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.compile import kernel
+from sim.kernels import roots
+
+#: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
+UNRESOLVED = 2.0
+#: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
+PASSES = 16
+
+
+@kernel
+def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
+    """Mode of a block from w - v and F."""
+    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
+        return 0
+    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
+
+
+@kernel
+def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
+    """Append the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
+    start, end = y0 - bound, y1 - bound
+    # Bernstein coefficients: no change of sign, no root
+    inner, outer = start + d0 / 3.0, end - d1 / 3.0
+    if (start > 0.0 and inner > 0.0 and outer > 0.0 and end > 0.0) or (
+        start < 0.0 and inner < 0.0 and outer < 0.0 and end < 0.0
+    ):
+        return n_marks
+    poly[0] = start
+    poly[1] = d0
+    poly[2] = 3.0 * (end - start) - 2.0 * d0 - d1
+    poly[3] = 2.0 * (start - end) + d0 + d1
+    skip = 0  # a root at the start belongs to the step before; the others count
+    while skip < 3 and poly[skip] == 0.0:
+        skip += 1
+    for k in range(roots(poly[skip:], 3 - skip, False, where)):
+        marks[n_marks] = where[k]
+        n_marks += 1
+    return n_marks
+
+
+@kernel
+def _between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
+    """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
+    y = 1.0 - x
+    return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
+
+
+@kernel
+def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
+    """End slopes of a cubic, cut to [0, 3] times its mean slope where it is known to be monotone.
+
+    The bound under which a cubic cannot overshoot: F. N. Fritsch and R. E. Carlson, SIAM Journal on Numerical
+    Analysis 17 (1980) 238-246, doi:10.1137/0717021.
+    """
+    mean = y1 - y0
+    low, high = min(0.0, 3.0 * mean), max(0.0, 3.0 * mean)
+    cut0 = d0 if d0 > low else low
+    cut1 = d1 if d1 > low else low
+    cut0 = cut0 if cut0 < high else high
+    cut1 = cut1 if cut1 < high else high
+    return (cut0, cut1) if is_monotone else (d0, d1)
+
+
+@kernel
+def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
+    """Side of (-bound, bound) to which a cubic keeps, by the hull of its Bernstein coefficients.
+
+    +1 above, -1 below, 0 inside, 2 if that cannot be said; without branches, so that a loop is vectorised.
+    """
+    inner, outer = y0 + d0 / 3.0, y1 - d1 / 3.0
+    above = (y0 >= bound) & (inner >= bound) & (outer >= bound) & (y1 >= bound)
+    below = (y0 <= -bound) & (inner <= -bound) & (outer <= -bound) & (y1 <= -bound)
+    inside = (abs(y0) < bound) & (abs(inner) < bound) & (abs(outer) < bound) & (abs(y1) < bound)
+    return 1 if above else (-1 if below else (0 if inside else 2))
+
+
+@kernel
+def step_events(  # type: ignore[no-untyped-def]
+    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
+    slope0, slope1, step_x, step_block, step_mode,
+):  # fmt: skip
+    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date.
+
+    w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
+    places the mode is constant.
+    """
+    _, damping, friction, delta, v = law
+    n = len(w)
+    for i in range(n):
+        drag = damping[i] * v
+        wide = band[i] if friction[i] > 0.0 else 0.0
+        # A step that touches the layer without resolving it relaxes in it, monotone; its end slopes are off by what
+        # the stiffness makes of the error of w, and would carry the cubic out of the layer and back.
+        gap0, gap1 = w[i] - v, new_w[i] - v
+        relaxes = (min(abs(gap0), abs(gap1)) < wide) & (h * friction[i] > UNRESOLVED * delta[i])
+        slope0[i], slope1[i] = _slopes(gap0, h * rate[i], gap1, h * new_rate[i], relaxes)
+        by_speed = _side(gap0, slope0[i], gap1, slope1[i], wide)
+        pull, new_pull = h * force_rate[i], h * new_force_rate[i]
+        held = _side(drag + force[i], pull, drag + new_force[i], new_pull, friction[i])
+        calm[i] = (by_speed == mode[i]) & ((by_speed != 0) | (held == 0) | (not by_force))
+    poly, where, marks = np.empty(4), np.empty(3), np.empty(PASSES)
+    count = 0
+    for i in range(n):
+        if calm[i]:
+            continue
+        gap0, gap1 = w[i] - v, new_w[i] - v
+        rate0, rate1 = slope0[i], slope1[i]
+        force0, force1 = damping[i] * v + force[i], damping[i] * v + new_force[i]
+        pull0, pull1 = h * force_rate[i], h * new_force_rate[i]
+        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, 0, poly, where)
+        if friction[i] > 0.0:
+            for sign in (-1.0, 1.0):
+                n_marks = _marks(gap0, rate0, gap1, rate1, sign * band[i], marks, n_marks, poly, where)
+                if by_force:
+                    bound = sign * friction[i]
+                    n_marks = _marks(force0, pull0, force1, pull1, bound, marks, n_marks, poly, where)
+        marks[:n_marks].sort()
+        for k in range(n_marks + 1):
+            left = marks[k - 1] if k > 0 else 0.0
+            right = marks[k] if k < n_marks else 1.0
+            if right <= left:
+                continue
+            middle = 0.5 * (left + right)
+            gap = _between(gap0, rate0, gap1, rate1, middle)
+            pull = _between(force0, pull0, force1, pull1, middle)
+            new = _mode(gap, pull, friction[i], band[i], by_force)
+            if new != mode[i]:
+                step_x[count] = left
+                step_block[count] = i
+                step_mode[count] = new
+                mode[i] = new
+                count += 1
+    return count

@@ -1,0 +1,215 @@
+"""The Taylor series of all blocks between events: built, moved, and carried over an event.
+
+With z(t0 + s) = sum_k c_k s^k, a slipping block has
+
+    (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
+
+and a sticking one c_1 = v and no more. `expand` builds the series with one product an order, two to a pass over K,
+and decides on the way which blocks with w = v stick. `correct` carries them over an event of one block without a
+product. Arrays shared by all: `series[k]` = c_k, `forces[k]` = K c_k; `zeros[i]`, `side[i]`: how many leading
+coefficients of block i's event function (on that side of its stick interval) vanish at the present instant.
+"""
+
+from __future__ import annotations
+
+from sim.compile import kernel
+from sim.kernels import ROUNDING, largest, two_products
+
+#: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
+#: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
+ORDER_MAX = 32
+SPAN = 5.0
+_ORDER_MIN = 4
+#: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
+#: far below the tolerance.
+_PASSED_ON = 0.002
+
+UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
+IDENTICALLY_ZERO = 10 * ORDER_MAX
+
+
+@kernel
+def _settle(law, z_max, forces, z, w, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
+    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
+    _, row_sums, damping, friction, v = law
+    n_undecided = 0
+    for i in range(len(z)):
+        zeros[i] = 0
+        side[i] = 0
+        if touching[i] or mode[i] == 0:
+            mu = friction[i]
+            drag = damping[i] * v
+            force = drag + forces[0, i]
+            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + mu)
+            if abs(force) > mu + slack:
+                mode[i] = -1 if force > 0.0 else 1
+                zeros[i] = 1
+            else:
+                mode[i] = 0
+                if abs(force) >= mu - slack:
+                    n_undecided += 1
+                    zeros[i] = IDENTICALLY_ZERO
+                    side[i] = UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
+    return n_undecided
+
+
+@kernel
+def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[no-untyped-def]
+    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
+    _, row_sums, _, _, _ = law
+    n_decided = 0
+    for i in range(len(mode)):
+        if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
+            push = -forces[k, i]
+            if abs(push) > ROUNDING * row_sums[i] * c_max:
+                n_decided += 1
+                if side[i] == UNDECIDED_BOTH:
+                    side[i] = 1 if push > 0.0 else -1
+                if push * side[i] > 0.0:
+                    mode[i] = side[i]
+                    zeros[i] = k + 1
+                else:
+                    zeros[i] = k
+    return n_decided
+
+
+@kernel
+def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
+    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
+
+    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
+    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
+    holds to `tol`, and the number of products.
+    """
+    columns, _, damping, friction, v = law
+    n = len(z)
+    for i in range(n):
+        if touching[i] or mode[i] == 0:
+            w[i] = v
+    series[0] = z
+    series[1] = w
+    two_products(columns, series[0], series[1], forces[0], forces[1], moving)
+    w_max = largest(w)
+    n_undecided = _settle(law, largest(z), forces, z, w, mode, touching, zeros, side)
+    for i in range(n):
+        slips[i] = 1.0 if mode[i] != 0 else 0.0
+        series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
+    # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
+    allowed = tol * max(w_max, abs(v), 2.0 * largest(series[2]) * target)
+
+    n_small = 0
+    last = 0.0
+    for k in range(1, ORDER_MAX - 1):
+        if k % 2 == 0:
+            two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
+        if n_undecided > 0:
+            n_undecided -= _settle_by_order(law, k, largest(series[k]), forces, mode, zeros, side)
+            for i in range(n):
+                slips[i] = 1.0 if mode[i] != 0 else 0.0
+        factor = -1.0 / ((k + 2) * (k + 1))
+        for i in range(n):
+            series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+        size = largest(series[k + 2])
+        order = k + 2
+        n_products = k + 1 + (k + 1) % 2
+        # the last term's share of w decides; two in a row, since one can vanish by chance
+        if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
+            return order, remaining, allowed, n_products  # a polynomial: exact however far
+        if order * size * target ** (order - 1) <= allowed:
+            n_small += 1
+            # before order = rate * target the terms of a small state may still be on their way up
+            if n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target):
+                return order, target, allowed, n_products
+        else:
+            n_small = 0
+        before = last
+        last = size
+    h = target
+    order = ORDER_MAX
+    if last > 0.0:
+        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
+    if before > 0.0:
+        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
+    return order, h, allowed, n_products
+
+
+@kernel
+def shift(series, order, step):  # type: ignore[no-untyped-def]
+    """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
+    n = series.shape[1]
+    for k in range(order):
+        for m in range(order - 1, k - 1, -1):
+            for i in range(n):
+                series[m, i] += step * series[m + 1, i]
+
+
+@kernel
+def correct(law, block, mode, slips, series, forces, zeros, side, order, h, allowed, column, change, last):  # type: ignore[no-untyped-def]
+    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
+
+    From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
+    K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
+    like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
+    to the accuracy of the series (then nothing has changed, and a new expansion decides).
+    """
+    columns, row_sums, damping, friction, v = law
+    i = block
+    n = len(mode)
+    mu = friction[i]
+    force = damping[i] * v + forces[0, i]
+    doubt = 1e3 * (allowed + ROUNDING * (abs(damping[i] * v) + mu + row_sums[i] * largest(series[0])))
+    new = -1 if force > 0.0 else 1
+    if mode[i] == 0:
+        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= doubt:
+            return 0.0
+    elif abs(force) < mu - doubt:
+        new = 0
+    elif abs(force) <= mu + doubt:
+        return 0.0
+
+    dense, _, indptr, indices, data = columns
+    if len(dense) == 0:
+        column[:] = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            column[indices[k]] = data[k]
+    else:
+        column[:] = dense[i]
+    own = column[i]
+    column[i] = 0.0
+    was_stuck = mode[i] == 0
+    series[1, i] = v
+    for k in range(order - 1):
+        c = 0.0
+        if new != 0:
+            c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
+            if k == 0:
+                c = 0.0 if was_stuck else c - 0.5 * mu * new
+        change[k + 2] = c - series[k + 2, i]
+        series[k + 2, i] = c
+        if k + 2 <= order - 2:
+            forces[k + 2, i] += own * change[k + 2]
+    mode[i] = new
+    slips[i] = 1.0 if new != 0 else 0.0
+    zeros[:] = 0
+    side[:] = 0
+    zeros[i] = 0 if new == 0 else (2 if was_stuck else 1)
+
+    last[:] = 0.0
+    passed_on = 0.0
+    power = h**4
+    for k in range(2, order - 1):
+        factor = -1.0 / ((k + 2) * (k + 1))
+        for j in range(n):
+            pull = column[j] * change[k]
+            forces[k, j] += pull
+            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + pull)
+            series[k + 2, j] += last[j]
+        passed_on += largest(last) * power
+        power *= h
+    error = largest(row_sums) * passed_on * h / 5.0
+    if error > _PASSED_ON * allowed:
+        h *= (_PASSED_ON * allowed / error) ** 0.2
+    tail = order * abs(series[order, i]) * h ** (order - 1)
+    if tail > allowed:
+        h *= (allowed / tail) ** (1.0 / (order - 1))
+    return h
