@@ -13,8 +13,8 @@ being built: until a block is decided its motion is the same under either mode, 
 cusps and tangencies of any order need no case of their own.
 
 An event changes the law of one block. That block's own series changes from the second order on, those of the
-others from the fourth, by a column of K: `sim.taylor.correct` carries most events over in O(n), without a product, and
-one expansion serves a window of several events.
+others from the fourth, by a column of K: `sim.taylor.correct` carries most events over in O(n), without a product,
+and one expansion serves a window of several events.
 
 The series are explicit: a damping far above the other rates (R h about 5 limits the step) calls for engine="sigmoid".
 """
