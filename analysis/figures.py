@@ -173,3 +173,56 @@ def forest(rows: Sequence[Row]) -> Figure:
         ax.set_xlabel("gamma, per unit of size (dimensionless)")
         figure.legend(loc="outside lower center", ncols=2)
     return figure
+
+
+#: A method's points: name, whether it is one of the engines, products, errors, and whether an error is a bound.
+Curve = tuple[str, bool, Sequence[float], Sequence[float], Sequence[bool]]
+
+_PEERS = (GREEN, PURPLE, "#E69F00", "#56B4E9", GREY, "black")
+_MARKERS = "^vDPX<>ph"
+
+
+def speed_accuracy(panels: Sequence[tuple[str, Sequence[Curve], float | None, int | None]]) -> Figure:
+    """Error against cost, one panel a problem; the engines in the foreground.
+
+    Parameters
+    ----------
+    panels : sequence of (title, curves, floor, n_events)
+        `floor`: errors below it cannot be told from zero; `n_events`: where one product an event would lie. None
+        where there is none. An error that is a bound is drawn hollow.
+    """
+    names = list(dict.fromkeys((name, is_ours) for _, curves, *_ in panels for name, is_ours, *_ in curves))
+    style: dict[str, dict[str, Any]] = {}
+    for is_front in (True, False):
+        for k, name in enumerate(name for name, is_ours in names if is_ours == is_front):
+            front = {"color": CYCLE[k % 2], "marker": "os"[k % 2], "linewidth": 2.2, "markersize": 5, "zorder": 3}
+            behind = {"color": _PEERS[k % 6], "marker": _MARKERS[k % 9], "linewidth": 0.9, "markersize": 4}
+            style[name] = front if is_front else behind | {"linestyle": "-" if k < 6 else "--"}
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _axes(rows, columns, 0.9 + 2.7 * rows, sharex=True, sharey=True)
+        for ax in axes.flat[len(panels) :]:
+            ax.set_axis_off()
+        for ax, (title, curves, floor, n_events) in zip(axes.flat, panels, strict=False):
+            ax.set(title=title, xscale="log", yscale="log")
+            for name, _, products, errors, is_bound in curves:
+                ax.plot(products, errors, label=name, **style[name])
+                bounds = [(x, y) for x, y, known in zip(products, errors, is_bound, strict=True) if known]
+                if bounds:
+                    hollow = style[name] | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
+                    ax.plot(*zip(*bounds, strict=True), **hollow)
+            if floor is not None:
+                ax.axhline(floor, color=GREY, linestyle=":", linewidth=0.8)
+            if n_events:
+                ax.axvline(n_events, color=GREY, linestyle="--", linewidth=0.8)
+        for ax in axes[:, 0]:
+            ax.set_ylabel("error, max |z − z$_{ref}$|")
+        for ax in axes[-1]:
+            ax.set_xlabel("cost, products of K with a vector")
+        drawn: dict[str, Any] = {}
+        for ax in axes.flat:
+            drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        in_order = [name for name, _ in names if name in drawn]
+        figure.legend([drawn[name] for name in in_order], in_order, loc="outside lower center", ncols=5)
+    return figure

@@ -42,14 +42,14 @@ class SceneError(ValueError):
 Value = TypeVar("Value", int, float)
 
 
-def _as_tuple(value: object) -> object:
+def as_tuple(value: object) -> object:
     """A single number stands for a list of one; a list becomes a tuple, as frozen models hold."""
     if isinstance(value, list):
         return tuple(value)
     return value if isinstance(value, tuple) else (value,)
 
 
-def _distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
+def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     """Ascending and without duplicates: the order in the file means nothing."""
     doubled = sorted({value for value in values if values.count(value) > 1})
     if doubled:
@@ -69,23 +69,25 @@ Natural = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1)]
 BlockNumbers = Annotated[
     tuple[Blocks, ...],
-    BeforeValidator(_as_tuple, json_schema_input_type=Blocks | list[Blocks]),
+    BeforeValidator(as_tuple, json_schema_input_type=Blocks | list[Blocks]),
     Field(min_length=1),
-    AfterValidator(_distinct),
+    AfterValidator(distinct),
 ]
 PositiveNumbers = Annotated[
     tuple[Positive, ...],
-    BeforeValidator(_as_tuple, json_schema_input_type=Positive | list[Positive]),
+    BeforeValidator(as_tuple, json_schema_input_type=Positive | list[Positive]),
     Field(min_length=1),
-    AfterValidator(_distinct),
+    AfterValidator(distinct),
 ]
 
 
-class _Table(BaseModel):
+class StrictTable(BaseModel):
+    """A table of a TOML file: nothing unknown, nothing converted, nothing infinite."""
+
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class SystemTable(_Table):
+class SystemTable(StrictTable):
     """[system]: the random ensemble the systems are drawn from."""
 
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
@@ -98,14 +100,14 @@ class SystemTable(_Table):
     belt_speed: float = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
 
 
-class StartTable(_Table):
+class StartTable(StrictTable):
     """[start]: the state that every block starts from."""
 
     z: float = Field(description="displacement at t = 0", examples=[-0.7])
     w: float = Field(description="velocity at t = 0", examples=[-0.4])
 
 
-class RunTable(_Table):
+class RunTable(StrictTable):
     """[run]: how long, how many, from which seed."""
 
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
@@ -113,7 +115,7 @@ class RunTable(_Table):
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
 
 
-class Coulomb(_Table):
+class Coulomb(StrictTable):
     """[[engine]] name = "coulomb": exact, event-driven."""
 
     name: Literal["coulomb"]
@@ -125,7 +127,7 @@ class Coulomb(_Table):
         return (None,)
 
 
-class Sigmoid(_Table):
+class Sigmoid(StrictTable):
     """[[engine]] name = "sigmoid": friction mu tanh((w - v) / (r_i eps))."""
 
     name: Literal["sigmoid"]
@@ -163,20 +165,20 @@ class Sigmoid(_Table):
 Engine = Annotated[Coulomb | Sigmoid, Field(discriminator="name")]
 
 
-class PerturbationTable(_Table):
+class PerturbationTable(StrictTable):
     """[perturbation]: each system again with its constants moved; size 0, unmoved, is always run once."""
 
     sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])
     draws: Count = Field(default=1, description="number of random changes of each size", examples=[3])
 
 
-class RecordTable(_Table):
+class RecordTable(StrictTable):
     """[record]: what is kept beside the change points of n_stick, which always are."""
 
     events: bool = Field(default=False, description="choice to keep every event", examples=[False])
 
 
-class AnalysisTable(_Table):
+class AnalysisTable(StrictTable):
     """[analysis]: handed to the statistics; without influence on the data."""
 
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
@@ -189,7 +191,7 @@ class AnalysisTable(_Table):
     )
 
 
-class Scene(_Table):
+class Scene(StrictTable):
     """A scene: everything that determines an ensemble's data, and what to make of them."""
 
     title: str = Field(default="", description="one line for the report's head")
@@ -197,7 +199,7 @@ class Scene(_Table):
     system: SystemTable
     start: StartTable
     run: RunTable
-    engines: Annotated[tuple[Engine, ...], BeforeValidator(_as_tuple)] = Field(
+    engines: Annotated[tuple[Engine, ...], BeforeValidator(as_tuple)] = Field(
         alias="engine", min_length=1, description="one or more tables [[engine]]"
     )
     perturbation: PerturbationTable | None = None
@@ -338,10 +340,10 @@ def _problems(error: ValidationError) -> Iterator[str]:
     """One line a problem: key, expected, got, remedy."""
     for detail in error.errors():
         path, table, key = _place(detail["loc"])
-        yield _problem(path, table, key, detail)
+        yield problem(path, table, key, detail)
 
 
-def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDetails) -> str:
+def problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDetails) -> str:
     kind, value = detail["type"], detail["input"]
     fields = {field.alias or name: field for name, field in table.model_fields.items()}
     field = fields.get(key) if key is not None else None

@@ -63,7 +63,7 @@ def _count(text: str) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from pipeline import batches, expand, load_scene, run_scene
     from workflows.progress import Watch, clock
-    from workflows.scenes import find, shipped
+    from workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
@@ -71,8 +71,10 @@ def _run(arguments: argparse.Namespace) -> int:
             f"SCENE: expected a file or one of the scenes {', '.join(shipped())}, got {arguments.scene!r};"
             " `stickslip scenes` says what they are"
         )
-    scene = load_scene(file)
     out = arguments.out if arguments.out is not None else Path("runs") / file.stem
+    if chart_of(file) is not None:
+        return _run_chart(arguments, file, out)
+    scene = load_scene(file)
     if arguments.dry_run:
         members = expand(scene)
         print(f"{file}: {len(members)} members in {len(batches(members, scene.hash))} shards, into {out}")
@@ -91,6 +93,34 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"failed  {count}: {reason}", file=sys.stderr)
     print(f"time    {clock(watch.elapsed)}")
     return _UNFINISHED if status.failures else _DONE
+
+
+def _run_chart(arguments: argparse.Namespace, file: Path, out: Path) -> int:
+    from workflows.peers import METHODS
+    from workflows.speed import ChartError, load_chart, measure_alone
+    from workflows.speed_report import build
+
+    scene = load_chart(file)
+    if arguments.scheduler:
+        raise _Wrong("--scheduler: expected none with a chart, which is measured on one core here; leave it out")
+    if arguments.dry_run:
+        print(f"{file}: a chart of {len(METHODS)} methods, in one process, into {out}")
+        return _DONE
+    if (out / "manifest.json").exists():
+        raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
+    try:
+        out.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
+        built = build(scene, measure_alone(file))
+        page = built.write(out)
+    except (ChartError, OSError) as error:
+        print(f"stickslip: {error}", file=sys.stderr)
+        return _UNFINISHED
+    except KeyboardInterrupt:
+        print("\ninterrupted; nothing was written", file=sys.stderr)
+        return _INTERRUPTED
+    print("\n".join(built.headline))
+    print(f"report  {page}")
+    return _DONE
 
 
 def _again(arguments: argparse.Namespace, out: Path) -> str:
@@ -143,11 +173,16 @@ def _query(arguments: argparse.Namespace) -> int:
 
 def _scenes(_: argparse.Namespace) -> int:
     from pipeline import load_scene
-    from workflows.scenes import shipped
+    from workflows.scenes import chart_of, shipped
+    from workflows.speed import load_chart
 
     for name, file in shipped().items():
+        if chart_of(file) is not None:
+            chart = load_chart(file)
+            print(f"{name:14} {'a chart':>14}  {chart.title}. {chart.about}")
+            continue
         scene = load_scene(file)
-        print(f"{name:12} {scene.n_members:6} members  {scene.title}. {scene.about}")
+        print(f"{name:14} {scene.n_members:6} members  {scene.title}. {scene.about}")
     return _DONE
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 _HERE = Path(__file__).parent
@@ -18,3 +19,12 @@ def find(scene: str) -> Path:
     if path.suffix == ".toml" or path.exists():
         return path
     return shipped().get(scene, path)
+
+
+def chart_of(file: Path) -> str | None:
+    """The chart that a scene file asks for in its key `chart`; None for an ensemble, or no scene at all."""
+    try:
+        chart = tomllib.loads(file.read_text(encoding="utf-8")).get("chart")
+    except (OSError, ValueError, RecursionError):  # whoever loads it as a scene says what is wrong with it
+        return None
+    return None if chart is None else str(chart)

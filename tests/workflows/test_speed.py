@@ -1,0 +1,381 @@
+"""The chart of speed against accuracy: its schema, its methods, what is kept of a measurement, its words."""
+
+import importlib.util
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sim
+from analysis import figures
+from pipeline import SceneError
+from workflows import speed
+from workflows.cli import main
+from workflows.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem
+from workflows.scenes import chart_of, shipped
+from workflows.speed import Cost, Measured, Reference, load_chart, measure
+from workflows.speed_report import build, products_at
+
+TINY = """
+chart = "speed_accuracy"
+title = "A tiny <chart>"
+n = 5
+eps = 0.03
+ratios = "uniform"
+t_end = 2.0
+tolerances = 1e-5
+repeats = 1
+seconds_a_run = 60.0
+seed = 1
+"""
+
+PEERS = [method for method in METHODS if method.model == "sigmoid"]
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    file = tmp_path / "tiny.toml"
+    file.write_text(TINY)
+    return file
+
+
+@pytest.fixture
+def without_extra(monkeypatch):
+    """As if the extra `bench` were not installed."""
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "workflows.peers.find_spec", lambda name: None if name in ("CyRK", "sksundae") else find(name)
+    )
+
+
+def silent(line):
+    pass
+
+
+# ---------------------------------------------------------------------------------------------- the scene
+
+
+def test_shipped_chart_explains_each_key():
+    file = shipped()["speed_accuracy"]
+    assert chart_of(file) == "speed_accuracy"
+    scene = load_chart(file)
+    assert (scene.n, scene.ratios) == ((20, 200), ("one", "uniform"))
+    assert set(type(scene).model_fields) <= set(
+        line.split(" = ")[0] for line in file.read_text().splitlines() if "=" in line and "#" in line
+    )
+
+
+def test_the_system_is_that_of_an_ensemble_with_the_same_seed(scene_file):
+    from pipeline import expand, parse_scene
+
+    ensemble = parse_scene(b"""
+[system]
+coupling = "antisymmetric"
+n = 5
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 2.0
+matrices = 1
+seed = 1
+[[engine]]
+name = "sigmoid"
+ratio = "uniform"
+[analysis]
+t_burn = 0.0
+dt = 0.1
+""")
+    (member,) = expand(ensemble)
+    problem = load_chart(scene_file).problem(5, "uniform")
+    np.testing.assert_array_equal(problem.system.stiffness, member.system().stiffness)
+    np.testing.assert_array_equal(problem.delta, 0.03 * member.ratios())
+    np.testing.assert_array_equal(problem.start, np.repeat([member.z0, member.w0], 5))
+
+
+BAD = {
+    "unknown chart": (
+        'chart = "speed_accuracy"',
+        'chart = "speed"',
+        "chart: expected 'speed_accuracy'",
+        "got 'speed'",
+    ),
+    "unknown key": ("repeats = 1", "repeat = 1", "repeat: unknown key", "did you mean 'repeats'"),
+    "wrong type": ("t_end = 2.0", 't_end = "long"', "t_end: expected", "write `t_end = 25.0`"),
+    "negative n": ("n = 5", "n = [5, -5]", "n[1]: expected", "got -5"),
+    "missing key": ("eps = 0.03\n", "", "eps: expected the width", "add `eps = 0.03`"),
+    "tolerance too fine": ("1e-5", "[1e-5, 1e-13]", "tolerances[1]: expected a value greater", "got 1e-13"),
+    "twice the same": (
+        "tolerances = 1e-5",
+        "tolerances = [1e-5, 1e-5]",
+        "tolerances: expected each value once",
+        "1e-05",
+    ),
+    "unknown ratio": ('"uniform"', '["one", "two"]', "ratios[1]: expected 'one' or 'uniform'", "got 'two'"),
+}
+
+
+@pytest.mark.parametrize("mistake", BAD)
+def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, scene_file, tmp_path, capsys):
+    old, new, key, remedy = BAD[mistake]
+    assert TINY.count(old) == 1
+    scene_file.write_text(TINY.replace(old, new))
+    out = tmp_path / "out"
+    assert main(["run", str(scene_file), "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert f"tiny.toml: {key}" in error
+    assert remedy in error
+    assert not out.exists()
+    with pytest.raises(SceneError):
+        load_chart(scene_file)
+
+
+# ---------------------------------------------------------------------------------------------- the methods
+
+
+def problem_of_three(t_end=5.0):
+    """Stiff in one block, mild in another, and one block without friction."""
+    system = sim.System(
+        np.array([[0.4, 0.1, -0.2], [-0.1, 0.3, 0.05], [0.2, -0.05, 0.2]]), [3.0, 0.5, 1.0], [1.0, 0.6, 0.0], -0.3
+    )
+    return Problem(system, np.array([0.002, 0.1, 0.03]), -0.7, -0.4, t_end)
+
+
+def test_right_hand_side_and_derivatives_of_one_block_are_the_equations():
+    """By hand: z' = w, w' = -R w - k z - mu tanh((w - v) / delta), dw'/dw = -R - mu / delta sech^2."""
+    equations = Equations(Problem(sim.System([[0.5]], 2.0, 0.7, -0.2), np.array([0.3]), 0.0, 0.0, 1.0))
+    y = np.array([1.5, 0.1])
+    force = 2.0 * 0.1 + 0.5 * 1.5 + 0.7 * np.tanh(1.0)
+    np.testing.assert_allclose(equations(0.0, y), [0.1, -force], rtol=1e-15)
+    drag = 2.0 + 0.7 / 0.3 / np.cosh(1.0) ** 2
+    np.testing.assert_allclose(equations.jacobian(0.0, y), [[0.0, 1.0], [-0.5, -drag]], rtol=1e-15)
+
+
+def test_the_jacobian_times_a_vector_is_the_jacobian():
+    problem = problem_of_three()
+    equations, rng = Equations(problem), np.random.default_rng(0)
+    y, direction, product = (
+        np.append(rng.normal(size=3), -0.3 + 0.01 * rng.normal(size=3)),
+        rng.normal(size=6),
+        np.empty(6),
+    )
+    equations.along(equations.drag(y), direction, product)
+    np.testing.assert_allclose(product, equations.jacobian(0.0, y) @ direction, rtol=1e-13)
+
+
+@pytest.mark.parametrize("method", PEERS, ids=lambda method: method.name)
+def test_every_method_solves_the_same_equations(method):
+    """Against the sigmoid engine's neighbour in the list: two codes that share nothing agree at a tight tolerance."""
+    if not method.is_installed:
+        pytest.skip(f"{method.package} is not installed")
+    problem = problem_of_three()
+    (check,) = (other for other in METHODS if other.name == "SciPy Radau")
+    z = method.prepare(problem)(1e-9)
+    assert z.shape == (3,)
+    np.testing.assert_allclose(z, check.prepare(problem)(1e-11), atol=3e-7)
+
+
+def test_a_run_is_given_up_when_patience_ends():
+    solve = next(method for method in METHODS if method.name == "SciPy RK45").prepare(
+        replace(problem_of_three(), patience=0.0)
+    )
+    with pytest.raises(GivenUp, match="after 0 s"):
+        solve(1e-6)
+
+
+# ---------------------------------------------------------------------------------------------- measuring
+
+
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, monkeypatch):
+    # a process of its own would see the packages that are there
+    monkeypatch.setattr(speed, "measure_alone", lambda file: measure(load_chart(file), silent))
+    out = tmp_path / "out"
+    assert main(["run", str(scene_file), "--out", str(out)]) == 0
+    assert "n = 5, r uniform in (0, 1]: At an error of 1e-4 the cheapest is" in capsys.readouterr().out
+
+    page = (out / "report.html").read_text()
+    assert "A tiny &lt;chart&gt;" in page
+    assert "CyRK DOP853 (CyRK is not installed)" in page
+    assert not re.search(r"\b(nan|inf)\b", page.split("</figure>")[1], flags=re.IGNORECASE)
+    assert "https://" not in page
+
+    costs = pd.read_parquet(out / "report" / "costs.parquet")
+    assert set(costs.method) == {method.name for method in METHODS}
+    measured = costs[costs.outcome == "measured"]
+    assert set(costs.outcome) == {"measured", "absent"}
+    assert set(costs.method[costs.outcome == "absent"]) == {"CyRK DOP853", "CVODE BDF-GMRES"}
+    assert costs.reason[costs.outcome == "absent"].notna().all()
+    assert costs.ratio[costs.model == "coulomb"].isna().all()
+    assert (measured.products > 0).all()
+    assert (measured.error > 0).all()
+    assert (measured.error < 1e-3).all()  # a hundred times the tolerance asked for: no method is off its equations
+    as_json = json.loads((out / "report" / "tables.json").read_text())
+    assert len(as_json["costs"]) == len(costs)
+    assert {row["error"] for row in as_json["costs"] if row["outcome"] == "absent"} == {None}
+
+
+def test_the_process_of_its_own_gives_the_same_errors(scene_file):
+    """Errors do not depend on the clock; costs do."""
+    alone, here = speed.measure_alone(scene_file), measure(load_chart(scene_file), silent)
+    assert alone.references == here.references
+    assert [(c.method, c.outcome, c.error) for c in alone.costs] == [
+        (c.method, c.outcome, c.error) for c in here.costs
+    ]
+
+
+def test_a_process_that_fails_is_an_error(tmp_path):
+    with pytest.raises(speed.ChartError, match="exit code 1"):
+        speed.measure_alone(tmp_path / "missing.toml")
+
+
+def chart_with(monkeypatch, scene_file, *methods, **changes):
+    """Rows of a method of our making beside those that make the references."""
+    needed = [method for method in METHODS if method.is_ours or method.name == "SciPy DOP853"]
+    monkeypatch.setattr(speed, "METHODS", (*needed, *methods))
+    return measure(load_chart(scene_file).model_copy(update=changes), silent)
+
+
+def rows_of(measured, name):
+    return [cost for cost in measured.costs if cost.method == name]
+
+
+def test_a_method_past_its_time_limit_yields_rows_with_a_reason(monkeypatch, scene_file):
+    measured = chart_with(monkeypatch, scene_file, seconds_a_run=1e-9, tolerances=(1e-6, 1e-4, 1e-3), repeats=4)
+    first, *finer = rows_of(measured, "sigmoid engine")
+    assert (first.tolerance, first.outcome, first.n_runs) == (
+        1e-3,
+        "measured",
+        1,
+    )  # not stopped, so known; not repeated
+    assert [(row.tolerance, row.outcome) for row in finer] == [(1e-4, "too slow"), (1e-6, "too slow")]
+    assert all("at 0.001: more than 1e-09 s" in row.reason for row in finer)
+    assert all(row.error is None and row.products is None for row in finer)
+    given_up = rows_of(measured, "SciPy DOP853")
+    assert [row.outcome for row in given_up] == ["too slow"] * 3
+    assert given_up[0].reason == "given up after 5e-09 s"
+
+
+def test_a_method_that_fails_yields_a_row_with_its_reason_and_is_asked_on(monkeypatch, scene_file):
+    def prepare(problem):
+        def solve(tolerance):
+            if tolerance > 1e-5:
+                raise MethodError("lost its way")
+            return np.full(problem.system.n, np.inf if tolerance < 1e-7 else 0.0)
+
+        return solve
+
+    method = Method("wanderer", "sigmoid", prepare)
+    measured = chart_with(monkeypatch, scene_file, method, tolerances=(1e-8, 1e-6, 1e-3))
+    rows = rows_of(measured, "wanderer")
+    assert [row.outcome for row in rows] == ["failed", "measured", "failed"]
+    assert [row.reason for row in rows] == ["lost its way", None, "z at t_end is not finite"]
+
+
+def test_no_error_below_the_floor_is_claimed(monkeypatch, scene_file):
+    """A method that returns the reference itself is known to err by no more than the references disagree."""
+    (engine,) = (method for method in METHODS if method.name == "sigmoid engine")
+    method = Method("oracle", "sigmoid", lambda problem: lambda tolerance: engine.prepare(problem)(1e-12))
+    measured = chart_with(monkeypatch, scene_file, method)
+    (row,) = rows_of(measured, "oracle")
+    (reference,) = (reference for reference in measured.references if reference.model == "sigmoid")
+    assert row.is_bound
+    assert row.error == reference.floor > 0
+
+
+def test_repeats_are_counted_and_their_spread_kept(monkeypatch, scene_file):
+    measured = chart_with(monkeypatch, scene_file, repeats=3)
+    for row in measured.costs:
+        assert row.n_runs == 3
+        assert 0 < row.products_min <= row.products <= row.products_max
+
+
+# ---------------------------------------------------------------------------------------------- the words
+
+
+def test_products_on_a_planted_line():
+    """error = 1 / products^2, that is products = error^-1/2, at points off the targets."""
+    errors = [3e-3, 2e-5, 7e-7]
+    products = [error**-0.5 for error in errors]
+    for target in (1e-3, 1e-4, 1e-6):
+        assert products_at(errors, products, target) == pytest.approx(target**-0.5, rel=1e-12)
+    assert products_at(errors, products, 1e-8) is None
+    assert products_at(errors, products, 1.0) == products[0]  # its coarsest is already better
+
+
+def test_luck_at_a_coarse_tolerance_does_not_count():
+    assert products_at([1e-6, 1e-2, 1e-4], [10.0, 20.0, 40.0], 1e-3) == pytest.approx(20 * 2**0.5)
+
+
+def test_a_finer_point_that_is_cheaper_counts():
+    assert products_at([1e-2, 1e-4, 1e-6], [10.0, 1000.0, 50.0], 1e-4) == 50.0
+
+
+def planted(scene):
+    """Costs on planted lines: the sigmoid engine at 1000, CyRK at 3000 and SciPy DOP853 at 8000 products."""
+    costs = [
+        Cost(5, "uniform", "sigmoid", name, tol, "measured", None, 2 * tol, False, *[products] * 3, 1.0, 1e-6, 5)
+        for name, products in (("sigmoid engine", 1e3), ("CyRK DOP853", 3e3), ("SciPy DOP853", 8e3))
+        for tol in (1e-3, 1e-7)
+    ]  # fmt: skip
+    costs.append(Cost(5, "uniform", "sigmoid", "SciPy Radau", 1e-3, "too slow", "given up after 5 s"))
+    references = [
+        Reference(5, None, "coulomb", "a", "b", 1e-14, 12),
+        Reference(5, "uniform", "sigmoid", "a", "b", 1e-12),
+    ]
+    return build(scene, Measured(costs, references, {}))
+
+
+def test_words_say_who_is_cheapest_and_by_what_factor(scene_file):
+    report = planted(load_chart(scene_file))
+    _, at_4, at_6, tolerance = report.headline
+    for line in (at_4, at_6):
+        assert (
+            "the cheapest is the sigmoid engine with 1,000 products, 3 times less than the next, CyRK DOP853" in line
+        )
+        assert "8 times less than the best of SciPy, SciPy DOP853 (8,000)" in line
+    assert "the sigmoid engine's error is 2 to 2 times the tolerance" in tolerance.lower()
+    assert report.html.count("given up after 5 s") == 1
+    at_error = report.tables["at_error"].set_index(["method", "error"]).products
+    assert at_error["CyRK DOP853", 1e-4] == pytest.approx(3e3)
+    assert np.isnan(at_error["SciPy Radau", 1e-4])  # a null, in the table as it is kept
+
+
+def test_every_method_of_the_chart_has_a_line_of_its_own():
+    curves = [(method.name, method.is_ours, [1e3, 2e3], [1e-4, 1e-6], [False, True]) for method in METHODS]
+    (ax,) = figures.speed_accuracy([("n = 5", curves, 1e-6, 12)]).axes
+    lines = [line for line in ax.lines if line.get_label() in {method.name for method in METHODS}]
+    assert len(lines) == len(METHODS)
+    assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(METHODS)
+    hollow = [line for line in ax.lines if line.get_markerfacecolor() == "white"]
+    assert [line.get_ydata()[0] for line in hollow] == [1e-6] * len(METHODS)  # the bounds, and nothing else
+
+
+def test_the_same_numbers_give_the_same_page(scene_file):
+    scene = load_chart(scene_file)
+    assert planted(scene).html == planted(scene).html
+
+
+# ---------------------------------------------------------------------------------------------- the command
+
+
+def test_dry_run_measures_and_writes_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "speed_accuracy", "--dry-run"]) == 0
+    assert f"{len(METHODS)} methods" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_chart_does_not_overwrite_an_ensemble(scene_file, tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "manifest.json").write_text("{}")
+    assert main(["run", str(scene_file), "--out", str(tmp_path / "out")]) == 2
+    assert "holds an ensemble" in capsys.readouterr().err
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["manifest.json"]
+
+
+def test_a_chart_takes_no_scheduler(scene_file, capsys):
+    assert main(["run", str(scene_file), "--scheduler", "tcp://nowhere:1"]) == 2
+    assert "--scheduler: expected none" in capsys.readouterr().err

@@ -1,0 +1,309 @@
+"""The methods that the chart of speed against accuracy compares: both engines, and what a user would otherwise pick.
+
+Every peer solves the sigmoid's equations as y' = f(y), y = (z, w),
+
+    z' = w,    w' = -R w - K z - mu tanh((w - v) / delta),    delta_i = r_i eps,
+
+set up as a careful user of that library would: no work that could be done once, one product with K a right-hand
+side, everything analytic that the library takes. Dimensionless.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sim
+
+Floats = NDArray[np.float64]
+Model = Literal["coulomb", "sigmoid"]
+#: From a tolerance (relative and absolute alike) to z at t_end.
+Solver = Callable[[float], Floats]
+
+
+class MethodError(RuntimeError):
+    """A method could not carry a run through; the message is the method's own."""
+
+
+class GivenUp(MethodError):
+    """A run took longer than the problem's patience."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A system with a start, an end and the widths of its sigmoids.
+
+    Attributes
+    ----------
+    system : sim.System
+        With dense K.
+    delta : ndarray, shape (n,)
+        r_i eps > 0.
+    z0, w0 : float
+        Start of every block.
+    t_end : float
+    patience : float
+        Seconds after which a peer that calls back to Python gives a run up: only there can it be stopped.
+    """
+
+    system: sim.System
+    delta: Floats
+    z0: float
+    w0: float
+    t_end: float
+    patience: float = math.inf
+
+    @property
+    def start(self) -> Floats:
+        """y at t = 0, shape (2 n,)."""
+        return np.repeat([self.z0, self.w0], self.system.n)
+
+
+@dataclass(frozen=True)
+class Method:
+    """One curve of the chart.
+
+    Attributes
+    ----------
+    name : str
+    model : "coulomb" or "sigmoid"
+        Which law it solves: the other's reference says nothing about it.
+    prepare : function of a Problem to a Solver
+        All that a user does once: it is not timed.
+    package : str or None
+        What it imports beyond the dependencies.
+    """
+
+    name: str
+    model: Model
+    prepare: Callable[[Problem], Solver]
+    package: str | None = None
+
+    @property
+    def is_ours(self) -> bool:
+        return self.prepare in (_coulomb, _sigmoid)
+
+    @property
+    def is_scipy(self) -> bool:
+        return self.name.startswith("SciPy")
+
+    @property
+    def is_installed(self) -> bool:
+        return self.package is None or find_spec(self.package) is not None
+
+
+# ---------------------------------------------------------------------------------------------- the engines
+
+
+def _coulomb(problem: Problem) -> Solver:
+    return lambda tol: _state(problem, "coulomb", tol=tol)
+
+
+def _sigmoid(problem: Problem) -> Solver:
+    return lambda tol: _state(problem, "sigmoid", eps=1.0, ratio=problem.delta, rtol=tol, atol=tol)
+
+
+def _state(problem: Problem, engine: sim.run.Engine, **settings: Any) -> Floats:
+    run = sim.simulate(
+        problem.system, problem.z0, problem.w0, problem.t_end, engine=engine, stop_early=False, **settings
+    )
+    if run.outcome != "finished":
+        raise MethodError(f"{run.outcome} at t = {run.t_end:g}: {run.reason}")
+    return run.z
+
+
+# ---------------------------------------------------------------------------------------------- the equations
+
+
+class Equations:
+    """The right-hand side and its derivatives, by numpy.
+
+    Work space is allocated once; results are new arrays where a solver keeps several of them at a time.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        system = problem.system
+        self.n = n = system.n
+        self._stiffness = np.ascontiguousarray(system.stiffness)
+        self._damping, self._friction, self._v = system.damping, system.friction, system.belt_speed
+        self._inverse_delta = 1.0 / problem.delta
+        self._steepest = system.friction / problem.delta
+        self._force, self._x = np.empty(n), np.empty(n)
+        self._jacobian = np.block([[np.zeros((n, n)), np.eye(n)], [-self._stiffness, np.zeros((n, n))]])
+        self._diagonal = np.arange(n, 2 * n)
+        self._patience, self._deadline = problem.patience, math.inf
+
+    def begin(self) -> None:
+        """Start the clock of a run."""
+        self._deadline = time.perf_counter() + self._patience
+
+    def fill(self, y: Floats, rate: Floats) -> None:
+        """f(y) into `rate`, both of shape (2 n,); raises GivenUp once the run has taken too long."""
+        if time.perf_counter() > self._deadline:
+            raise GivenUp(f"given up after {self._patience:g} s")
+        n, force, x = self.n, self._force, self._x
+        w = y[n:]
+        rate[:n] = w
+        np.dot(self._stiffness, y[:n], out=force)
+        self._tanh(w)
+        x *= self._friction
+        force += x
+        np.multiply(self._damping, w, out=x)
+        force += x
+        np.negative(force, out=rate[n:])
+
+    def _tanh(self, w: Floats) -> None:
+        x = self._x
+        np.subtract(w, self._v, out=x)
+        x *= self._inverse_delta
+        np.tanh(x, out=x)
+
+    def __call__(self, t: float, y: Floats) -> Floats:
+        rate = np.empty(2 * self.n)
+        self.fill(y, rate)
+        return rate
+
+    def drag(self, y: Floats) -> Floats:
+        """R + mu / delta sech^2((w - v) / delta), shape (n,): -dw'/dw, all of the stiffness."""
+        self._tanh(y[self.n :])
+        return self._damping + self._steepest * (1.0 - self._x * self._x)
+
+    def jacobian(self, t: float, y: Floats) -> Floats:
+        """df/dy, shape (2 n, 2 n); one array, filled anew in each call."""
+        self._jacobian[self._diagonal, self._diagonal] = -self.drag(y)
+        return self._jacobian
+
+    def along(self, drag: Floats, direction: Floats, product: Floats) -> None:
+        """df/dy times `direction` into `product`, both of shape (2 n,), by one product with K."""
+        n = self.n
+        product[:n] = direction[n:]
+        np.dot(self._stiffness, direction[:n], out=self._force)
+        self._force += drag * direction[n:]
+        np.negative(self._force, out=product[n:])
+
+
+# ---------------------------------------------------------------------------------------------- the peers
+
+
+def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
+    def prepare(problem: Problem) -> Solver:
+        from scipy.integrate import solve_ivp
+
+        equations, start, span = Equations(problem), problem.start, (0.0, problem.t_end)
+        options: dict[str, Any] = {"jac": equations.jacobian} if with_jacobian else {}
+
+        def solve(tolerance: float) -> Floats:
+            equations.begin()
+            found = solve_ivp(
+                equations,
+                span,
+                start,
+                method=method,
+                t_eval=[problem.t_end],
+                rtol=tolerance,
+                atol=tolerance,
+                **options,
+            )
+            if not found.success:
+                raise MethodError(found.message)
+            return found.y[: equations.n, -1]
+
+        return solve
+
+    return prepare
+
+
+def _cvode(problem: Problem) -> Solver:
+    """BDF and GMRES: no Jacobian but its product with a vector; preconditioned by all of it but K."""
+    from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
+
+    equations, span, start = Equations(problem), np.array([0.0, problem.t_end]), problem.start
+    n = equations.n
+    drag = np.empty(n)
+
+    def rate(t: float, y: Floats, yp: Floats) -> None:
+        equations.fill(y, yp)
+
+    def product_setup(t: float, y: Floats, yp: Floats) -> None:
+        drag[:] = equations.drag(y)  # before each linear solve: so the preconditioner is never stale
+
+    def product(t: float, y: Floats, yp: Floats, v: Floats, jv: Floats) -> None:
+        equations.along(drag, v, jv)
+
+    def without_k(t: float, y: Floats, yp: Floats, r: Floats, x: Floats, gamma: float, delta: float, lr: int) -> None:
+        np.divide(r[n:], 1.0 + gamma * drag, out=x[n:])
+        np.add(r[:n], gamma * x[n:], out=x[:n])
+
+    def solve(tolerance: float) -> Floats:
+        equations.begin()
+        solver = CVODE(
+            rate, method="BDF", linsolver="gmres", krylov_dim=10, rtol=tolerance, atol=tolerance,
+            max_num_steps=10_000_000, jactimes=CVODEJacTimes(product_setup, product),
+            precond=CVODEPrecond(None, without_k),
+        )  # fmt: skip
+        found = solver.solve(span, start)
+        if not found.success:
+            raise MethodError(str(found.message))
+        return np.asarray(found.y)[-1, :n]
+
+    return solve
+
+
+def _cyrk(method: str) -> Callable[[Problem], Solver]:
+    """The right-hand side compiled too; its numbers go in as one array, as the library's C callbacks want."""
+
+    def prepare(problem: Problem) -> Solver:
+        from CyRK import cyjit, nbsolve2_ivp
+        from numba import carray
+
+        system = problem.system
+        n, v = system.n, system.belt_speed
+
+        def rate(dy_pointer, t, y_pointer, numbers_pointer):  # type: ignore[no-untyped-def]
+            dy, y, numbers = carray(dy_pointer, 2 * n), carray(y_pointer, 2 * n), carray(numbers_pointer, n * (n + 3))
+            force = dy[n:]
+            np.dot(numbers[3 * n :].reshape((n, n)), y[:n], force)
+            for i in range(n):
+                w = y[n + i]
+                dy[i] = w
+                force[i] = -(force[i] + numbers[i] * w + numbers[n + i] * np.tanh((w - v) * numbers[2 * n + i]))
+
+        numbers = np.concatenate([system.damping, system.friction, 1.0 / problem.delta, np.ravel(system.stiffness)])
+        compiled = cyjit(rate)  # kept alive by the closure: the address is into it
+        start, span, end = problem.start, (0.0, problem.t_end), np.array([problem.t_end])
+
+        def solve(tolerance: float) -> Floats:
+            found = nbsolve2_ivp(
+                compiled.address, span, start, method=method, t_eval=end, args=numbers, rtol=tolerance, atol=tolerance
+            )
+            try:
+                if not found.success:
+                    raise MethodError(f"{method} ended with status {found.status}")
+                return np.array(found.y)[:n, -1]
+            finally:
+                found.free()
+
+        return solve
+
+    return prepare
+
+
+#: The engines first; in the order of the chart's legend.
+METHODS: tuple[Method, ...] = (
+    Method("coulomb engine", "coulomb", _coulomb),
+    Method("sigmoid engine", "sigmoid", _sigmoid),
+    Method("CyRK DOP853", "sigmoid", _cyrk("DOP853"), "CyRK"),
+    Method("CVODE BDF-GMRES", "sigmoid", _cvode, "sksundae"),
+    Method("SciPy DOP853", "sigmoid", _scipy("DOP853", with_jacobian=False)),
+    Method("SciPy RK45", "sigmoid", _scipy("RK45", with_jacobian=False)),
+    Method("SciPy LSODA", "sigmoid", _scipy("LSODA", with_jacobian=True)),
+    Method("SciPy BDF", "sigmoid", _scipy("BDF", with_jacobian=True)),
+    Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
+)

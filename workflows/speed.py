@@ -1,0 +1,353 @@
+"""The chart of speed against accuracy, measured: what each method costs and how far off it is.
+
+Cost is counted in *products*: the wall time of a run over that of one product of an n x n float64 matrix with a
+vector (numpy), measured just before and just after the run, so that a drifting machine cancels. Error is
+max |z - z_ref| at t_end, for each law against a reference of its own; an error below what two references agree to
+is known to be no larger than that, and no more is claimed.
+
+Everything runs in one process, started with one thread for the linear algebra: libraries read that when they load.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+
+import sim
+from pipeline.members import MATRIX, RATIO
+from pipeline.scene import (
+    BlockNumbers,
+    Count,
+    Positive,
+    SceneError,
+    StrictTable,
+    as_tuple,
+    distinct,
+    problem,
+)
+from workflows.peers import METHODS, Floats, GivenUp, Method, MethodError, Model, Problem, Solver
+
+#: The paper's start, the same for every block.
+Z0, W0 = -0.7, -0.4
+#: A run that can be stopped is given up after so many times `seconds_a_run`.
+PATIENCE = 5.0
+#: For each law, method and tolerance of the reference, and of the second computation that checks it: for the sigmoid
+#: an independent method; the exact law has no other implementation here, so its truncation is varied.
+REFERENCES: dict[Model, tuple[tuple[str, float], tuple[str, float]]] = {
+    "coulomb": (("coulomb engine", 1e-15), ("coulomb engine", 1e-13)),
+    "sigmoid": (("sigmoid engine", 1e-12), ("SciPy DOP853", 1e-12)),
+}
+#: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.
+_BATCH, _BATCHES = 3e-4, 5
+#: Finer tolerances would ask more of a method than its reference gives.
+_FINEST, _COARSEST = 1e-11, 5e-3
+
+Outcome = Literal["measured", "failed", "too slow", "absent"]
+
+
+class ChartError(RuntimeError):
+    """The measurement ended before it was done."""
+
+
+class SpeedScene(StrictTable):
+    """A scene with ``chart = "speed_accuracy"``; dimensionless but for `seconds_a_run`."""
+
+    chart: Literal["speed_accuracy"] = Field(description="kind of the chart", examples=["speed_accuracy"])
+    title: str = Field(default="Speed against accuracy", description="one line for the report's head")
+    about: str = Field(default="", description="what the scene is for")
+    n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[[20, 200]])
+    eps: Annotated[float, Field(gt=0, lt=1)] = Field(description="width of the sigmoid", examples=[0.03])
+    ratios: Annotated[tuple[Literal["one", "uniform"], ...], BeforeValidator(as_tuple), AfterValidator(distinct)] = (
+        Field(min_length=1, description="stiffness ratios r_i", examples=[["one", "uniform"]])
+    )
+    t_end: Positive = Field(description="end of each run", examples=[25.0])
+    tolerances: Annotated[
+        tuple[Annotated[float, Field(ge=_FINEST, le=_COARSEST)], ...],
+        BeforeValidator(as_tuple),
+        AfterValidator(distinct),
+    ] = Field(min_length=1, description="tolerances asked of each method", examples=[[1e-4, 1e-6]])
+    repeats: Count = Field(default=5, description="number of runs of each", examples=[5])
+    seconds_a_run: Positive = Field(
+        default=1.0, description="seconds of a run after which no finer tolerance is asked", examples=[1.0]
+    )
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+
+    def problem(self, n: int, ratio: str) -> Problem:
+        """The system of matrix 0 of an ensemble with this seed, and its first draw of the ratios."""
+
+        def key(*words: int) -> np.random.SeedSequence:
+            return np.random.SeedSequence(self.seed, spawn_key=words)
+
+        r = np.ones(n) if ratio == "one" else 1.0 - np.random.default_rng(key(RATIO, n, 0, 0)).random(n)
+        system = sim.draw_system("antisymmetric", n, key(MATRIX, n, 0))
+        return Problem(system, r * self.eps, Z0, W0, self.t_end, PATIENCE * self.seconds_a_run)
+
+
+def load_chart(file: Path) -> SpeedScene:
+    """Read a scene file that `workflows.scenes.chart_of` found to be a chart.
+
+    Raises
+    ------
+    SceneError
+        If it is not a scene of a known chart; one line a problem.
+    """
+    try:
+        return SpeedScene.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        lines = []
+        for detail in error.errors():
+            key, *places = detail["loc"] or (None,)
+            path = f"{key or ''}{''.join(f'[{place}]' for place in places if isinstance(place, int))}"
+            lines.append(f"{file}: {problem(path, SpeedScene, key if isinstance(key, str) else None, detail)}")
+        raise SceneError("\n".join(lines)) from None
+
+
+# ---------------------------------------------------------------------------------------------- what is kept
+
+
+@dataclass(frozen=True)
+class Cost:
+    """One method at one tolerance on one problem: a row of the table `costs`.
+
+    `ratio` is null for the exact law, which has none; `tolerance` where no tolerance came to be asked; the numbers
+    where the outcome is not "measured". With `is_bound` the error is at most `error`.
+    """
+
+    n: int
+    ratio: str | None
+    model: Model
+    method: str
+    tolerance: float | None
+    outcome: Outcome
+    reason: str | None = None
+    error: float | None = None
+    is_bound: bool = False
+    products: float | None = None
+    products_min: float | None = None
+    products_max: float | None = None
+    seconds: float | None = None
+    product_seconds: float | None = None
+    n_runs: int = 0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the errors of one law on one problem are taken against: a row of the table `references`.
+
+    `floor` is max |z - z_check| at t_end; null, with a reason, if one of the two could not be computed.
+    `n_events` counts the events of the exact law; null for the sigmoid.
+    """
+
+    n: int
+    ratio: str | None
+    model: Model
+    reference: str
+    check: str
+    floor: float | None = None
+    n_events: int | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that the chart is made of; plain values, which JSON carries."""
+
+    costs: list[Cost]
+    references: list[Reference]
+    versions: dict[str, str]
+
+
+# ---------------------------------------------------------------------------------------------- measuring
+
+
+class _Product:
+    """The unit of cost: one product of K with a vector."""
+
+    def __init__(self, stiffness: Floats) -> None:
+        self._matrix = np.ascontiguousarray(stiffness)
+        self._x, self._out = np.ones(len(stiffness)), np.empty(len(stiffness))
+        self._n = 16
+        while (seconds := self._batch()) < _BATCH:
+            self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
+
+    def _batch(self) -> float:
+        matrix, x, out = self._matrix, self._x, self._out
+        start = time.perf_counter()
+        for _ in range(self._n):
+            np.dot(matrix, x, out=out)
+        return time.perf_counter() - start
+
+    def seconds(self) -> float:
+        """Seconds of one product, now: the median of a few batches."""
+        return median(self._batch() for _ in range(_BATCHES)) / self._n
+
+
+def measure(scene: SpeedScene, say: Callable[[str], None]) -> Measured:
+    """Run every method on every problem of a scene, in this process; `say` is told of each as it is done."""
+    costs: list[Cost] = []
+    references: list[Reference] = []
+    for n in scene.n:
+        for ratio in (None, *scene.ratios):  # None: the exact law
+            model: Model = "coulomb" if ratio is None else "sigmoid"
+            problem = scene.problem(n, ratio or "one")
+            reference, z = _reference(problem, model, ratio)
+            references.append(reference)
+            product = _Product(np.asarray(problem.system.stiffness))
+            for method in METHODS:
+                if method.model != model:
+                    continue
+                row = Cost(n, ratio, model, method.name, None, "measured")
+                if not method.is_installed:
+                    found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
+                elif z is None or reference.floor is None:
+                    found = [replace(row, outcome="failed", reason=f"no reference: {reference.reason}")]
+                else:
+                    found = list(_curve(method, problem, z, reference.floor, product, scene, row))
+                costs += found
+                done = sum(cost.outcome == "measured" for cost in found)
+                say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(scene.tolerances)}")
+    return Measured(costs, references, _versions())
+
+
+def _reference(problem: Problem, model: Model, ratio: str | None) -> tuple[Reference, Floats | None]:
+    """z at t_end as well as it can be had, and how well a second computation agrees."""
+    patient = replace(problem, patience=math.inf)
+    (name, tolerance), (check, check_tolerance) = REFERENCES[model]
+    found = Reference(problem.system.n, ratio, model, f"{name} at {tolerance:g}", f"{check} at {check_tolerance:g}")
+    try:
+        z = _method(name).prepare(patient)(tolerance)
+        apart = np.abs(z - _method(check).prepare(patient)(check_tolerance)).max()
+        if model == "coulomb":
+            run = sim.simulate(problem.system, problem.z0, problem.w0, problem.t_end, tol=tolerance)
+            found = replace(found, n_events=run.stats.n_events)
+    except (MethodError, sim.IntegrationError) as error:
+        return replace(found, reason=str(error)), None
+    # two computations may agree to the bit; no error below rounding is claimed all the same
+    return replace(found, floor=float(max(apart, np.spacing(np.abs(z).max())))), z
+
+
+def _method(name: str) -> Method:
+    return next(method for method in METHODS if method.name == name)
+
+
+def _curve(
+    method: Method, problem: Problem, z: Floats, floor: float, product: _Product, scene: SpeedScene, row: Cost
+) -> Iterator[Cost]:
+    """One row a tolerance, from the coarsest to the finest."""
+    solve = method.prepare(problem)
+    short = replace(problem, t_end=1e-3 * problem.t_end)
+    with suppress(MethodError, sim.IntegrationError):  # what fails here fails again below, and is kept there
+        method.prepare(short)(scene.tolerances[-1])  # what is compiled or loaded at a first call is not timed
+    too_slow: str | None = None
+    for tolerance in reversed(scene.tolerances):
+        asked = replace(row, tolerance=tolerance)
+        if too_slow is not None:
+            yield replace(asked, outcome="too slow", reason=too_slow)
+            continue
+        start = time.perf_counter()
+        try:
+            found = _timed(solve, z, floor, product, scene, asked)
+        except GivenUp as error:
+            found = replace(asked, outcome="too slow", reason=str(error))
+        except (MethodError, sim.IntegrationError) as error:
+            found = replace(asked, outcome="failed", reason=str(error))
+        took = time.perf_counter() - start if found.seconds is None else found.seconds
+        if took > scene.seconds_a_run:
+            too_slow = f"took {took:.2g} s at {tolerance:g}: more than {scene.seconds_a_run:g} s"
+        yield found
+
+
+def _timed(solve: Solver, z: Floats, floor: float, product: _Product, scene: SpeedScene, row: Cost) -> Cost:
+    """Repeated runs at one tolerance, each between two measurements of the product."""
+    seconds: list[float] = []
+    units: list[float] = []
+    while len(seconds) < scene.repeats and (not seconds or seconds[-1] <= scene.seconds_a_run):
+        before = product.seconds()
+        start = time.perf_counter()
+        reached = solve(row.tolerance or 0.0)
+        seconds.append(time.perf_counter() - start)
+        units.append(0.5 * (before + product.seconds()))
+    error = float(np.abs(reached - z).max())
+    if not math.isfinite(error):
+        raise MethodError("z at t_end is not finite")
+    products = [run / unit for run, unit in zip(seconds, units, strict=True)]
+    return replace(
+        row,
+        error=max(error, floor),
+        is_bound=error <= floor,
+        products=median(products),
+        products_min=min(products),
+        products_max=max(products),
+        seconds=median(seconds),
+        product_seconds=median(units),
+        n_runs=len(seconds),
+    )
+
+
+def _versions() -> dict[str, str]:
+    """What took part, by distribution; "not installed" for a library of the extra `bench` that is absent."""
+    found = {"python": platform.python_version()}
+    for name in ("stickslip", "numpy", "scipy", "numba", "CyRK", "scikit-sundae"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+# ---------------------------------------------------------------------------------------------- one process
+
+
+def measure_alone(file: Path) -> Measured:
+    """Measure the chart of a scene file in a process of its own, with one thread; progress goes to stderr.
+
+    Raises
+    ------
+    ChartError
+        If that process ends early.
+    """
+    one_thread = dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "workflows.speed", str(file)],
+        env={**os.environ, **one_thread}, stdout=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise ChartError(f"the measurement ended with exit code {done.returncode}; its own words are above")
+    found = json.loads(done.stdout)
+    return Measured(
+        [Cost(**row) for row in found["costs"]], [Reference(**row) for row in found["references"]], found["versions"]
+    )
+
+
+def _main(file: str) -> int:
+    def say(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    try:
+        found = measure(load_chart(Path(file)), say)
+    except KeyboardInterrupt:  # the parent says so
+        return 130
+    json.dump(asdict(found), sys.stdout, allow_nan=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1]))
