@@ -203,7 +203,7 @@ def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings
     )
     if left:
         caption += f" {words.count(left, 'further group')} not drawn."
-    return {"caption": caption, "src": _embed(figures.trajectories(panels, settings.t_burn))}
+    return {"caption": caption, "src": embedded(figures.trajectories(panels, settings.t_burn))}
 
 
 def _forests(law: list[dict]) -> list[dict[str, str]]:
@@ -216,7 +216,7 @@ def _forests(law: list[dict]) -> list[dict[str, str]]:
                 f"n = {n}: gamma by definition and sampling step, with intervals over matrices; black ticks: "
                 "the same definition on the same change times in random order."
             )
-            found.append({"caption": caption, "src": _embed(figures.forest(some))})
+            found.append({"caption": caption, "src": embedded(figures.forest(some))})
     return found
 
 
@@ -233,7 +233,7 @@ def _distributions(shown: list[Group], sizes: list[dict], settings: AnalysisSett
         found.append(
             {
                 "label": group.label,
-                "src": _embed(figures.distributions(rows, titles)),
+                "src": embedded(figures.distributions(rows, titles)),
                 "fit": words.sentence(f"events: {words.fit_sentence(events)}"),
                 "rows": events[:SIZES_SHOWN],
                 "n_more": max(len(events) - SIZES_SHOWN, 0),
@@ -242,20 +242,26 @@ def _distributions(shown: list[Group], sizes: list[dict], settings: AnalysisSett
     return found
 
 
-def _embed(figure: Figure) -> str:
+def embedded(figure: Figure) -> str:
+    """A figure as the address of an image that is part of the page."""
     # As an image, not inline: two inline SVGs would share, and mix up, the ids of their glyphs and clips.
     encoded = base64.b64encode(figures.svg(figure).encode("utf-8")).decode("ascii")
     return f"data:image/svg+xml;base64,{encoded}"
 
 
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("analysis", "."),
+def page_environment(package: str) -> Environment:
+    """Where templates of a package's pages are found, and how they are filled: escaped, nothing undefined."""
+    return Environment(
+        loader=PackageLoader(package, "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+def _environment() -> Environment:
+    environment = page_environment("analysis")
     environment.filters["number"] = words.number
     environment.globals["interval"] = words.interval
     return environment

@@ -81,24 +81,31 @@ def verdict(against: Estimate, gamma0: float | None, confidence: float) -> tuple
     )
 
 
+def _against_zero(difference: Estimate, unseen: str, seen: str) -> str:
+    """A difference in words; `unseen` and `seen` are formats of {within} and {value}."""
+    if difference.value is None or difference.low is None or difference.high is None:
+        return f"not enough data: {difference.reason}"
+    within = f"{signed(difference.low)} to {signed(difference.high)}"
+    form = unseen if difference.low <= 0 <= difference.high else seen
+    return form.format(value=signed(difference.value), within=within)
+
+
 def burn_in(drift: Estimate) -> str:
     """Statement on mean n_stick in the second half of the window minus the first."""
-    if drift.value is None or drift.low is None or drift.high is None:
-        return f"not enough data: {drift.reason}"
-    within = f"{signed(drift.low)} to {signed(drift.high)}"
-    if drift.low <= 0 <= drift.high:
-        return f"no drift seen, but one within {within} is not excluded"
-    return f"drifts by {signed(drift.value)} ({within}): t_burn may be too early, or the runs are not stationary"
+    return _against_zero(
+        drift,
+        unseen="no drift seen, but one within {within} is not excluded",
+        seen="drifts by {value} ({within}): t_burn may be too early, or the runs are not stationary",
+    )
 
 
 def paired(estimate: Estimate) -> str:
     """Statement on a paired difference, first minus second."""
-    if estimate.value is None or estimate.low is None or estimate.high is None:
-        return f"not enough data: {estimate.reason}"
-    within = f"{signed(estimate.low)} to {signed(estimate.high)}"
-    if estimate.low <= 0 <= estimate.high:
-        return f"no difference shown; one within {within} is not excluded"
-    return f"differs by {signed(estimate.value)} ({within})"
+    return _against_zero(
+        estimate,
+        unseen="no difference shown; one within {within} is not excluded",
+        seen="differs by {value} ({within})",
+    )
 
 
 def left_out(outcomes: Sequence[Row], n_quiet: int) -> str:

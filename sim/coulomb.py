@@ -29,7 +29,7 @@ from sim.compile import kernel
 from sim.kernels import ROUNDING, largest, roots
 from sim.run import Run
 from sim.system import System
-from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, shift
+from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
 _REACH = 1.2
@@ -139,15 +139,14 @@ def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching)
 
     With the forces of this instant known, sticking blocks with |F| = mu count too.
     """
-    _, row_sums, damping, friction, v = law
+    _, _, damping, friction, v = law
     count = 0
     for i in range(len(mode)):
         touching[i] = mode[i] != 0 and mode[i] * (w[i] - v) <= near[i]
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            drag = damping[i] * v
-            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + friction[i])
-            concerned = concerned or abs(drag + forces[0, i]) >= friction[i] - slack
+            force = damping[i] * v + forces[0, i]
+            concerned = concerned or abs(force) >= friction[i] - force_rounding(law, i, z_max)
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0
@@ -257,8 +256,8 @@ def integrate(
     z0, w0 : ndarray, shape (n,)
     t_start, t_end : float
     tol : float
-        Truncation error of w in a step, relative to max(1, |z|, |w|). The error at the end is that of all steps,
-        as the system amplifies it; cost grows with log(1 / tol) only.
+        Truncation error of w in a step, relative to the largest of |w|, |v| and what w changes by in the step. The
+        error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only.
     stop_early : bool
         End a run once its collapse is certain.
 

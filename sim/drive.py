@@ -53,6 +53,7 @@ def complete(
     ----------
     advance : callable
         Runs a slice, writing events (t, block, mode) into the buffers it is given, until the state passes a bound.
+        Those of one block come in order; all are put in order of time and block here.
     certify : callable
         From the common direction of slip to a certificate of collapse.
     stalled : str

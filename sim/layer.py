@@ -86,9 +86,11 @@ def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
 @kernel
 def step_events(  # type: ignore[no-untyped-def]
     law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
-    slope0, slope1, step_x, step_block, step_mode,
+    slope0, slope1, t, event_t, event_block, event_mode, n_recorded,
 ):  # fmt: skip
-    """All changes of mode in a step, unordered: place in [0, 1], block, new mode; `mode` is brought up to date.
+    """Record all changes of mode in a step that begins at t, block by block; `mode` is brought up to date.
+
+    Returns the number of events recorded in all.
 
     w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
     places the mode is constant.
@@ -108,7 +110,6 @@ def step_events(  # type: ignore[no-untyped-def]
         held = _side(drag + force[i], pull, drag + new_force[i], new_pull, friction[i])
         calm[i] = (by_speed == mode[i]) & ((by_speed != 0) | (held == 0) | (not by_force))
     poly, where, marks = np.empty(4), np.empty(3), np.empty(PASSES)
-    count = 0
     for i in range(n):
         if calm[i]:
             continue
@@ -134,9 +135,9 @@ def step_events(  # type: ignore[no-untyped-def]
             pull = _between(force0, pull0, force1, pull1, middle)
             new = _mode(gap, pull, friction[i], band[i], by_force)
             if new != mode[i]:
-                step_x[count] = left
-                step_block[count] = i
-                step_mode[count] = new
+                event_t[n_recorded] = t + h * left
+                event_block[n_recorded] = i
+                event_mode[n_recorded] = new
                 mode[i] = new
-                count += 1
-    return count
+                n_recorded += 1
+    return n_recorded

@@ -97,7 +97,8 @@ def simulate(
     engine : "coulomb" or "sigmoid"
         The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
     **settings
-        coulomb: ``tol`` (see `sim.coulomb.integrate`);
+        both: ``stop_early`` (True: end a run once its collapse is certain); coulomb: ``tol`` (see
+        `sim.coulomb.integrate`);
         sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold`` (see `sim.sigmoid.integrate`).
 
     Returns

@@ -172,9 +172,6 @@ def _advance(  # type: ignore[no-untyped-def]
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
     single = np.empty((2, n), dtype=np.float32)
-    step_x = np.empty(PASSES * n)
-    step_block = np.empty(PASSES * n, dtype=np.int32)
-    step_mode = np.empty(PASSES * n, dtype=np.int8)
     n_recorded = 0
     rejected = False
     for _ in range(drive.STEPS_A_SLICE):
@@ -210,17 +207,12 @@ def _advance(  # type: ignore[no-untyped-def]
         counters[drive.N_STEPS] += 1
         two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
         counters[drive.N_PRODUCTS] += 2
-        count = step_events(
+        before = n_recorded
+        n_recorded = step_events(
             law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
-            new_force_rate, mode, calm, base, x, step_x, step_block, step_mode,
+            new_force_rate, mode, calm, base, x, t, event_t, event_block, event_mode, n_recorded,
         )  # fmt: skip
-        order = np.argsort(step_x[:count], kind="mergesort")  # stable: at one instant by block
-        for k in range(count):
-            event_t[n_recorded] = t + h * step_x[order[k]]
-            event_block[n_recorded] = step_block[order[k]]
-            event_mode[n_recorded] = step_mode[order[k]]
-            n_recorded += 1
-        counters[drive.N_EVENTS] += count
+        counters[drive.N_EVENTS] += n_recorded - before
         for i in range(n):
             z[i] = new_z[i]
             w[i] = new_w[i]

@@ -29,18 +29,24 @@ IDENTICALLY_ZERO = 10 * ORDER_MAX
 
 
 @kernel
-def _settle(law, z_max, forces, z, w, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
-    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
+def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
+    """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
     _, row_sums, damping, friction, v = law
+    return ROUNDING * (abs(damping[i] * v) + row_sums[i] * z_max + friction[i])
+
+
+@kernel
+def _settle(law, z_max, forces, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
+    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
+    _, _, damping, friction, v = law
     n_undecided = 0
-    for i in range(len(z)):
+    for i in range(len(mode)):
         zeros[i] = 0
         side[i] = 0
         if touching[i] or mode[i] == 0:
             mu = friction[i]
-            drag = damping[i] * v
-            force = drag + forces[0, i]
-            slack = ROUNDING * (abs(drag) + row_sums[i] * z_max + mu)
+            force = damping[i] * v + forces[0, i]
+            slack = force_rounding(law, i, z_max)
             if abs(force) > mu + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
@@ -77,9 +83,8 @@ def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[
 def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
-    `series[k]` and `forces[k]` receive c_k and K c_k; `zeros[i]`, `side[i]`: how many leading coefficients of
-    block i's event function (on that side) vanish. Returns the order reached, the step on which the series
-    holds to `tol`, and the number of products.
+    Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
+    the number of products.
     """
     columns, _, damping, friction, v = law
     n = len(z)
@@ -90,7 +95,7 @@ def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target
     series[1] = w
     two_products(columns, series[0], series[1], forces[0], forces[1], moving)
     w_max = largest(w)
-    n_undecided = _settle(law, largest(z), forces, z, w, mode, touching, zeros, side)
+    n_undecided = _settle(law, largest(z), forces, mode, touching, zeros, side)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
@@ -157,7 +162,7 @@ def correct(law, block, mode, slips, series, forces, zeros, side, order, h, allo
     n = len(mode)
     mu = friction[i]
     force = damping[i] * v + forces[0, i]
-    doubt = 1e3 * (allowed + ROUNDING * (abs(damping[i] * v) + mu + row_sums[i] * largest(series[0])))
+    doubt = 1e3 * (allowed + force_rounding(law, i, largest(series[0])))
     new = -1 if force > 0.0 else 1
     if mode[i] == 0:
         if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= doubt:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from analysis import Report, figures
+from analysis.report import embedded, page_environment
 from workflows.peers import METHODS
 from workflows.speed import Cost, Measured, Reference, SpeedScene
 
@@ -155,11 +155,10 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
         for target in TARGETS
         for name, products in panel.at(target).items()
     ]
-    src = figures.svg(figures.speed_accuracy([_drawn(panel) for panel in panels]))
     html = _environment().get_template("speed_report.html").render(
         scene=scene,
         answer=answer,
-        src="data:image/svg+xml;base64," + base64.b64encode(src.encode()).decode("ascii"),
+        src=embedded(figures.speed_accuracy([_drawn(panel) for panel in panels])),
         at_error=[(panel.title, _by_method(panel)) for panel in panels],
         targets=TARGETS,
         costs=measured.costs,
@@ -193,13 +192,7 @@ def _drawn(panel: _Panel) -> tuple[str, list[figures.Curve], float | None, int |
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("workflows", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_environment("workflows")
     environment.filters["count"] = _count
     environment.filters["power"] = _power
     return environment
