@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from analysis import figures, words
@@ -250,9 +250,12 @@ def embedded(figure: Figure) -> str:
 
 
 def page_environment(package: str) -> Environment:
-    """Where templates of a package's pages are found, and how they are filled: escaped, nothing undefined."""
+    """Where templates of a package's pages are found, and how they are filled: escaped, nothing undefined.
+
+    All of them extend `page.html`, which lies here and holds the style.
+    """
     return Environment(
-        loader=PackageLoader(package, "."),
+        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("analysis", ".")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

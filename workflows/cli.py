@@ -96,21 +96,20 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Path) -> int:
-    from workflows.peers import METHODS
-    from workflows.speed import ChartError, load_chart, measure_alone
-    from workflows.speed_report import build
+    from workflows.charts import ChartError, load_chart
+    from workflows.charts.alone import measure_alone
 
-    scene = load_chart(file)
+    kind, scene = load_chart(file)
     if arguments.scheduler:
         raise _Wrong("--scheduler: expected none with a chart, which is measured on one core here; leave it out")
     if arguments.dry_run:
-        print(f"{file}: a chart of {len(METHODS)} methods, in one process, into {out}")
+        print(f"{file}: a chart of {kind.extent(scene)}, in one process, into {out}")
         return _DONE
     if (out / "manifest.json").exists():
         raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
     try:
         out.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
-        built = build(scene, measure_alone(file))
+        built = kind.build(scene, measure_alone(file))
         page = built.write(out)
     except (ChartError, OSError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
@@ -171,14 +170,14 @@ def _query(arguments: argparse.Namespace) -> int:
     return _DONE
 
 
-def _scenes(_: argparse.Namespace) -> int:
+def _scenes(arguments: argparse.Namespace) -> int:
     from pipeline import load_scene
+    from workflows.charts import load_chart
     from workflows.scenes import chart_of, shipped
-    from workflows.speed import load_chart
 
     for name, file in shipped().items():
         if chart_of(file) is not None:
-            chart = load_chart(file)
+            _, chart = load_chart(file)
             print(f"{name:14} {'a chart':>14}  {chart.title}. {chart.about}")
             continue
         scene = load_scene(file)

@@ -1,4 +1,4 @@
-"""The methods that the chart of speed against accuracy compares: both engines, and what a user would otherwise pick.
+"""The methods that the charts compare: both engines, and what a user would otherwise pick.
 
 Every peer solves the sigmoid's equations as y' = f(y), y = (z, w),
 
@@ -21,11 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sim
+from pipeline.members import MATRIX, RATIO
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]
+Ratio = Literal["one", "uniform"]
 #: From a tolerance (relative and absolute alike) to z at t_end.
 Solver = Callable[[float], Floats]
+
+
+#: The paper's start, the same for every block.
+Z0, W0 = -0.7, -0.4
 
 
 class MethodError(RuntimeError):
@@ -64,6 +70,19 @@ class Problem:
     def start(self) -> Floats:
         """y at t = 0, shape (2 n,)."""
         return np.repeat([self.z0, self.w0], self.system.n)
+
+
+def random_problem(
+    seed: int, n: int, t_end: float, eps: float, ratio: Ratio, matrix: int = 0, patience: float = math.inf
+) -> Problem:
+    """The system and the first draw of the ratios that an ensemble with this seed has at `n` and `matrix`."""
+
+    def key(*words: int) -> np.random.SeedSequence:
+        return np.random.SeedSequence(seed, spawn_key=words)
+
+    r = np.ones(n) if ratio == "one" else 1.0 - np.random.default_rng(key(RATIO, n, matrix, 0)).random(n)
+    system = sim.draw_system("antisymmetric", n, key(MATRIX, n, matrix))
+    return Problem(system, r * eps, Z0, W0, t_end, patience)
 
 
 @dataclass(frozen=True)

@@ -4,47 +4,38 @@ Cost is counted in *products*: the wall time of a run over that of one product o
 vector (numpy), measured just before and just after the run, so that a drifting machine cancels. Error is
 max |z - z_ref| at t_end, for each law against a reference of its own; an error below what two references agree to
 is known to be no larger than that, and no more is claimed.
-
-Everything runs in one process, started with one thread for the linear algebra: libraries read that when they load.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import platform
-import subprocess
-import sys
 import time
-import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from dataclasses import dataclass, replace
 from statistics import median
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field
 
 import sim
-from pipeline.members import MATRIX, RATIO
-from pipeline.scene import (
-    BlockNumbers,
-    Count,
-    Positive,
-    SceneError,
-    StrictTable,
-    as_tuple,
-    distinct,
-    problem,
+from pipeline.scene import BlockNumbers, Count, Positive, as_tuple, distinct
+from workflows.charts import ChartScene, Say
+from workflows.charts.alone import Product, versions
+from workflows.charts.peers import (
+    METHODS,
+    Floats,
+    GivenUp,
+    Method,
+    MethodError,
+    Model,
+    Problem,
+    Ratio,
+    Solver,
+    random_problem,
 )
-from workflows.peers import METHODS, Floats, GivenUp, Method, MethodError, Model, Problem, Solver
 
-#: The paper's start, the same for every block.
-Z0, W0 = -0.7, -0.4
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
 PATIENCE = 5.0
 #: For each law, method and tolerance of the reference, and of the second computation that checks it: for the sigmoid
@@ -53,28 +44,21 @@ REFERENCES: dict[Model, tuple[tuple[str, float], tuple[str, float]]] = {
     "coulomb": (("coulomb engine", 1e-15), ("coulomb engine", 1e-13)),
     "sigmoid": (("sigmoid engine", 1e-12), ("SciPy DOP853", 1e-12)),
 }
-#: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.
-_BATCH, _BATCHES = 3e-4, 5
 #: Finer tolerances would ask more of a method than its reference gives.
 _FINEST, _COARSEST = 1e-11, 5e-3
 
 Outcome = Literal["measured", "failed", "too slow", "absent"]
 
 
-class ChartError(RuntimeError):
-    """The measurement ended before it was done."""
-
-
-class SpeedScene(StrictTable):
+class SpeedScene(ChartScene):
     """A scene with ``chart = "speed_accuracy"``; dimensionless but for `seconds_a_run`."""
 
     chart: Literal["speed_accuracy"] = Field(description="kind of the chart", examples=["speed_accuracy"])
     title: str = Field(default="Speed against accuracy", description="one line for the report's head")
-    about: str = Field(default="", description="what the scene is for")
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[[20, 200]])
     eps: Annotated[float, Field(gt=0, lt=1)] = Field(description="width of the sigmoid", examples=[0.03])
-    ratios: Annotated[tuple[Literal["one", "uniform"], ...], BeforeValidator(as_tuple), AfterValidator(distinct)] = (
-        Field(min_length=1, description="stiffness ratios r_i", examples=[["one", "uniform"]])
+    ratios: Annotated[tuple[Ratio, ...], BeforeValidator(as_tuple), AfterValidator(distinct)] = Field(
+        min_length=1, description="stiffness ratios r_i", examples=[["one", "uniform"]]
     )
     t_end: Positive = Field(description="end of each run", examples=[25.0])
     tolerances: Annotated[
@@ -86,36 +70,11 @@ class SpeedScene(StrictTable):
     seconds_a_run: Positive = Field(
         default=1.0, description="seconds of a run after which no finer tolerance is asked", examples=[1.0]
     )
-    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
 
-    def problem(self, n: int, ratio: str) -> Problem:
+    def problem(self, n: int, ratio: Ratio) -> Problem:
         """The system of matrix 0 of an ensemble with this seed, and its first draw of the ratios."""
-
-        def key(*words: int) -> np.random.SeedSequence:
-            return np.random.SeedSequence(self.seed, spawn_key=words)
-
-        r = np.ones(n) if ratio == "one" else 1.0 - np.random.default_rng(key(RATIO, n, 0, 0)).random(n)
-        system = sim.draw_system("antisymmetric", n, key(MATRIX, n, 0))
-        return Problem(system, r * self.eps, Z0, W0, self.t_end, PATIENCE * self.seconds_a_run)
-
-
-def load_chart(file: Path) -> SpeedScene:
-    """Read a scene file that `workflows.scenes.chart_of` found to be a chart.
-
-    Raises
-    ------
-    SceneError
-        If it is not a scene of a known chart; one line a problem.
-    """
-    try:
-        return SpeedScene.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except ValidationError as error:
-        lines = []
-        for detail in error.errors():
-            key, *places = detail["loc"] or (None,)
-            path = f"{key or ''}{''.join(f'[{place}]' for place in places if isinstance(place, int))}"
-            lines.append(f"{file}: {problem(path, SpeedScene, key if isinstance(key, str) else None, detail)}")
-        raise SceneError("\n".join(lines)) from None
+        patience = PATIENCE * self.seconds_a_run
+        return random_problem(self.seed, n, self.t_end, self.eps, ratio, patience=patience)
 
 
 # ---------------------------------------------------------------------------------------------- what is kept
@@ -172,43 +131,30 @@ class Measured:
     references: list[Reference]
     versions: dict[str, str]
 
+    @classmethod
+    def restore(cls, found: dict[str, Any]) -> Measured:
+        costs, references = (
+            [Cost(**row) for row in found["costs"]],
+            [Reference(**row) for row in found["references"]],
+        )
+        return cls(costs, references, found["versions"])
+
 
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-class _Product:
-    """The unit of cost: one product of K with a vector."""
-
-    def __init__(self, stiffness: Floats) -> None:
-        self._matrix = np.ascontiguousarray(stiffness)
-        self._x, self._out = np.ones(len(stiffness)), np.empty(len(stiffness))
-        self._n = 16
-        while (seconds := self._batch()) < _BATCH:
-            self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
-
-    def _batch(self) -> float:
-        matrix, x, out = self._matrix, self._x, self._out
-        start = time.perf_counter()
-        for _ in range(self._n):
-            np.dot(matrix, x, out=out)
-        return time.perf_counter() - start
-
-    def seconds(self) -> float:
-        """Seconds of one product, now: the median of a few batches."""
-        return median(self._batch() for _ in range(_BATCHES)) / self._n
-
-
-def measure(scene: SpeedScene, say: Callable[[str], None]) -> Measured:
+def measure(scene: SpeedScene, say: Say) -> Measured:
     """Run every method on every problem of a scene, in this process; `say` is told of each as it is done."""
     costs: list[Cost] = []
     references: list[Reference] = []
     for n in scene.n:
-        for ratio in (None, *scene.ratios):  # None: the exact law
+        ratios: tuple[Ratio | None, ...] = (None, *scene.ratios)  # None: the exact law
+        for ratio in ratios:
             model: Model = "coulomb" if ratio is None else "sigmoid"
             problem = scene.problem(n, ratio or "one")
             reference, z = _reference(problem, model, ratio)
             references.append(reference)
-            product = _Product(np.asarray(problem.system.stiffness))
+            product = Product(np.asarray(problem.system.stiffness))
             for method in METHODS:
                 if method.model != model:
                     continue
@@ -222,7 +168,7 @@ def measure(scene: SpeedScene, say: Callable[[str], None]) -> Measured:
                 costs += found
                 done = sum(cost.outcome == "measured" for cost in found)
                 say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(scene.tolerances)}")
-    return Measured(costs, references, _versions())
+    return Measured(costs, references, versions("scipy", "CyRK", "scikit-sundae"))
 
 
 def _reference(problem: Problem, model: Model, ratio: str | None) -> tuple[Reference, Floats | None]:
@@ -247,7 +193,7 @@ def _method(name: str) -> Method:
 
 
 def _curve(
-    method: Method, problem: Problem, z: Floats, floor: float, product: _Product, scene: SpeedScene, row: Cost
+    method: Method, problem: Problem, z: Floats, floor: float, product: Product, scene: SpeedScene, row: Cost
 ) -> Iterator[Cost]:
     """One row a tolerance, from the coarsest to the finest."""
     solve = method.prepare(problem)
@@ -273,7 +219,7 @@ def _curve(
         yield found
 
 
-def _timed(solve: Solver, z: Floats, floor: float, product: _Product, scene: SpeedScene, row: Cost) -> Cost:
+def _timed(solve: Solver, z: Floats, floor: float, product: Product, scene: SpeedScene, row: Cost) -> Cost:
     """Repeated runs at one tolerance, each between two measurements of the product."""
     seconds: list[float] = []
     units: list[float] = []
@@ -298,56 +244,3 @@ def _timed(solve: Solver, z: Floats, floor: float, product: _Product, scene: Spe
         product_seconds=median(units),
         n_runs=len(seconds),
     )
-
-
-def _versions() -> dict[str, str]:
-    """What took part, by distribution; "not installed" for a library of the extra `bench` that is absent."""
-    found = {"python": platform.python_version()}
-    for name in ("stickslip", "numpy", "scipy", "numba", "CyRK", "scikit-sundae"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-# ---------------------------------------------------------------------------------------------- one process
-
-
-def measure_alone(file: Path) -> Measured:
-    """Measure the chart of a scene file in a process of its own, with one thread; progress goes to stderr.
-
-    Raises
-    ------
-    ChartError
-        If that process ends early.
-    """
-    one_thread = dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-    )
-    done = subprocess.run(
-        [sys.executable, "-m", "workflows.speed", str(file)],
-        env={**os.environ, **one_thread}, stdout=subprocess.PIPE, text=True, check=False,
-    )  # fmt: skip
-    if done.returncode:
-        raise ChartError(f"the measurement ended with exit code {done.returncode}; its own words are above")
-    found = json.loads(done.stdout)
-    return Measured(
-        [Cost(**row) for row in found["costs"]], [Reference(**row) for row in found["references"]], found["versions"]
-    )
-
-
-def _main(file: str) -> int:
-    def say(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
-    try:
-        found = measure(load_chart(Path(file)), say)
-    except KeyboardInterrupt:  # the parent says so
-        return 130
-    json.dump(asdict(found), sys.stdout, allow_nan=False)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))

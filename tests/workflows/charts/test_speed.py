@@ -12,12 +12,19 @@ import pytest
 import sim
 from analysis import figures
 from pipeline import SceneError
-from workflows import speed
+from workflows import charts
+from workflows.charts import alone, speed
+from workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem
+from workflows.charts.speed import Cost, Measured, Reference, measure
+from workflows.charts.speed_page import build, products_at
 from workflows.cli import main
-from workflows.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem
 from workflows.scenes import chart_of, shipped
-from workflows.speed import Cost, Measured, Reference, load_chart, measure
-from workflows.speed_report import build, products_at
+
+
+def load_chart(file):
+    """Its scene alone."""
+    return charts.load_chart(file)[1]
+
 
 TINY = """
 chart = "speed_accuracy"
@@ -47,7 +54,7 @@ def without_extra(monkeypatch):
     """As if the extra `bench` were not installed."""
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "workflows.peers.find_spec", lambda name: None if name in ("CyRK", "sksundae") else find(name)
+        "workflows.charts.peers.find_spec", lambda name: None if name in ("CyRK", "sksundae") else find(name)
     )
 
 
@@ -191,7 +198,7 @@ def test_a_run_is_given_up_when_patience_ends():
 
 def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, monkeypatch):
     # a process of its own would see the packages that are there
-    monkeypatch.setattr(speed, "measure_alone", lambda file: measure(load_chart(file), silent))
+    monkeypatch.setattr(alone, "measure_alone", lambda file: measure(load_chart(file), silent))
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     assert "n = 5, r uniform in (0, 1]: At an error of 1e-4 the cheapest is" in capsys.readouterr().out
@@ -219,16 +226,16 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, mo
 
 def test_the_process_of_its_own_gives_the_same_errors(scene_file):
     """Errors do not depend on the clock; costs do."""
-    alone, here = speed.measure_alone(scene_file), measure(load_chart(scene_file), silent)
-    assert alone.references == here.references
-    assert [(c.method, c.outcome, c.error) for c in alone.costs] == [
+    there, here = alone.measure_alone(scene_file), measure(load_chart(scene_file), silent)
+    assert there.references == here.references
+    assert [(c.method, c.outcome, c.error) for c in there.costs] == [
         (c.method, c.outcome, c.error) for c in here.costs
     ]
 
 
 def test_a_process_that_fails_is_an_error(tmp_path):
-    with pytest.raises(speed.ChartError, match="exit code 1"):
-        speed.measure_alone(tmp_path / "missing.toml")
+    with pytest.raises(charts.ChartError, match="exit code 1"):
+        alone.measure_alone(tmp_path / "missing.toml")
 
 
 def chart_with(monkeypatch, scene_file, *methods, **changes):

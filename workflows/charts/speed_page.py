@@ -11,8 +11,9 @@ from jinja2 import Environment
 
 from analysis import Report, figures
 from analysis.report import embedded, page_environment
-from workflows.peers import METHODS
-from workflows.speed import Cost, Measured, Reference, SpeedScene
+from workflows.charts import Kind
+from workflows.charts.peers import METHODS
+from workflows.charts.speed import Cost, Measured, Reference, SpeedScene, measure
 
 #: Errors at which methods are compared: the first two in words, all in the table.
 TARGETS = (1e-4, 1e-6, 1e-8)
@@ -142,7 +143,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
     ----------
     scene : SpeedScene
     measured : Measured
-        What `workflows.speed.measure` found for that scene.
+        What `workflows.charts.speed.measure` found for that scene.
     """
     panels = _panels(measured)
     answer = {
@@ -155,7 +156,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
         for target in TARGETS
         for name, products in panel.at(target).items()
     ]
-    html = _environment().get_template("speed_report.html").render(
+    html = _environment().get_template("speed.html").render(
         scene=scene,
         answer=answer,
         src=embedded(figures.speed_accuracy([_drawn(panel) for panel in panels])),
@@ -192,7 +193,16 @@ def _drawn(panel: _Panel) -> tuple[str, list[figures.Curve], float | None, int |
 
 
 def _environment() -> Environment:
-    environment = page_environment("workflows")
+    environment = page_environment("workflows.charts")
     environment.filters["count"] = _count
     environment.filters["power"] = _power
     return environment
+
+
+KIND = Kind(
+    SpeedScene,
+    lambda scene: f"{len(METHODS)} methods on {len(scene.n) * (1 + len(scene.ratios))} problems",
+    measure,
+    Measured.restore,
+    build,
+)
