@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -175,11 +175,19 @@ def forest(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-#: A method's points: name, whether it is one of the engines, products, errors, and whether an error is a bound.
-Curve = tuple[str, bool, Sequence[float], Sequence[float], Sequence[bool]]
+class Curve(NamedTuple):
+    """A method's points: costs and errors, whether an error is a bound, and the least that a cost could be, if known."""
+
+    name: str
+    is_ours: bool
+    products: Sequence[float]
+    errors: Sequence[float]
+    is_bound: Sequence[bool]
+    floor: Sequence[float] = ()
+
 
 _PEERS = (GREEN, PURPLE, "#E69F00", "#56B4E9", GREY, "black")
-_MARKERS = "^vDPX<>ph"
+_MARKERS = "^vDPX<>phd"
 
 
 def speed_accuracy(panels: Sequence[tuple[str, Sequence[Curve], float | None, int | None]]) -> Figure:
@@ -189,14 +197,14 @@ def speed_accuracy(panels: Sequence[tuple[str, Sequence[Curve], float | None, in
     ----------
     panels : sequence of (title, curves, floor, n_events)
         `floor`: errors below it cannot be told from zero; `n_events`: where one product an event would lie. None
-        where there is none. An error that is a bound is drawn hollow.
+        where there is none. An error that is a bound is drawn hollow, the floor of the costs as a thin line.
     """
-    names = list(dict.fromkeys((name, is_ours) for _, curves, *_ in panels for name, is_ours, *_ in curves))
+    names = list(dict.fromkeys((curve.name, curve.is_ours) for _, curves, *_ in panels for curve in curves))
     style: dict[str, dict[str, Any]] = {}
     for is_front in (True, False):
         for k, name in enumerate(name for name, is_ours in names if is_ours == is_front):
             front = {"color": CYCLE[k % 2], "marker": "os"[k % 2], "linewidth": 2.2, "markersize": 5, "zorder": 3}
-            behind = {"color": _PEERS[k % 6], "marker": _MARKERS[k % 9], "linewidth": 0.9, "markersize": 4}
+            behind = {"color": _PEERS[k % 6], "marker": _MARKERS[k % 10], "linewidth": 0.9, "markersize": 4}
             style[name] = front if is_front else behind | {"linestyle": "-" if k < 6 else "--"}
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
@@ -206,12 +214,16 @@ def speed_accuracy(panels: Sequence[tuple[str, Sequence[Curve], float | None, in
             ax.set_axis_off()
         for ax, (title, curves, floor, n_events) in zip(axes.flat, panels, strict=False):
             ax.set(title=title, xscale="log", yscale="log")
-            for name, _, products, errors, is_bound in curves:
-                ax.plot(products, errors, label=name, **style[name])
-                bounds = [(x, y) for x, y, known in zip(products, errors, is_bound, strict=True) if known]
+            for curve in curves:
+                mine = style[curve.name]
+                ax.plot(curve.products, curve.errors, label=curve.name, **mine)
+                known = zip(curve.products, curve.errors, curve.is_bound, strict=True)
+                bounds = [(x, y) for x, y, is_bound in known if is_bound]
                 if bounds:
-                    hollow = style[name] | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
+                    hollow = mine | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
                     ax.plot(*zip(*bounds, strict=True), **hollow)
+                if curve.floor:
+                    ax.plot(curve.floor, curve.errors, color=mine["color"], linewidth=0.8)
             if floor is not None:
                 ax.axhline(floor, color=GREY, linestyle=":", linewidth=0.8)
             if n_events:

@@ -57,7 +57,10 @@ class Kind:
 
 #: The module of each kind, which holds it as KIND: loaded when it is asked for.
 _KINDS = {
+    "scaling": "workflows.charts.scaling_page",
     "speed_accuracy": "workflows.charts.speed_page",
+    "stability": "workflows.charts.stability_page",
+    "statistics": "workflows.charts.statistics_page",
 }
 
 

@@ -15,19 +15,30 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import sim
 from pipeline.members import MATRIX, RATIO
+from workflows.charts.fixed import BEYOND, STEPPERS
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]
 Ratio = Literal["one", "uniform"]
-#: From a tolerance (relative and absolute alike) to z at t_end.
-Solver = Callable[[float], Floats]
+Control = Literal["tolerance", "step"]
+
+
+class Solution(NamedTuple):
+    """z at t_end, shape (n,), and how many products with K that took; None where the method does not say."""
+
+    z: Floats
+    n_products: int | None = None
+
+
+#: From a tolerance (relative and absolute alike), or from the longest step, to the end of a run.
+Solver = Callable[[float], Solution]
 
 
 #: The paper's start, the same for every block.
@@ -98,12 +109,15 @@ class Method:
         All that a user does once: it is not timed.
     package : str or None
         What it imports beyond the dependencies.
+    control : "tolerance" or "step"
+        What a user chooses.
     """
 
     name: str
     model: Model
     prepare: Callable[[Problem], Solver]
     package: str | None = None
+    control: Control = "tolerance"
 
     @property
     def is_ours(self) -> bool:
@@ -129,13 +143,13 @@ def _sigmoid(problem: Problem) -> Solver:
     return lambda tol: _state(problem, "sigmoid", eps=1.0, ratio=problem.delta, rtol=tol, atol=tol)
 
 
-def _state(problem: Problem, engine: sim.run.Engine, **settings: Any) -> Floats:
+def _state(problem: Problem, engine: sim.run.Engine, **settings: Any) -> Solution:
     run = sim.simulate(
         problem.system, problem.z0, problem.w0, problem.t_end, engine=engine, stop_early=False, **settings
     )
     if run.outcome != "finished":
         raise MethodError(f"{run.outcome} at t = {run.t_end:g}: {run.reason}")
-    return run.z
+    return Solution(run.z, run.stats.n_products)
 
 
 # ---------------------------------------------------------------------------------------------- the equations
@@ -218,7 +232,7 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
         equations, start, span = Equations(problem), problem.start, (0.0, problem.t_end)
         options: dict[str, Any] = {"jac": equations.jacobian} if with_jacobian else {}
 
-        def solve(tolerance: float) -> Floats:
+        def solve(tolerance: float) -> Solution:
             equations.begin()
             found = solve_ivp(
                 equations,
@@ -232,7 +246,7 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
             )
             if not found.success:
                 raise MethodError(found.message)
-            return found.y[: equations.n, -1]
+            return Solution(found.y[: equations.n, -1], int(found.nfev))
 
         return solve
 
@@ -260,7 +274,7 @@ def _cvode(problem: Problem) -> Solver:
         np.divide(r[n:], 1.0 + gamma * drag, out=x[n:])
         np.add(r[:n], gamma * x[n:], out=x[:n])
 
-    def solve(tolerance: float) -> Floats:
+    def solve(tolerance: float) -> Solution:
         equations.begin()
         solver = CVODE(
             rate, method="BDF", linsolver="gmres", krylov_dim=10, rtol=tolerance, atol=tolerance,
@@ -270,7 +284,7 @@ def _cvode(problem: Problem) -> Solver:
         found = solver.solve(span, start)
         if not found.success:
             raise MethodError(str(found.message))
-        return np.asarray(found.y)[-1, :n]
+        return Solution(np.asarray(found.y)[-1, :n])
 
     return solve
 
@@ -298,20 +312,44 @@ def _cyrk(method: str) -> Callable[[Problem], Solver]:
         compiled = cyjit(rate)  # kept alive by the closure: the address is into it
         start, span, end = problem.start, (0.0, problem.t_end), np.array([problem.t_end])
 
-        def solve(tolerance: float) -> Floats:
+        def solve(tolerance: float) -> Solution:
             found = nbsolve2_ivp(
                 compiled.address, span, start, method=method, t_eval=end, args=numbers, rtol=tolerance, atol=tolerance
             )
             try:
                 if not found.success:
                     raise MethodError(f"{method} ended with status {found.status}")
-                return np.array(found.y)[:n, -1]
+                return Solution(np.array(found.y)[:n, -1])
             finally:
                 found.free()
 
         return solve
 
     return prepare
+
+
+# ---------------------------------------------------------------------------------------------- a fixed step
+
+
+def _fixed(name: str) -> Method:
+    model, advance, products_a_step = STEPPERS[name]
+
+    def prepare(problem: Problem) -> Solver:
+        system = problem.system
+        law = (system.columns, system.damping, system.friction, problem.delta, system.belt_speed)
+
+        def solve(step: float) -> Solution:
+            n_steps = math.ceil(problem.t_end / step * (1.0 - 1e-12))
+            z, w = np.full(system.n, problem.z0), np.full(system.n, problem.w0)
+            h = problem.t_end / n_steps
+            done = advance(law, z, w, h, n_steps)
+            if done < n_steps:
+                raise MethodError(f"|z| or |w| passed {BEYOND:g} at t = {h * done:.4g}")
+            return Solution(z, n_steps * products_a_step)
+
+        return solve
+
+    return Method(name, model, prepare, control="step")
 
 
 #: The engines first; in the order of the chart's legend.
@@ -325,4 +363,5 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy LSODA", "sigmoid", _scipy("LSODA", with_jacobian=True)),
     Method("SciPy BDF", "sigmoid", _scipy("BDF", with_jacobian=True)),
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
+    *map(_fixed, STEPPERS),
 )

@@ -66,6 +66,9 @@ class SpeedScene(ChartScene):
         BeforeValidator(as_tuple),
         AfterValidator(distinct),
     ] = Field(min_length=1, description="tolerances asked of each method", examples=[[1e-4, 1e-6]])
+    steps: Annotated[tuple[Positive, ...], BeforeValidator(as_tuple), AfterValidator(distinct)] = Field(
+        default=(), description="steps of the methods of a fixed step; none leaves them out", examples=[[0.1, 0.01]]
+    )
     repeats: Count = Field(default=5, description="number of runs of each", examples=[5])
     seconds_a_run: Positive = Field(
         default=1.0, description="seconds of a run after which no finer tolerance is asked", examples=[1.0]
@@ -84,8 +87,9 @@ class SpeedScene(ChartScene):
 class Cost:
     """One method at one tolerance on one problem: a row of the table `costs`.
 
-    `ratio` is null for the exact law, which has none; `tolerance` where no tolerance came to be asked; the numbers
-    where the outcome is not "measured". With `is_bound` the error is at most `error`.
+    `ratio` is null for the exact law, which has none; `tolerance` for a method of a fixed step, which has `step`
+    instead; both where nothing came to be asked; the numbers where the outcome is not "measured". With `is_bound` the
+    error is at most `error`. `computed` counts the products with K that the method says it took, null if it does not.
     """
 
     n: int
@@ -93,6 +97,7 @@ class Cost:
     model: Model
     method: str
     tolerance: float | None
+    step: float | None
     outcome: Outcome
     reason: str | None = None
     error: float | None = None
@@ -100,6 +105,7 @@ class Cost:
     products: float | None = None
     products_min: float | None = None
     products_max: float | None = None
+    computed: int | None = None
     seconds: float | None = None
     product_seconds: float | None = None
     n_runs: int = 0
@@ -156,18 +162,19 @@ def measure(scene: SpeedScene, say: Say) -> Measured:
             references.append(reference)
             product = Product(np.asarray(problem.system.stiffness))
             for method in METHODS:
-                if method.model != model:
+                settings = scene.steps if method.control == "step" else scene.tolerances
+                if method.model != model or not settings:
                     continue
-                row = Cost(n, ratio, model, method.name, None, "measured")
+                row = Cost(n, ratio, model, method.name, None, None, "measured")
                 if not method.is_installed:
                     found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
                 elif z is None or reference.floor is None:
                     found = [replace(row, outcome="failed", reason=f"no reference: {reference.reason}")]
                 else:
-                    found = list(_curve(method, problem, z, reference.floor, product, scene, row))
+                    found = list(_curve(method, problem, z, reference.floor, product, scene, settings, row))
                 costs += found
                 done = sum(cost.outcome == "measured" for cost in found)
-                say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(scene.tolerances)}")
+                say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(settings)}")
     return Measured(costs, references, versions("scipy", "CyRK", "scikit-sundae"))
 
 
@@ -177,8 +184,8 @@ def _reference(problem: Problem, model: Model, ratio: str | None) -> tuple[Refer
     (name, tolerance), (check, check_tolerance) = REFERENCES[model]
     found = Reference(problem.system.n, ratio, model, f"{name} at {tolerance:g}", f"{check} at {check_tolerance:g}")
     try:
-        z = _method(name).prepare(patient)(tolerance)
-        apart = np.abs(z - _method(check).prepare(patient)(check_tolerance)).max()
+        z = _method(name).prepare(patient)(tolerance).z
+        apart = np.abs(z - _method(check).prepare(patient)(check_tolerance).z).max()
         if model == "coulomb":
             run = sim.simulate(problem.system, problem.z0, problem.w0, problem.t_end, tol=tolerance)
             found = replace(found, n_events=run.stats.n_events)
@@ -193,43 +200,53 @@ def _method(name: str) -> Method:
 
 
 def _curve(
-    method: Method, problem: Problem, z: Floats, floor: float, product: Product, scene: SpeedScene, row: Cost
+    method: Method,
+    problem: Problem,
+    z: Floats,
+    floor: float,
+    product: Product,
+    scene: SpeedScene,
+    settings: tuple[float, ...],
+    row: Cost,
 ) -> Iterator[Cost]:
-    """One row a tolerance, from the coarsest to the finest."""
+    """One row a tolerance or step, from the coarsest to the finest."""
     solve = method.prepare(problem)
     short = replace(problem, t_end=1e-3 * problem.t_end)
     with suppress(MethodError, sim.IntegrationError):  # what fails here fails again below, and is kept there
-        method.prepare(short)(scene.tolerances[-1])  # what is compiled or loaded at a first call is not timed
+        method.prepare(short)(settings[-1])  # what is compiled or loaded at a first call is not timed
     too_slow: str | None = None
-    for tolerance in reversed(scene.tolerances):
-        asked = replace(row, tolerance=tolerance)
+    for setting in reversed(settings):
+        is_step = method.control == "step"
+        asked = replace(row, step=setting) if is_step else replace(row, tolerance=setting)
         if too_slow is not None:
             yield replace(asked, outcome="too slow", reason=too_slow)
             continue
         start = time.perf_counter()
         try:
-            found = _timed(solve, z, floor, product, scene, asked)
+            found = _timed(solve, setting, z, floor, product, scene, asked)
         except GivenUp as error:
             found = replace(asked, outcome="too slow", reason=str(error))
         except (MethodError, sim.IntegrationError) as error:
             found = replace(asked, outcome="failed", reason=str(error))
         took = time.perf_counter() - start if found.seconds is None else found.seconds
         if took > scene.seconds_a_run:
-            too_slow = f"took {took:.2g} s at {tolerance:g}: more than {scene.seconds_a_run:g} s"
+            too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"
         yield found
 
 
-def _timed(solve: Solver, z: Floats, floor: float, product: Product, scene: SpeedScene, row: Cost) -> Cost:
-    """Repeated runs at one tolerance, each between two measurements of the product."""
+def _timed(
+    solve: Solver, setting: float, z: Floats, floor: float, product: Product, scene: SpeedScene, row: Cost
+) -> Cost:
+    """Repeated runs at one setting, each between two measurements of the product."""
     seconds: list[float] = []
     units: list[float] = []
     while len(seconds) < scene.repeats and (not seconds or seconds[-1] <= scene.seconds_a_run):
         before = product.seconds()
         start = time.perf_counter()
-        reached = solve(row.tolerance or 0.0)
+        reached = solve(setting)
         seconds.append(time.perf_counter() - start)
         units.append(0.5 * (before + product.seconds()))
-    error = float(np.abs(reached - z).max())
+    error = float(np.abs(reached.z - z).max())
     if not math.isfinite(error):
         raise MethodError("z at t_end is not finite")
     products = [run / unit for run, unit in zip(seconds, units, strict=True)]
@@ -240,6 +257,7 @@ def _timed(solve: Solver, z: Floats, floor: float, product: Product, scene: Spee
         products=median(products),
         products_min=min(products),
         products_max=max(products),
+        computed=reached.n_products,
         seconds=median(seconds),
         product_seconds=median(units),
         n_runs=len(seconds),
