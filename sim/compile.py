@@ -56,6 +56,8 @@ def _usable_cache() -> Path | None:
 
 
 _CACHE = _usable_cache()
+_jit: Any = numba.njit
+_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 def clear_cache() -> None:
@@ -64,12 +66,20 @@ def clear_cache() -> None:
     cache_directory().mkdir(parents=True, exist_ok=True)
 
 
+def inner(function: Callable[..., Any]) -> Any:
+    """Compile a function of numbers and arrays that kernels call, and Python cannot.
+
+    It becomes part of each `kernel` that needs it: no wrapper for Python and no file of its own, which take time.
+    """
+    return _jit(**_POLICY, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+
+
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function of numbers and arrays under the policy of this module."""
+    """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep the result."""
     # numba reads the directory when a function is decorated, so other users of numba keep their own
     previous = _config.CACHE_DIR
     _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        return numba.njit(nogil=True, error_model="numpy", cache=_CACHE is not None)(function)
+        return _jit(**_POLICY, cache=_CACHE is not None)(function)
     finally:
         _config.CACHE_DIR = previous

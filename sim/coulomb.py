@@ -25,8 +25,8 @@ import numpy as np
 
 from sim import drive, fate
 from sim.arguments import Floats, flag, number
-from sim.compile import kernel
-from sim.kernels import ROUNDING, largest, roots
+from sim.compile import inner, kernel
+from sim.kernels import ROUNDING, copy, largest, roots
 from sim.run import Run
 from sim.system import System
 from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
@@ -45,7 +45,7 @@ _STALL = 1000
 _EXPOSURE, _CUTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 
-@kernel
+@inner
 def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found):  # type: ignore[no-untyped-def]
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none.
 
@@ -77,7 +77,7 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
                     c -= v
                 poly[k] = mode[i] * c * power
                 power *= h
-            if roots(poly, degree, True, found) > 0:
+            if roots(poly, degree, found) > 0:
                 h *= found[0]
                 block = i
             continue
@@ -97,13 +97,13 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
             for k in range(1, degree + 1):
                 poly[k] = sigma * forces[k + skip, i] * power
                 power *= h
-            if poly[0] != 0.0 and roots(poly, degree, True, found) > 0:
+            if poly[0] != 0.0 and roots(poly, degree, found) > 0:
                 h *= found[0]
                 block = i
     return h, block
 
 
-@kernel
+@inner
 def _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode):  # type: ignore[no-untyped-def]
     """Write down, by block, which modes are not those known; returns the events recorded, and whether all agree."""
     same = True
@@ -118,11 +118,11 @@ def _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode): 
     return n_recorded, same
 
 
-@kernel
+@inner
 def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
     """z and w after a step."""
     n = len(z)
-    z[:] = series[order]
+    copy(series[order], z)
     for i in range(n):
         w[i] = order * series[order, i]
     for k in range(order - 1, 0, -1):
@@ -133,7 +133,7 @@ def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
         z[i] = z[i] * step + series[0, i]
 
 
-@kernel
+@inner
 def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching):  # type: ignore[no-untyped-def]
     """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
@@ -169,7 +169,7 @@ def _advance(  # type: ignore[no-untyped-def]
     reach, near, slips, column, last = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving = np.zeros(n, dtype=np.int64)
     poly, change, found = np.zeros(ORDER_MAX + 1), np.zeros(ORDER_MAX + 1), np.zeros(1)
-    n_recorded = 0
+    n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     is_open, is_cut = False, False
     order, h, allowed = 0, 0.0, 0.0
     for _ in range(drive.STEPS_A_SLICE):
@@ -186,8 +186,8 @@ def _advance(  # type: ignore[no-untyped-def]
             counters[drive.N_PRODUCTS] += n_products
             is_open, is_cut = True, False
         if counters[drive.N_STEPS] == 0:
-            initial_mode[:] = mode
-            known_mode[:] = mode
+            copy(mode, initial_mode)
+            copy(mode, known_mode)
         before = n_recorded
         n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
         counters[drive.N_EVENTS] += n_recorded - before
@@ -203,13 +203,14 @@ def _advance(  # type: ignore[no-untyped-def]
         for i in range(n):  # what rounding does to w - v in this step
             near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
         left = h - step
-        if block >= 0 and left > 0.0:
+        is_inside = block >= 0 and left > 0.0
+        if is_inside:
             shift(series, order, step)
             shift(forces, order - 2, step)
-            z[:] = series[0]
-            w[:] = series[1]
+            copy(series[0], z)
+            copy(series[1], w)
             h = 0.0
-            if _on_the_edge(law, mode, largest(z), w, forces, block, True, near, touching) == 1:
+            if _on_the_edge(law, mode, largest(z), w, forces, block, is_inside, near, touching) == 1:
                 h = correct(
                     law, block, mode, slips, series, forces, zeros, side, order, left, allowed, column, change,
                     last,
@@ -219,7 +220,7 @@ def _advance(  # type: ignore[no-untyped-def]
             is_open = h > _WORTH * clock[_EXPOSURE] / clock[_CUTS]
         else:
             _evaluate(series, order, step, z, w)
-            _on_the_edge(law, mode, 0.0, w, forces, block, False, near, touching)
+            _on_the_edge(law, mode, 0.0, w, forces, block, is_inside, near, touching)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[drive.TIME] = t_end if step == remaining else t + step

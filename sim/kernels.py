@@ -8,7 +8,7 @@ import numba
 import numba.extending
 import numpy as np
 
-from sim.compile import kernel
+from sim.compile import inner
 
 #: what rounding may do to a sum of terms, relative to the sum of their magnitudes
 ROUNDING = 32 * np.finfo(np.float64).eps
@@ -22,18 +22,8 @@ _MAX_DEPTH = 44
 _MAX_DEGREE = 40
 
 
-@kernel
-def _binomials(size):  # type: ignore[no-untyped-def]
-    table = np.zeros((size, size))
-    for i in range(size):
-        table[i, 0] = 1.0
-        for j in range(1, i + 1):
-            table[i, j] = table[i - 1, j - 1] + table[i - 1, j]
-    return table
-
-
 #: Pascal's triangle; exact in float64 up to row 56
-BINOMIALS = _binomials(_MAX_DEGREE + 1)
+BINOMIALS = np.array([[float(math.comb(i, j)) for j in range(_MAX_DEGREE + 1)] for i in range(_MAX_DEGREE + 1)])
 
 
 @numba.extending.intrinsic
@@ -56,7 +46,7 @@ def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
     return numba.types.float64(numba.types.int64), codegen
 
 
-@kernel
+@inner
 def largest(x):  # type: ignore[no-untyped-def]
     """max |x_i|, NaN if there is one: taken over the bits, since a maximum of floats does not vectorise."""
     most = np.int64(0)
@@ -66,7 +56,14 @@ def largest(x):  # type: ignore[no-untyped-def]
     return _as_float(most)  # type: ignore[call-arg]
 
 
-@kernel
+@inner
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """target = source: as a loop, since an assignment of arrays takes ten times as long to compile."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@inner
 def _moving(x, u, moving):  # type: ignore[no-untyped-def]
     """List the blocks with x_j or u_j not zero; returns how many there are."""
     m = 0
@@ -77,7 +74,7 @@ def _moving(x, u, moving):  # type: ignore[no-untyped-def]
     return m
 
 
-@kernel
+@inner
 def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
     """y = K x over the columns listed; eight columns share a pass over y."""
     n = len(x)
@@ -101,7 +98,7 @@ def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
             y[i] += column[i] * xj
 
 
-@kernel
+@inner
 def _two_in_one_pass(dense, x, u, y, z, moving, m):  # type: ignore[no-untyped-def]
     """y = K x and z = K u over the columns listed; eight columns share a pass over y and z."""
     n = len(x)
@@ -128,7 +125,7 @@ def _two_in_one_pass(dense, x, u, y, z, moving, m):  # type: ignore[no-untyped-d
             z[i] += column[i] * uj
 
 
-@kernel
+@inner
 def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
     _, _, indptr, indices, data = columns
     for i in range(len(x)):
@@ -139,7 +136,7 @@ def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
                 y[indices[k]] += data[k] * x[j]
 
 
-@kernel
+@inner
 def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
     """y = K x; see `two_products`."""
     if len(columns[0]) == 0:
@@ -148,7 +145,7 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
         _one_pass(columns[0], x, y, moving, _moving(x, x, moving))
 
 
-@kernel
+@inner
 def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
     """y = K x and z = K u in one pass over K: reading K, not the arithmetic, is what a product costs.
 
@@ -161,7 +158,7 @@ def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
         _two_in_one_pass(columns[0], x, u, y, z, moving, _moving(x, u, moving))
 
 
-@kernel
+@inner
 def rough_product(columns, x, y, moving, single):  # type: ignore[no-untyped-def]
     """y = K x with K in float32, off by at most ROUGH sum_j |K_ij| max |x|: half the memory to read.
 
@@ -178,7 +175,7 @@ def rough_product(columns, x, y, moving, single):  # type: ignore[no-untyped-def
         y[i] = single[1, i] * x_max
 
 
-@kernel
+@inner
 def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-def]
     """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k, by sums of neighbours."""
     for k in range(degree + 1):
@@ -188,7 +185,7 @@ def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-de
             bernstein[j] += bernstein[j - 1]
 
 
-@kernel
+@inner
 def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
     """Value of a polynomial."""
     value = coefficients[degree]
@@ -197,7 +194,7 @@ def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
     return value
 
 
-@kernel
+@inner
 def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
     changes = 0
     last = 0.0
@@ -209,7 +206,7 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
     return changes
 
 
-@kernel
+@inner
 def _refine(coefficients, degree, low, high):  # type: ignore[no-untyped-def]
     """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket."""
     value_low = horner(coefficients, degree, low)
@@ -237,15 +234,15 @@ def _refine(coefficients, degree, low, high):  # type: ignore[no-untyped-def]
     return x
 
 
-@kernel
-def roots(coefficients, degree, only_first, found):  # type: ignore[no-untyped-def]
+@inner
+def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
     """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
 
     By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
     root, one change means exactly one root, more are halved. So two roots close together are both found;
     where a polynomial only touches zero, rounding decides between a pair, one root at the touch, and none.
 
-    Returns the number of roots; their places are in `found`.
+    Returns the number of roots; their places are in `found`, and as many are looked for as it holds.
     """
     stack = np.empty((_MAX_DEPTH + 2, degree + 1))
     stack_low = np.empty(_MAX_DEPTH + 2)
@@ -289,7 +286,7 @@ def roots(coefficients, degree, only_first, found):  # type: ignore[no-untyped-d
         if n_found == 0 or root > found[n_found - 1]:
             found[n_found] = root
             n_found += 1
-            if only_first or n_found == len(found):
+            if n_found == len(found):
                 return n_found
     return n_found
 
@@ -302,7 +299,7 @@ _LN2_LOW = 1.9082149292705877e-10
 _EXP = np.array([1.0 / math.factorial(k) for k in range(13)])
 
 
-@kernel
+@inner
 def tanh_positive(y):  # type: ignore[no-untyped-def]
     """tanh(y) for y >= 0 to 2 units in the last place of 1, without branches, so that loops over it vectorise.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.compile import kernel
+from sim.compile import inner
 from sim.kernels import roots
 
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
@@ -16,7 +16,7 @@ UNRESOLVED = 2.0
 PASSES = 16
 
 
-@kernel
+@inner
 def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
     """Mode of a block from w - v and F."""
     if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
@@ -24,14 +24,14 @@ def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
     return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
 
 
-@kernel
+@inner
 def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
-    """Append the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
+    """Add the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
     start, end = y0 - bound, y1 - bound
     # Bernstein coefficients: no change of sign, no root
-    inner, outer = start + d0 / 3.0, end - d1 / 3.0
-    if (start > 0.0 and inner > 0.0 and outer > 0.0 and end > 0.0) or (
-        start < 0.0 and inner < 0.0 and outer < 0.0 and end < 0.0
+    second, third = start + d0 / 3.0, end - d1 / 3.0
+    if (start > 0.0 and second > 0.0 and third > 0.0 and end > 0.0) or (
+        start < 0.0 and second < 0.0 and third < 0.0 and end < 0.0
     ):
         return n_marks
     poly[0] = start
@@ -41,20 +41,24 @@ def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[
     skip = 0  # a root at the start belongs to the step before; the others count
     while skip < 3 and poly[skip] == 0.0:
         skip += 1
-    for k in range(roots(poly[skip:], 3 - skip, False, where)):
-        marks[n_marks] = where[k]
+    for k in range(roots(poly[skip:], 3 - skip, where)):
+        place = n_marks  # in rising order
+        while place > 0 and marks[place - 1] > where[k]:
+            marks[place] = marks[place - 1]
+            place -= 1
+        marks[place] = where[k]
         n_marks += 1
     return n_marks
 
 
-@kernel
+@inner
 def _between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
     """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
     y = 1.0 - x
     return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
 
 
-@kernel
+@inner
 def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
     """End slopes of a cubic, cut to [0, 3] times its mean slope where it is known to be monotone.
 
@@ -70,20 +74,20 @@ def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
     return (cut0, cut1) if is_monotone else (d0, d1)
 
 
-@kernel
+@inner
 def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
     """Side of (-bound, bound) to which a cubic keeps, by the hull of its Bernstein coefficients.
 
     +1 above, -1 below, 0 inside, 2 if that cannot be said; without branches, so that a loop is vectorised.
     """
-    inner, outer = y0 + d0 / 3.0, y1 - d1 / 3.0
-    above = (y0 >= bound) & (inner >= bound) & (outer >= bound) & (y1 >= bound)
-    below = (y0 <= -bound) & (inner <= -bound) & (outer <= -bound) & (y1 <= -bound)
-    inside = (abs(y0) < bound) & (abs(inner) < bound) & (abs(outer) < bound) & (abs(y1) < bound)
+    second, third = y0 + d0 / 3.0, y1 - d1 / 3.0
+    above = (y0 >= bound) & (second >= bound) & (third >= bound) & (y1 >= bound)
+    below = (y0 <= -bound) & (second <= -bound) & (third <= -bound) & (y1 <= -bound)
+    inside = (abs(y0) < bound) & (abs(second) < bound) & (abs(third) < bound) & (abs(y1) < bound)
     return 1 if above else (-1 if below else (0 if inside else 2))
 
 
-@kernel
+@inner
 def step_events(  # type: ignore[no-untyped-def]
     law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
     slope0, slope1, t, event_t, event_block, event_mode, n_recorded,
@@ -117,14 +121,13 @@ def step_events(  # type: ignore[no-untyped-def]
         rate0, rate1 = slope0[i], slope1[i]
         force0, force1 = damping[i] * v + force[i], damping[i] * v + new_force[i]
         pull0, pull1 = h * force_rate[i], h * new_force_rate[i]
-        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, 0, poly, where)
+        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, np.int64(0), poly, where)
         if friction[i] > 0.0:
             for sign in (-1.0, 1.0):
                 n_marks = _marks(gap0, rate0, gap1, rate1, sign * band[i], marks, n_marks, poly, where)
                 if by_force:
                     bound = sign * friction[i]
                     n_marks = _marks(force0, pull0, force1, pull1, bound, marks, n_marks, poly, where)
-        marks[:n_marks].sort()
         for k in range(n_marks + 1):
             left = marks[k - 1] if k > 0 else 0.0
             right = marks[k] if k < n_marks else 1.0

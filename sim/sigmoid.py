@@ -32,9 +32,9 @@ from numpy.typing import ArrayLike
 
 from sim import drive, fate
 from sim.arguments import Floats, flag, number, per_block
-from sim.compile import kernel
+from sim.compile import inner, kernel
 from sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from sim.kernels import ROUGH, largest, one_product, rough_product, tanh_positive, two_products
+from sim.kernels import ROUGH, copy, largest, one_product, rough_product, tanh_positive, two_products
 from sim.layer import PASSES, UNRESOLVED, step_events
 from sim.run import Run
 from sim.system import System
@@ -56,7 +56,7 @@ _NEWTON_MAX = 400
 _STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 
-@kernel
+@inner
 def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # type: ignore[no-untyped-def]
     """Solve w = base + h gamma w'(w) for all blocks from a guess x of (w - v) / delta.
 
@@ -95,7 +95,7 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
     return unsolved == 0
 
 
-@kernel
+@inner
 def _step(  # type: ignore[no-untyped-def]
     law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w, rtol,
     atol, moving, single,
@@ -103,8 +103,8 @@ def _step(  # type: ignore[no-untyped-def]
     """One trial step. Returns the largest error over tolerance and its block."""
     columns, damping, friction, delta, v = law
     n = len(z)
-    stage_w[0] = w
-    stage_rate[0] = rate
+    copy(w, stage_w[0])
+    copy(rate, stage_rate[0])
     for s in range(1, STAGES):
         for i in range(n):
             base[i] = w[i]
@@ -172,7 +172,7 @@ def _advance(  # type: ignore[no-untyped-def]
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
     single = np.empty((2, n), dtype=np.float32)
-    n_recorded = 0
+    n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     rejected = False
     for _ in range(drive.STEPS_A_SLICE):
         t = clock[drive.TIME]

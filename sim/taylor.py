@@ -12,8 +12,8 @@ coefficients of block i's event function (on that side of its stick interval) va
 
 from __future__ import annotations
 
-from sim.compile import kernel
-from sim.kernels import ROUNDING, largest, two_products
+from sim.compile import inner
+from sim.kernels import ROUNDING, copy, largest, two_products
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
@@ -28,14 +28,14 @@ UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side
 IDENTICALLY_ZERO = 10 * ORDER_MAX
 
 
-@kernel
+@inner
 def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
     """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
     _, row_sums, damping, friction, v = law
     return ROUNDING * (abs(damping[i] * v) + row_sums[i] * z_max + friction[i])
 
 
-@kernel
+@inner
 def _settle(law, z_max, forces, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
     """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
     _, _, damping, friction, v = law
@@ -59,7 +59,7 @@ def _settle(law, z_max, forces, mode, touching, zeros, side):  # type: ignore[no
     return n_undecided
 
 
-@kernel
+@inner
 def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[no-untyped-def]
     """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
     _, row_sums, _, _, _ = law
@@ -79,7 +79,7 @@ def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[
     return n_decided
 
 
-@kernel
+@inner
 def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
@@ -91,8 +91,8 @@ def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target
     for i in range(n):
         if touching[i] or mode[i] == 0:
             w[i] = v
-    series[0] = z
-    series[1] = w
+    copy(z, series[0])
+    copy(w, series[1])
     two_products(columns, series[0], series[1], forces[0], forces[1], moving)
     w_max = largest(w)
     n_undecided = _settle(law, largest(z), forces, mode, touching, zeros, side)
@@ -138,7 +138,7 @@ def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target
     return order, h, allowed, n_products
 
 
-@kernel
+@inner
 def shift(series, order, step):  # type: ignore[no-untyped-def]
     """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
     n = series.shape[1]
@@ -148,7 +148,7 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
                 series[m, i] += step * series[m + 1, i]
 
 
-@kernel
+@inner
 def correct(law, block, mode, slips, series, forces, zeros, side, order, h, allowed, column, change, last):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
@@ -178,7 +178,7 @@ def correct(law, block, mode, slips, series, forces, zeros, side, order, h, allo
         for k in range(indptr[i], indptr[i + 1]):
             column[indices[k]] = data[k]
     else:
-        column[:] = dense[i]
+        copy(dense[i], column)
     own = column[i]
     column[i] = 0.0
     was_stuck = mode[i] == 0

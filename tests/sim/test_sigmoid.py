@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+import numba
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -70,7 +71,7 @@ def test_order_conditions_hold_exactly():
 
 def test_tanh():
     y = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 2000)))
-    ours = np.array([tanh_positive(value) for value in y])
+    ours = numba.vectorize(lambda value: tanh_positive(value))(y)
     assert np.abs(ours - np.tanh(y)).max() <= 2 * np.finfo(float).eps
 
 
