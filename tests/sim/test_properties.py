@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sim import EventSeries, System, simulate
+from sim import EventSeries, System, draw_system, simulate
 
 from .reference import follow
 
@@ -343,30 +343,49 @@ def test_the_error_follows_the_tolerance(case):
     assert error > 0
 
 
-def test_order_four_on_a_smooth_stretch():
-    system = System([[4.0, 1.0], [-1.0, 9.0]], 0.1, [0.5, 0.0], -0.3)
+def test_order_four_of_the_state_and_of_the_times_of_events():
+    """A law that is smooth on the scale of the motion: state by DOP853, 32 entries and exits on its dense output."""
+    system = System([[4.0, 1.0], [-1.0, 9.0]], 0.1, [0.5, 0.3], -0.3)
     z0, w0 = np.array([1.0, -1.0]), np.array([0.5, 0.2])
-    delta = np.array([2.0, 2.0])  # the law is smooth on the scale of the motion
-    end = solve_ivp(
-        field(system, delta), (0, 10), np.concatenate((z0, w0)), method="DOP853", rtol=1e-13, atol=1e-13
-    ).y[:, -1]
-    steps, errors = [], []
-    for tol in 10.0 ** -np.arange(7, 12):
+    delta, threshold = np.array([2.0, 2.0]), 0.05
+    reference = solve_ivp(
+        field(system, delta), (0, 10), np.concatenate((z0, w0)), method="DOP853", rtol=1e-13, atol=1e-13,
+        dense_output=True, max_step=0.02,
+    )  # fmt: skip
+    initial, rows = located(system, delta, threshold * delta, False, reference.sol, 10.0)
+    t, block, mode = zip(*rows, strict=True)
+    assert len(rows) == 32
+    steps, errors, late = [], [], []
+    for tol in 10.0 ** -np.arange(7.0, 11.1, 0.5):
         run = simulate(
-            system,
-            z0,
-            w0,
-            10.0,
-            engine="sigmoid",
-            eps=2.0,
-            stick="threshold",
-            rtol=tol,
-            atol=tol,
-            stop_early=False,
-        )
+            system, z0, w0, 10.0, engine="sigmoid", eps=2.0, stick="threshold", threshold=threshold, rtol=tol,
+            atol=tol, stop_early=False,
+        )  # fmt: skip
+        assert run.events.initial_mode.tolist() == initial.tolist()
+        assert (run.events.block.tolist(), run.events.mode.tolist()) == (list(block), list(mode))
         steps.append(run.stats.n_steps)
-        errors.append(np.abs(np.concatenate((run.z, run.w)) - end).max())
-    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(-4, abs=0.15)
+        errors.append(np.abs(np.concatenate((run.z, run.w)) - reference.y[:, -1]).max())
+        late.append(np.abs(run.events.t - t).mean())
+    for error in (errors, late):
+        assert np.polyfit(np.log(steps), np.log(error), 1)[0] == pytest.approx(-4, abs=0.15)
+
+
+def test_the_exact_engine_is_of_order_one_in_its_tolerance_across_events():
+    """Some 250 located events a run; state and times err like tol over eight decades, in the mean over draws."""
+    tolerances = 10.0 ** -np.arange(4, 12)
+    errors, late = [], []
+    for seed in range(8):
+        system = draw_system("antisymmetric", 50, seed=seed)
+        exact = simulate(system, -0.7, -0.4, 20.0, tol=1e-15, stop_early=False)
+        assert len(exact.events) > 200
+        runs = [simulate(system, -0.7, -0.4, 20.0, tol=tol, stop_early=False) for tol in tolerances]
+        for run in runs:
+            np.testing.assert_array_equal(run.events.block, exact.events.block)
+        errors.append([max(np.abs(run.z - exact.z).max(), np.abs(run.w - exact.w).max()) for run in runs])
+        late.append([np.abs(run.events.t - exact.events.t).max() for run in runs])
+    for error in (errors, late):
+        mean = np.log(error).mean(axis=0)
+        assert np.polyfit(np.log(tolerances), mean, 1)[0] == pytest.approx(1, abs=0.15)
 
 
 def located(system, delta, band, by_force, sol, t_end):
