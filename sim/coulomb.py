@@ -171,7 +171,7 @@ def _advance(  # type: ignore[no-untyped-def]
     poly, change, found = np.zeros(ORDER_MAX + 1), np.zeros(ORDER_MAX + 1), np.zeros(1)
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     is_open, is_cut = False, False
-    order, h, allowed = 0, 0.0, 0.0
+    order, h, span, allowed = 0, 0.0, 0.0, 0.0
     for _ in range(drive.STEPS_A_SLICE):
         if n_recorded + n > len(event_t):
             return drive.BUFFER_FULL, n_recorded
@@ -184,6 +184,7 @@ def _advance(  # type: ignore[no-untyped-def]
                 law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
             )  # fmt: skip
             counters[drive.N_PRODUCTS] += n_products
+            span = h
             is_open, is_cut = True, False
         if counters[drive.N_STEPS] == 0:
             copy(mode, initial_mode)
@@ -212,7 +213,7 @@ def _advance(  # type: ignore[no-untyped-def]
             h = 0.0
             if _on_the_edge(law, mode, largest(z), w, forces, block, is_inside, near, touching) == 1:
                 h = correct(
-                    law, block, mode, slips, series, forces, zeros, side, order, left, allowed, column, change,
+                    law, block, mode, slips, series, forces, zeros, side, order, span, left, allowed, column, change,
                     last,
                 )  # fmt: skip
                 touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same

@@ -24,6 +24,9 @@ _ORDER_MIN = 4
 #: far below the tolerance.
 _PASSED_ON = 0.002
 
+#: An event is decided by a series if the force is this many times its error away from another decision.
+_DOUBT = 10.0
+
 UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
 IDENTICALLY_ZERO = 10 * ORDER_MAX
 
@@ -149,23 +152,28 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
-def correct(law, block, mode, slips, series, forces, zeros, side, order, h, allowed, column, change, last):  # type: ignore[no-untyped-def]
+def correct(  # type: ignore[no-untyped-def]
+    law, block, mode, slips, series, forces, zeros, side, order, span, h, allowed, column, change, last
+):  # fmt: skip
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
     From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
     K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
     like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
     to the accuracy of the series (then nothing has changed, and a new expansion decides).
+
+    `span` is the length of the window, over which an error `allowed` of w becomes one of z.
     """
     columns, row_sums, damping, friction, v = law
     i = block
     n = len(mode)
     mu = friction[i]
     force = damping[i] * v + forces[0, i]
-    doubt = 1e3 * (allowed + force_rounding(law, i, largest(series[0])))
+    rate_error = row_sums[i] * allowed
+    doubt = _DOUBT * (rate_error * span + force_rounding(law, i, largest(series[0])))
     new = -1 if force > 0.0 else 1
     if mode[i] == 0:
-        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= doubt:
+        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
             return 0.0
     elif abs(force) < mu - doubt:
         new = 0
