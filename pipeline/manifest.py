@@ -58,7 +58,7 @@ class Manifest(BaseModel):
     """The shards that are done, by name, and the scene that they belong to."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[2] = SCHEMA_VERSION
     scene_hash: str
     shards: dict[ShardName, Shard] = {}
 

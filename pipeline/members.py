@@ -47,6 +47,7 @@ class Member:
     atol: float | None
     stick: str | None
     threshold: float | None
+    picked_for: str | None
     z0: float
     w0: float
     t_end: float
@@ -138,16 +139,14 @@ def _member(
         words += [f"p{_short(size)}", f"d{draw}"]
     words.append(engine.name)
     settings: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
-    if isinstance(engine, Coulomb):
-        settings["tol"] = engine.tol
-        words.append(_short(engine.tol))
-    else:
-        settings |= engine.model_dump(include={"eps", "ratio", "rtol", "atol", "stick"})
+    settings |= engine.tolerances
+    if isinstance(engine, Sigmoid):
+        settings |= engine.model_dump(include={"eps", "ratio", "stick"})
         words += [_short(engine.eps), "one" if ratio_draw is None else f"u{ratio_draw}"]
-        words += [_short(engine.rtol), _short(engine.atol)]
-        if engine.stick == "threshold":
-            settings["threshold"] = engine.threshold
-            words.append(f"c{_short(engine.threshold)}")
+    words += map(_short, engine.tolerances.values())
+    if isinstance(engine, Sigmoid) and engine.stick == "threshold":
+        settings["threshold"] = engine.threshold
+        words.append(f"c{_short(engine.threshold)}")
     return Member(
         member_id="-".join(words),
         n=n,
@@ -161,6 +160,7 @@ def _member(
         perturbation_draw=draw,
         engine=engine.name,
         ratio_draw=ratio_draw,
+        picked_for=engine.picked_for,
         z0=scene.start.z,
         w0=scene.start.w,
         t_end=scene.run.t_end,

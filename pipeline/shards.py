@@ -16,7 +16,7 @@ import sim
 from pipeline.members import Batch, Member
 
 #: Version of the schema below; kept in every shard and in the manifest.
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 
 
 def _column(name: str, kind: pa.DataType, description: str, nullable: bool = True) -> pa.Field:
@@ -66,6 +66,7 @@ SCHEMA = pa.schema(
         _column("atol", pa.float64(), "absolute tolerance (sigmoid)"),
         _column("stick", pa.string(), "what counts as sticking: manifold or threshold (sigmoid)"),
         _column("threshold", pa.float64(), "a block sticks when |w - v| < threshold r_i eps (sigmoid, threshold)"),
+        _column("picked_for", pa.string(), "what a tolerance was picked for: statistics or paths; null: all given"),
         _column("z0", pa.float64(), "displacement of every block at t = 0", False),
         _column("w0", pa.float64(), "velocity of every block at t = 0", False),
         _column("t_end", pa.float64(), "end of the run as asked for", False),

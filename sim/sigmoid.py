@@ -34,7 +34,7 @@ from sim import drive, fate
 from sim.arguments import Floats, flag, number, per_block
 from sim.compile import inner, kernel
 from sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from sim.kernels import ROUGH, copy, largest, one_product, rough_product, tanh_positive, two_products
+from sim.kernels import ROUGH, ROUNDING, copy, largest, one_product, rough_product, tanh_positive, two_products
 from sim.layer import PASSES, UNRESOLVED, step_events
 from sim.run import Run
 from sim.system import System
@@ -44,7 +44,7 @@ Stick = Literal["manifold", "threshold"]
 #: Step control: the embedded error is O(h^4); a step changes by a factor in [_SHRINK, _GROW].
 _EXPONENT = 1.0 / 4.0
 _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
-#: A stage is solved when its residual is this share of the tolerance (the last Newton step squares it).
+#: A stage is solved when its residual is this share of the tolerance, or rounding (the last Newton step squares it).
 _SOLVED = 1e-2
 #: The share of the tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
@@ -86,7 +86,7 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
             residual = a * y + b * tanh - abs(beta[i])
             y -= residual / (a + b * (1.0 - tanh * tanh))
             x[i] = y if y > low[i] else low[i]
-            unsolved += 1 if abs(residual) > allowed else 0
+            unsolved += 1 if abs(residual) > allowed + ROUNDING * abs(beta[i]) else 0
         if unsolved == 0:
             break
     for i in range(n):

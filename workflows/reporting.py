@@ -37,5 +37,8 @@ def report(path: Path) -> tuple[Report, Status]:
         "members": f"{found.n_done} of {found.n_members}",
         "coupling": scene.system.coupling,
     }
+    frame = members(path)
+    picked = sorted(set(frame.picked_for.dropna()))
+    provenance["tolerances"] = f"picked for {' and '.join(picked)} where not given" if picked else "given"
     change_points = {member_id: (t, n_stick) for member_id, t, n_stick in series(path)}
-    return build(members(path), change_points, settings, scene.title or path.name, scene.about, provenance), found
+    return build(frame, change_points, settings, scene.title or path.name, scene.about, provenance), found

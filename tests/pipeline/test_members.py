@@ -28,7 +28,7 @@ def test_ids_are_unique_and_in_order(scene):
     ]
     assert keys == sorted(keys)  # here the engines stand in alphabetical order
     assert members[0].member_id == "n3-m000-coulomb-1e-10"
-    assert members[5].member_id == "n3-m000-p0.01-d0-sigmoid-0.03-u1-1e-6-1e-8-c1"
+    assert members[5].member_id == "n3-m000-p0.01-d0-sigmoid-0.03-u1-1e-8-1e-8-c1"
 
 
 def test_growing_a_scene_renames_nobody_and_changes_nothing(scene, source):
@@ -112,13 +112,13 @@ def test_settings_reach_the_engine(scene, monkeypatch):
     monkeypatch.setattr("sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings)))
     members = by_id(scene)
     members["n3-m000-coulomb-1e-10"].simulate()
-    members["n5-m002-sigmoid-0.03-u1-1e-6-1e-8-c1"].simulate()
+    members["n5-m002-sigmoid-0.03-u1-1e-8-1e-8-c1"].simulate()
     assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "engine": "coulomb", "tol": 1e-10})
     n, _, _, settings = seen[1]
     assert n == 5
     assert settings.pop("ratio").shape == (5,)
     assert settings == {
-        "t_end": 8.0, "engine": "sigmoid", "eps": 0.03, "rtol": 1e-6, "atol": 1e-8,
+        "t_end": 8.0, "engine": "sigmoid", "eps": 0.03, "rtol": 1e-8, "atol": 1e-8,
         "stick": "threshold", "threshold": 1.0,
     }  # fmt: skip
 

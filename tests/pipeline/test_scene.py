@@ -24,7 +24,7 @@ def test_defaults_and_lists(scene):
     assert (scene.system.kappa, scene.system.rho, scene.system.belt_speed) == (0.2, 3.5, -0.2)
     coulomb, sigmoid = scene.engines
     assert coulomb.tol == 1e-10
-    assert (sigmoid.eps, sigmoid.rtol, sigmoid.atol, sigmoid.threshold) == (0.03, 1e-6, 1e-8, 1.0)
+    assert (sigmoid.eps, sigmoid.rtol, sigmoid.atol, sigmoid.threshold) == (0.03, 1e-8, 1e-8, 1.0)
     assert scene.perturbation.draws == 1
 
 
@@ -159,7 +159,6 @@ def test_hash_is_of_what_determines_the_data(scene, source):
         ('title = "small"', 'title = "other"\nabout = "text"'),
         ("t_burn = 1.0", "t_burn = 2.0"),
         ("n = [5, 3]", "n = [3, 5]  # another order"),
-        ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-10'),
         ("t_end = 8.0", "t_end = 8"),
     ]
     for old, new in same:
@@ -173,6 +172,23 @@ def test_hash_is_of_what_determines_the_data(scene, source):
     ]
     hashes = {parse_scene(edit(source, old, new)).hash for old, new in others}
     assert len(hashes | {scene.hash}) == len(others) + 1
+
+
+def test_tolerances_are_picked_for_what_a_scene_asks(scene, source):
+    """Events and moved constants ask for paths; n_stick alone for statistics; what is given stands, and is said."""
+    assert (scene.purpose, [engine.picked_for for engine in scene.engines]) == ("paths", ["paths", "paths"])
+    moved = parse_scene(edit(source, "events = true", "events = false"))
+    assert moved.engines[0].tolerances == {"tol": 1e-10}
+    plain = edit(edit(source, "events = true", "events = false"), "[perturbation]\nsizes = [0.05, 0.01]", "")
+    picked = parse_scene(plain)
+    assert [engine.tolerances for engine in picked.engines] == [{"tol": 1e-5}, {"rtol": 1e-5, "atol": 1e-5}]
+    assert {member.picked_for for member in expand(picked)} == {"statistics"}
+    given = parse_scene(
+        edit(edit(plain, 'name = "coulomb"', 'name = "coulomb"\ntol = 1e-5'), "ratio_draws = 2", "rtol = 1e-3")
+    )
+    assert [engine.tolerances for engine in given.engines] == [{"tol": 1e-5}, {"rtol": 1e-3, "atol": 1e-5}]
+    assert [engine.picked_for for engine in given.engines] == [None, "statistics"]
+    assert given.hash != picked.hash  # the dataset says which was picked
 
 
 def test_members_are_counted_without_expanding(scene, source):

@@ -309,7 +309,7 @@ def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
     assert f"got {pq.read_table(first).num_rows}" in rows
     assert f"expected member {ids[1]}, got {ids[2]}" in members
     assert "99" in entry
-    assert "expected the columns of schema version 1" in columns
+    assert "expected the columns of schema version 2" in columns
 
 
 def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy):
@@ -380,7 +380,7 @@ def test_a_directory_of_something_else_is_refused_and_left_alone(scene, source, 
         lambda text: text[: len(text) // 2],
         lambda text: text.replace('"rows"', '"row"', 1),
         lambda text: text.replace('"shard-00000-', '"../shard-00000-', 1),
-        lambda text: text.replace('"schema_version": 1', '"schema_version": 2'),
+        lambda text: text.replace('"schema_version": 2', '"schema_version": 3'),
         lambda text: "[]",
     ],
 )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import sim
 from pipeline.members import MATRIX, RATIO
-from workflows.charts.fixed import BEYOND, STEPPERS
+from workflows.charts.fixed import BEYOND, STEPPERS, whole_steps
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]
@@ -63,8 +63,8 @@ class Problem:
         With dense K.
     delta : ndarray, shape (n,)
         r_i eps > 0.
-    z0, w0 : float
-        Start of every block.
+    z0, w0 : float or ndarray, shape (n,)
+        Start of every block, or of each.
     t_end : float
     patience : float
         Seconds after which a peer that calls back to Python gives a run up: only there can it be stopped.
@@ -72,15 +72,15 @@ class Problem:
 
     system: sim.System
     delta: Floats
-    z0: float
-    w0: float
+    z0: float | Floats
+    w0: float | Floats
     t_end: float
     patience: float = math.inf
 
     @property
     def start(self) -> Floats:
         """y at t = 0, shape (2 n,)."""
-        return np.repeat([self.z0, self.w0], self.system.n)
+        return np.concatenate((np.full(self.system.n, self.z0), np.full(self.system.n, self.w0)))
 
 
 def random_problem(
@@ -339,7 +339,7 @@ def _fixed(name: str) -> Method:
         law = (system.columns, system.damping, system.friction, problem.delta, system.belt_speed)
 
         def solve(step: float) -> Solution:
-            n_steps = math.ceil(problem.t_end / step * (1.0 - 1e-12))
+            n_steps = whole_steps(problem.t_end, step)
             z, w = np.full(system.n, problem.z0), np.full(system.n, problem.w0)
             h = problem.t_end / n_steps
             done = advance(law, z, w, h, n_steps)

@@ -324,7 +324,7 @@ def test_a_finer_point_that_is_cheaper_counts():
 def planted(scene):
     """Costs on planted lines: the sigmoid engine at 1000, CyRK at 3000 and SciPy DOP853 at 8000 products."""
     costs = [
-        Cost(5, "uniform", "sigmoid", name, tol, None, "measured", None, 2 * tol, False, *[cost] * 3, 900, 1.0, 1e-6, 5)
+        Cost(5, "uniform", "sigmoid", name, tol, None, "measured", None, 2 * tol, False, *[cost] * 3, 9, 1.0, 1e-6, 5)
         for name, cost in (("sigmoid engine", 1e3), ("CyRK DOP853", 3e3), ("SciPy DOP853", 8e3))
         for tol in (1e-3, 1e-7)
     ]  # fmt: skip
