@@ -50,6 +50,12 @@ _SOLVED = 1e-2
 _ROUGH_SHARE = 0.05
 #: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
 _MISSED = 10.0
+#: A layer is a jump to a step this many times longer than its relaxation time.
+_SHARP = 4.0
+#: The least error put down for a step across such a layer, as a share of h times the change of w'. A jump J at the
+#: fraction theta of a step leaves h J |1 - theta - sum of b_j, c_j > theta|, at most h J / 4, and the embedded
+#: estimate vanishes for some theta: now and then a step would err by hundreds of tolerances and be accepted.
+_CROSSED = 0.02
 _NEWTON_MAX = 400
 
 # behind the common clocks: the next step to try, and the error of the last one
@@ -131,6 +137,7 @@ def _step(  # type: ignore[no-untyped-def]
         if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
             return np.inf, 0
     last = STAGES - 1
+    new_rate = stage_rate[last]
     for i in range(n):
         new_z[i] = z[i] + (new_z[i] + h * GAMMA * stage_w[last, i])
         new_w[i] = stage_w[last, i]
@@ -146,8 +153,11 @@ def _step(  # type: ignore[no-untyped-def]
         drag = damping[i] * v
         attracts = (abs(drag + force[i]) < friction[i]) & (abs(drag + coupling[i]) < friction[i])
         gap, new_gap = w[i] - v, new_w[i] - v
+        crossed = gap * new_gap < 0.0
+        if crossed and h * friction[i] > _SHARP * delta[i]:
+            x[i] = max(x[i], _CROSSED * h * abs(new_rate[i] - rate[i]) / allowed_w)
         if attracts and abs(new_gap) > band[i] and h * friction[i] > UNRESOLVED * delta[i]:
-            reached = gap * new_gap < 0.0
+            reached = crossed
             for j in range(STAGES):
                 reached = reached or abs(stage_w[j, i] - v) < band[i]
             x[i] = max(x[i], _MISSED) if reached else x[i]
