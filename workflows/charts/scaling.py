@@ -151,11 +151,12 @@ class Cost:
 class Throughput:
     """Members that an engine ran through the pipeline: a row of the table `throughput`.
 
-    `seconds` is the time on workers that have started and loaded, `seconds_with_start` that of a run that starts its
+    `tolerance` is a number, or "picked": what a scene that gives none gets, for statistics. `seconds` is the time on workers that have started and loaded, `seconds_with_start` that of a run that starts its
     own.
     """
 
     engine: Literal["coulomb", "sigmoid"]
+    tolerance: str
     n: int
     t_end: float
     n_members: int
@@ -403,9 +404,12 @@ def lockstep(scene: ScalingScene) -> list[Lockstep]:
 
 def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
     """The ensemble, engine by engine, on workers that are there and on workers that have to be started."""
-    engines: tuple[tuple[Literal["coulomb", "sigmoid"], Settings], ...] = (
-        ("coulomb", {"tol": scene.tol}),
-        ("sigmoid", {"eps": scene.eps, "rtol": scene.rtol, "atol": scene.rtol}),
+    smooth = {"eps": scene.eps}
+    engines: tuple[tuple[Literal["coulomb", "sigmoid"], str, Settings], ...] = (
+        ("coulomb", f"{scene.tol:g}", {"tol": scene.tol}),
+        ("coulomb", "picked", {}),
+        ("sigmoid", f"{scene.rtol:g}", smooth | {"rtol": scene.rtol, "atol": scene.rtol}),
+        ("sigmoid", "picked", smooth),
     )
     found = []
     with (
@@ -415,19 +419,19 @@ def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
         Client(cluster, set_as_default=False) as client,
     ):
         client.run(warm)
-        for engine, settings in engines:
+        for engine, tolerance, settings in engines:
             seconds, n_failed = _pipeline(scene, engine, settings, scheduler=cluster.scheduler_address)
-            found.append((engine, settings, n_failed, seconds))
+            found.append((engine, tolerance, settings, n_failed, seconds))
     rows = []
-    for engine, settings, n_failed, seconds in found:
+    for engine, tolerance, settings, n_failed, seconds in found:
         with_start, _ = _pipeline(scene, engine, settings, workers=scene.workers)
         rows.append(
             Throughput(
-                engine, scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers, n_failed, seconds,
-                with_start,
+                engine, tolerance, scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers, n_failed,
+                seconds, with_start,
             )
         )  # fmt: skip
-        say(f"ensemble, {engine} engine: {seconds:.3g} s, {with_start:.3g} s with start-up")
+        say(f"ensemble, {engine} engine, tolerance {tolerance}: {seconds:.3g} s, {with_start:.3g} s with start-up")
     return rows
 
 

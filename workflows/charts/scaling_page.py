@@ -261,9 +261,13 @@ def a_minute(n_members: int, seconds: float) -> float:
     return 60.0 * n_members / seconds
 
 
+def _at(row: Throughput) -> str:
+    return "at the tolerances picked for statistics" if row.tolerance == "picked" else f"at {row.tolerance}"
+
+
 def _throughput_words(row: Throughput) -> str:
     words = (
-        f"The {row.engine} engine runs {_count(a_minute(row.n_members, row.seconds))} members a minute "
+        f"The {row.engine} engine {_at(row)} runs {_count(a_minute(row.n_members, row.seconds))} members a minute "
         f"on {row.n_workers} worker{'s' if row.n_workers > 1 else ''} that are there, "
         f"{_count(a_minute(row.n_members, row.seconds_with_start))} when they have to be started"
     )

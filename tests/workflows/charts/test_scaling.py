@@ -57,7 +57,11 @@ def in_process(monkeypatch):
 
     def throughput(scene, say):
         seconds, n_failed = scaling._pipeline(scene, "coulomb", {"tol": scene.tol}, workers=0)
-        return [Throughput("coulomb", scene.ensemble_n, scene.ensemble_t_end, 2, 1, n_failed, seconds, 2 * seconds)]
+        return [
+            Throughput(
+                "coulomb", "picked", scene.ensemble_n, scene.ensemble_t_end, 2, 1, n_failed, seconds, 2 * seconds
+            )
+        ]
 
     monkeypatch.setattr(scaling, "throughput", throughput)
 
@@ -236,9 +240,11 @@ def test_measured_values_cross_as_json(scene, in_process):
 
 def test_the_ensemble_runs_on_workers(scene):
     found = scaling.throughput(scene, silent)
-    assert [(row.engine, row.n_members, row.n_workers, row.n_failed) for row in found] == [
-        ("coulomb", 2, 1, 0),
-        ("sigmoid", 2, 1, 0),
+    assert [(row.engine, row.tolerance, row.n_members, row.n_workers, row.n_failed) for row in found] == [
+        ("coulomb", "1e-10", 2, 1, 0),
+        ("coulomb", "picked", 2, 1, 0),
+        ("sigmoid", "1e-06", 2, 1, 0),
+        ("sigmoid", "picked", 2, 1, 0),
     ]
     assert all(row.seconds > 0 and row.seconds_with_start > 0 for row in found)
 
@@ -293,7 +299,7 @@ def planted(scene, event=1.0, time=2.0, **changes):
     chain = replace(costs[0], system="chain", outcome="failed", reason="it broke", seconds=None)
     measured = Measured(
         [rest, *costs, chain, smooth],
-        [Throughput("coulomb", 200, 1000.0, 40, 2, 0, 24.0, 30.0)],
+        [Throughput("coulomb", "1e-10", 200, 1000.0, 40, 2, 0, 24.0, 30.0)],
         [Lockstep(200, 1, 1e-6, 1e-6, 1.0), Lockstep(200, 8, 2e-6, 1e-6, 0.25)],
         smooth,
         {},
@@ -334,10 +340,10 @@ def test_systems_at_rest_and_rows_that_failed_are_named_and_left_out(scene):
 
 def test_throughput_words(scene):
     report = planted(scene)
-    words = line(report, "The coulomb engine runs")
+    words = line(report, "The coulomb engine at 1e-10 runs")
     assert "runs 100 members a minute on 2 workers that are there, 80 when they have to be started" in words
-    slow = [Throughput("coulomb", 200, 1000.0, 40, 1, 3, 24.0, 20.0)]
-    words = line(planted(scene, throughput=slow), "The coulomb engine runs")
+    slow = [Throughput("coulomb", "1e-10", 200, 1000.0, 40, 1, 3, 24.0, 20.0)]
+    words = line(planted(scene, throughput=slow), "The coulomb engine at 1e-10 runs")
     assert "1 worker that" in words
     assert "3 failed" in words
     assert "the start is lost in the scatter" in words
