@@ -151,8 +151,8 @@ class Cost:
 class Throughput:
     """Members that an engine ran through the pipeline: a row of the table `throughput`.
 
-    `tolerance` is a number, or "picked": what a scene that gives none gets, for statistics. `seconds` is the time on workers that have started and loaded, `seconds_with_start` that of a run that starts its
-    own.
+    `tolerance` is a number, or "picked": what a scene that gives none gets, for statistics. `seconds` is the time on
+    workers that have started and loaded, `seconds_with_start` that of a run that starts its own.
     """
 
     engine: Literal["coulomb", "sigmoid"]
