@@ -6,6 +6,7 @@ Decisions, and why:
 - ``fastmath`` off, ``parallel`` off: reordered sums would make the order of events depend on the machine's
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
+- ``no_rewrites=True``: kernels hold no array expressions, and looking for them takes time.
 - the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
 """
@@ -57,7 +58,7 @@ def _usable_cache() -> Path | None:
 
 _CACHE = _usable_cache()
 _jit: Any = numba.njit
-_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_rewrites": True}
 
 
 def clear_cache() -> None:
