@@ -94,15 +94,8 @@ BAD = {
 
 
 @pytest.mark.parametrize("mistake", BAD)
-def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, scene_file, tmp_path, capsys):
-    old, new, key, remedy = BAD[mistake]
-    scene_file.write_text(TINY.replace(f"\n{old}", f"\n{new}", 1))
-    out = tmp_path / "out"
-    assert main(["run", str(scene_file), "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert f"tiny.toml: {key}" in error
-    assert remedy in error
-    assert not out.exists()
+def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, refuse):
+    refuse(TINY, *BAD[mistake])
 
 
 def test_dry_run_measures_and_writes_nothing(tmp_path, monkeypatch, capsys):

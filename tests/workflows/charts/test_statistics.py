@@ -12,7 +12,6 @@ from scipy import stats
 
 import sim
 from analysis import figures
-from pipeline import SceneError
 from workflows import charts
 from workflows.charts import alone, statistics
 from workflows.charts.fixed import BEYOND, STEPPERS, moreau_jean, whole_steps
@@ -277,18 +276,8 @@ BAD = {
 
 
 @pytest.mark.parametrize("mistake", BAD)
-def test_a_bad_scene_is_refused_with_key_and_remedy(mistake, scene_file, tmp_path, capsys):
-    old, new, key, remedy = BAD[mistake]
-    assert TINY.count(old) == 1
-    scene_file.write_text(TINY.replace(old, new))
-    out = tmp_path / "out"
-    assert main(["run", str(scene_file), "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert f"tiny.toml: {key}" in error
-    assert remedy in error
-    assert not out.exists()
-    with pytest.raises(SceneError):
-        load_chart(scene_file)
+def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, refuse):
+    refuse(TINY, *BAD[mistake])
 
 
 # ---------------------------------------------------------------------------------------------- measuring
