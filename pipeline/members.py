@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -17,7 +18,7 @@ MATRIX, PERTURBATION, RATIO = 0, 1, 2
 
 #: Work in a batch, in units of `Member.cost` (about a second each). A constant: were it chosen by the number
 #: of workers, so would be the shards' names and the dataset's bytes.
-TARGET_COST = 2.0
+TARGET_COST = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,8 @@ class Member:
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
         """
         rate = 2.5e-7 * self.n + 3.7e-11 * self.n**3
+        if self.tol is not None:  # terms of a series: one more for each factor of its last
+            rate *= max(0.3, 1.0 + 0.11 * math.log10(1e-10 / self.tol))
         if self.rtol is not None and self.atol is not None:  # steps of a method of order four
             rate *= 0.85 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
         return 1e-3 + self.t_end * rate
