@@ -194,7 +194,7 @@ def _advance(  # type: ignore[no-untyped-def]
         counters[drive.N_EVENTS] += n_recorded - before
         if remaining <= 0.0:
             return drive.DONE, n_recorded
-        if same and mode[0] != 0 and t >= clock[drive.CHECK]:
+        if same and mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
             return drive.ALL_SLIP, n_recorded
 
         step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
@@ -281,7 +281,8 @@ def integrate(
     known_mode, initial_mode = mode.copy(), mode.copy()
     rate = float((np.abs(system.damping) + np.sqrt(system.row_sums)).max())  # bounds |eigenvalues|
     clock = np.zeros(drive.N_CLOCKS + 2)
-    clock[drive.TIME], clock[drive.CHECK] = t_start, t_start if stop_early else np.inf
+    clock[drive.TIME] = t_start
+    clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
     clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     # NaN: a coefficient used before it was computed would show

@@ -25,9 +25,9 @@ STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
 N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS, LAST_BLOCK, N_STALLED, N_COUNTERS = range(7)
-#: Clocks that every engine keeps, float64: the time, and when a collapse may be certified next. An engine may
-#: keep more behind them.
-TIME, CHECK, N_CLOCKS = range(3)
+#: Clocks that every engine keeps, float64: the time, and when a collapse may be certified next, with all blocks
+#: slipping left and (the next clock) right. An engine may keep more behind them.
+TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
 Buffers: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int8]]
 
@@ -76,11 +76,12 @@ def complete(
         if status == DONE:
             break
         if status == ALL_SLIP:
-            certificate = certify(int(mode[0]))
+            slip = int(mode[0])
+            certificate = certify(slip)
             if certificate.is_certain:
                 outcome, reason = "collapsed", certificate.reason
                 break
-            clock[CHECK] = t + certificate.ask_again_after
+            clock[CHECK + (slip > 0)] = t + certificate.ask_again_after
         elif status == DIVERGED:
             if fate.grows(system):
                 outcome, reason = "diverged", fate.divergence_reason(z, w, t, bound)

@@ -191,8 +191,8 @@ def _advance(  # type: ignore[no-untyped-def]
             return drive.DONE, n_recorded
         if n_recorded + PASSES * n > len(event_t):
             return drive.BUFFER_FULL, n_recorded
-        if t >= clock[drive.CHECK]:
-            same = mode[0] != 0
+        if mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
+            same = True
             for i in range(n):
                 same = same and mode[i] == mode[0]
             if same:
@@ -313,7 +313,8 @@ def integrate(
     mode = np.where(held, 0, side).astype(np.int8)
     initial_mode = mode.copy()
     clock = np.zeros(drive.N_CLOCKS + 2)
-    clock[drive.TIME], clock[_LAST_ERROR], clock[drive.CHECK] = t_start, 1.0, t_start if stop_early else np.inf
+    clock[drive.TIME], clock[_LAST_ERROR] = t_start, 1.0
+    clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)

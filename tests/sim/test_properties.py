@@ -239,6 +239,19 @@ def test_nothing_happens_after_a_certified_collapse(law):
 # The series
 
 
+@pytest.mark.parametrize("law", [{"engine": "coulomb", "tol": 1e-10}, {"engine": "sigmoid", "eps": 0.03}])
+def test_a_collapse_is_certified_on_the_side_where_it_comes_to_be(law):
+    """The paper's start slips left at once, where nothing can be certified; 20 blocks come to rest slipping right."""
+    system = draw_system("antisymmetric", 20, seed=0)
+    run = simulate(system, -0.7, -0.4, 1000.0, **law)
+    assert (run.events.initial_mode == -1).all()
+    assert (run.outcome, run.events.t_end) == ("collapsed", 1000.0)
+    assert run.t_end < 300
+    whole = simulate(system, -0.7, -0.4, 1000.0, stop_early=False, **law)
+    np.testing.assert_array_equal(run.events.t, whole.events.t)
+    assert whole.outcome == "finished"
+
+
 @MANY
 @given(SEEDS)
 def test_series_against_a_walk_through_its_events(seed):
