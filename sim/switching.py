@@ -1,0 +1,447 @@
+"""Friction inside a discontinuity: switching laws, and all points of the box where they balance a given force.
+
+While w_i = v the friction of block i is mu_i s_i(lambda), lambda in [-1, 1]^m, and
+
+    w_i' = f_i(F; lambda) = -F_i - mu_i s_i(lambda),    F_i = R_i w_i + (K z)_i           (eqs 1, 6, 13)
+
+A slipping block has lambda_i = +1 or -1. A law is its s. Everything is dimensionless.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.arguments import Floats, floats, number
+from sim.run import IntegrationError
+
+Slips = NDArray[np.int8]
+
+#: a point this far outside the box counts as on its face: what rounding does to lambda
+ON_FACE = 1e-12
+
+
+class SwitchingLaw(ABC):
+    """s(lambda), its slope, and the points where s takes a given value."""
+
+    #: number of switches m that the law is written for; None for any
+    size: int | None = None
+
+    @abstractmethod
+    def resistance(self, lam: Floats) -> Floats:
+        """s(lambda), shape (m,): friction over mu."""
+
+    @abstractmethod
+    def slope(self, lam: Floats) -> Floats:
+        """ds_i / dlambda_j, shape (m, m)."""
+
+    @abstractmethod
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        """All lambda in the closed box with s_i = target_i where slip_i = 0, and lambda_i = slip_i elsewhere.
+
+        Returns
+        -------
+        float64, shape (k, m)
+        """
+
+    def accelerations(self, force: Floats, friction: Floats, lam: Floats) -> Floats:
+        """f(F; lambda) = -F - mu s(lambda), shape (m,)."""
+        return np.asarray(-force - friction * self.resistance(lam))
+
+    def jacobian(self, friction: Floats, lam: Floats) -> Floats:
+        """df_i / dlambda_j, shape (m, m)."""
+        return np.asarray(-friction[:, None] * self.slope(lam))
+
+
+@dataclass(frozen=True)
+class Coulomb(SwitchingLaw):
+    """s = lambda: eqs (3), (6). One sticking mode, lambda = -F / mu."""
+
+    def resistance(self, lam: Floats) -> Floats:
+        return np.array(lam)
+
+    def slope(self, lam: Floats) -> Floats:
+        return np.eye(len(lam))
+
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        return _combine([np.array([a]) for a in target], slip)
+
+
+@dataclass(frozen=True)
+class StaticAboveKinetic(SwitchingLaw):
+    """s = lambda + c lambda (1 - lambda^2), each block by itself: static friction `ratio` times the kinetic.
+
+    s(+-1) = +-1. For c <= 1/2 s is monotone on [-1, 1] and the outcome is Coulomb's; for c > 1/2 it turns at
+    lambda_* = sqrt((1 + c) / (3 c)) < 1, where it is largest, s = 2 c lambda_*^3. That this be the ratio r asks
+    4 (1 + c)^3 = 27 r^2 c, whose root with c > 1/2 is 1 + c = 3 r cos(arccos(-1 / r) / 3). r = 1 is Coulomb, c = 0.
+
+    For 1 < |F| / mu < r a stable sticking mode and the slip that F asks for exist at once, a saddle between
+    them: an exit is no longer determined by the state (see `sim.hidden.continuations`).
+
+    Raises
+    ------
+    ValueError
+        If the ratio is below one.
+    """
+
+    ratio: float
+
+    def __post_init__(self) -> None:
+        if not number("ratio", self.ratio) >= 1.0:
+            raise ValueError(f"ratio: expected static over kinetic friction >= 1, got {self.ratio!r}")
+
+    @property
+    def c(self) -> float:
+        """Strength of the hidden term."""
+        return 0.0 if self.ratio == 1.0 else 3 * self.ratio * np.cos(np.arccos(-1 / self.ratio) / 3) - 1
+
+    @property
+    def turning_point(self) -> float:
+        """lambda_*: s grows below it and falls above; 1 for the ratio 1."""
+        return 1.0 if self.ratio == 1.0 else float(np.sqrt((1 + self.c) / (3 * self.c)))
+
+    def resistance(self, lam: Floats) -> Floats:
+        return np.asarray(lam + self.c * lam * (1 - lam**2))
+
+    def slope(self, lam: Floats) -> Floats:
+        return np.diag(1 + self.c - 3 * self.c * lam**2)
+
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        return _combine([self._cubic(a) for a in target], slip)
+
+    def _cubic(self, target: float) -> Floats:
+        """Real roots of s = target: all three are real just when |target| <= ratio, else none is in the box."""
+        if self.ratio == 1.0:
+            return np.array([target])
+        if abs(target) > self.ratio:
+            return np.empty(0)
+        angle = np.arccos(-target / self.ratio)
+        roots = 2 * self.turning_point * np.cos((angle - 2 * np.pi * np.arange(3)) / 3)
+        return roots[:2] if target == -self.ratio else roots[1:] if target == self.ratio else roots
+
+
+@dataclass(frozen=True)
+class Modified(SwitchingLaw):
+    """s_1 = lambda_1 - lambda_2 (1 - lambda_1^2), s_2 = lambda_2 - lambda_1 (1 - lambda_2^2): section 5, figure 6(b).
+
+    Nothing changes where a block slips (lambda_i = +-1). Of a sticking block beside a slipping one,
+    lambda_2 = L, s_1 = lambda_1 - L (1 - lambda_1^2) reaches -5 L / 4: friction holds more on one side.
+    """
+
+    size = 2
+
+    def resistance(self, lam: Floats) -> Floats:
+        return np.asarray(lam - lam[::-1] * (1 - lam**2))
+
+    def slope(self, lam: Floats) -> Floats:
+        x, y = lam
+        return np.array([[1 + 2 * x * y, x**2 - 1], [y**2 - 1, 1 + 2 * x * y]])
+
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        """See `SwitchingLaw.zeros`. Both blocks free: complete because Sturm's theorem counts the real roots of
+
+            P(x) = -x^5 - b x^4 + 2 x^3 + (2 b - a) x^2 + a^2 x - (a + b),    (a, b) = target
+
+        in exact rational arithmetic. P is what y = (x - a) / (1 - x^2) from s_1 = a makes of s_2 = b; it loses
+        only x = +-1, which needs a = +-1 and is then a quadratic in y.
+        """
+        if slip.all():
+            return slip.astype(np.float64)[None]
+        if slip.any():
+            free = int(np.flatnonzero(slip == 0)[0])
+            found = np.tile(slip.astype(np.float64), (2, 1))
+            found[:, free] = _beside_slip(target[free], float(slip[1 - free]))
+            return _in_box(found[np.isfinite(found[:, free])])
+        # the component further from +-1 is eliminated: y is then well conditioned
+        order = [0, 1] if abs(abs(target[0]) - 1) >= abs(abs(target[1]) - 1) else [1, 0]
+        a, b = (float(target[k]) for k in order)
+        exact = Fraction(a), Fraction(b)
+        x = np.array(_real_roots([-1, -exact[1], 2, 2 * exact[1] - exact[0], exact[0] ** 2, -exact[0] - exact[1]]))
+        x = x[np.abs(x) < 1]
+        pairs = [np.column_stack([x, (x - a) / (1 - x**2)])]
+        if abs(a) == 1:
+            y = _beside_slip(b, a)
+            pairs.append(np.column_stack([np.full(2, a), y])[np.isfinite(y)])
+        found = np.concatenate(pairs)[:, order]
+        return np.unique(_in_box(np.array([self._polish(lam, target) for lam in found]).reshape(-1, 2)), axis=0)
+
+    def _polish(self, lam: Floats, target: Floats) -> Floats:
+        """One Newton step, where the root is simple enough that it can only gain."""
+        slope = self.slope(lam)
+        if abs(np.linalg.det(slope)) < 1e-5:
+            return lam
+        step = np.linalg.solve(slope, self.resistance(lam) - target)
+        return lam - step if np.abs(step).max() < 1e-8 else lam
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothLaw(SwitchingLaw):
+    """A user's own smooth s, whose zeros are found by subdivision of the box.
+
+    Promise: given that `curvature` bounds every |d2 s_i / dlambda_j dlambda_k| on the box and 1/16 beyond, `zeros`
+    returns every zero in the closed box, once, or raises. A cell goes when the bound excludes a zero; it is settled
+    when Newton-Kantorovich, with the same bound, leaves room for one zero only. What stays undecided at cells
+    `resolution` wide, a zero whose Jacobian is singular or nearly so (|J^-1| above about
+    1 / (8 m^2 curvature resolution)), raises IntegrationError. Not promised: anything if the bound is too small, or
+    s of order 1e4 (residuals are judged at 1e-12); zeros within 1e-12 of a face may count as on it; the arithmetic
+    is rounded, not interval.
+
+    Parameters
+    ----------
+    s, ds : callables of lambda, shape (m,)
+        The resistance, shape (m,), and its slope ds_i / dlambda_j, shape (m, m).
+    curvature : float
+    size : int
+        m.
+    resolution : float
+        Half-width of the smallest cell.
+    """
+
+    s: Callable[[Floats], Floats]
+    ds: Callable[[Floats], Floats]
+    curvature: float
+    size: int
+    resolution: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if not number("curvature", self.curvature) >= 0:
+            raise ValueError(f"curvature: expected a bound >= 0 on the second derivatives of s, got {self.curvature}")
+        number("resolution", self.resolution, 0.0, 1.0)
+
+    def resistance(self, lam: Floats) -> Floats:
+        return np.asarray(self.s(lam), dtype=np.float64)
+
+    def slope(self, lam: Floats) -> Floats:
+        return np.asarray(self.ds(lam), dtype=np.float64)
+
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        return _subdivide(self, target, slip, self.curvature, self.resolution)
+
+
+@dataclass(frozen=True, eq=False)
+class Canopy(SwitchingLaw):
+    """s from its values where all blocks slip, by the convex canopy (12).
+
+    Parameters
+    ----------
+    corners : array_like, shape (2,) * m + (m,)
+        corners[i_1, ..., i_m] = s at lambda_j = 2 i_j - 1.
+
+    The canopy is affine in each lambda_j, so it cannot express `Modified` or `StaticAboveKinetic`: their terms
+    vanish at all corners, and the canopy of their corners is Coulomb's law.
+    """
+
+    corners: ArrayLike
+    size: int = field(init=False)
+    resolution: float = 1e-6
+
+    def __post_init__(self) -> None:
+        values = floats("corners", self.corners, "values of s at the corners of the box")
+        if values.ndim < 2 or values.shape != (2,) * (values.ndim - 1) + (values.ndim - 1,):
+            raise ValueError(f"corners: expected shape (2,) * m + (m,), got {values.shape}")
+        object.__setattr__(self, "corners", values)
+        object.__setattr__(self, "size", values.ndim - 1)
+
+    @cached_property
+    def _values(self) -> Floats:
+        return np.asarray(self.corners, dtype=np.float64)
+
+    def resistance(self, lam: Floats) -> Floats:
+        return canopy(self._values, lam)
+
+    def slope(self, lam: Floats) -> Floats:
+        columns = []
+        for j in range(self.size):
+            ends = np.moveaxis(self._values, j, 0)
+            columns.append(canopy((ends[1] - ends[0]) / 2, np.delete(lam, j)))
+        return np.column_stack(columns)
+
+    def zeros(self, target: Floats, slip: Slips) -> Floats:
+        # a mixed second derivative is a mean of four corners, each with weight +-1/4, summed
+        return _subdivide(self, target, slip, float(np.abs(self._values).max()), self.resolution)
+
+
+def canopy(corners: ArrayLike, lam: ArrayLike) -> Floats:
+    """Convex canopy, eq. (12): sum over corners of the product of (1 +- lambda_j) / 2 times f^(+-...+-).
+
+    Parameters
+    ----------
+    corners : array_like, shape (2,) * m + trailing
+        corners[i_1, ..., i_m] is the vector field at lambda_j = 2 i_j - 1; any trailing shape.
+    lam : array_like, shape (m,)
+
+    Returns
+    -------
+    float64, of the trailing shape
+        Multilinear in lambda, so it misses every term that vanishes at the corners, as those of section 5 do.
+    """
+    value = floats("corners", corners, "vector fields at the corners of the box")
+    for weight in floats("lam", lam, "a number for each switch"):
+        value = value[0] * (1 - weight) / 2 + value[1] * (1 + weight) / 2
+    return value
+
+
+def _combine(roots: list[Floats], slip: Slips) -> Floats:
+    """Zeros of a law without coupling: the product of each component's own."""
+    sides = [_in_box(r[:, None])[:, 0] if not s else np.array([float(s)]) for r, s in zip(roots, slip, strict=True)]
+    return np.array(list(product(*sides)), dtype=np.float64).reshape(-1, len(slip))
+
+
+def _in_box(found: Floats) -> Floats:
+    return np.clip(found[(np.abs(found) <= 1 + ON_FACE).all(axis=1)], -1.0, 1.0)
+
+
+def _beside_slip(target: float, side: float) -> Floats:
+    """Both roots x of x - side (1 - x^2) = target, side = +-1; infinite where they are not real."""
+    square = 5 + 4 * side * target
+    if square < 0:
+        return np.array([np.inf, np.inf])
+    roots = side * (np.array([-1.0, 1.0]) * np.sqrt(square) - 1) / 2
+    return roots if square > 0 else np.array([roots[0], np.inf])
+
+
+# --- real roots of a polynomial, exactly counted ---------------------------------------------------------------
+
+Poly = list[Fraction]  # highest power first, leading coefficient not zero
+
+
+def _value(p: Poly, x: Fraction) -> Fraction:
+    total = Fraction(0)
+    for coefficient in p:
+        total = total * x + coefficient
+    return total
+
+
+def _divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
+    """Quotient and remainder."""
+    quotient, rest = [], list(p)
+    while len(rest) >= len(q):
+        factor = rest[0] / q[0]
+        quotient.append(factor)
+        rest = [r - factor * (q[k] if k < len(q) else 0) for k, r in enumerate(rest)][1:]
+    while rest and rest[0] == 0:
+        rest = rest[1:]
+    return quotient, rest
+
+
+def _derivative(p: Poly) -> Poly:
+    degree = len(p) - 1
+    return [c * (degree - k) for k, c in enumerate(p[:-1])]
+
+
+def _sturm(p: Poly) -> list[Poly]:
+    chain = [p, _derivative(p)]
+    while len(chain[-1]) > 1:
+        rest = _divide(chain[-2], chain[-1])[1]
+        if not rest:
+            break
+        chain.append([-c / abs(rest[0]) for c in rest])
+    return chain
+
+
+def _variations(chain: list[Poly], x: Fraction) -> int:
+    signs = [v > 0 for p in chain if (v := _value(p, x)) != 0]
+    return sum(a != b for a, b in zip(signs[1:], signs[:-1], strict=True))
+
+
+def _real_roots(coefficients: list[int | Fraction]) -> list[float]:
+    """Distinct real roots in [-1, 1] of a polynomial with exact coefficients, each to 2^-60.
+
+    Sturm's theorem on the square-free part isolates them, bisection by the exact sign narrows them.
+    """
+    p = [Fraction(c) for c in coefficients]
+    chain = _sturm(p)
+    if len(chain[-1]) > 1:  # a repeated root: gcd(p, p') is the last of the chain
+        p = _divide(p, chain[-1])[0]
+        chain = _sturm(p)
+    roots = [-1.0] if _value(p, Fraction(-1)) == 0 else []
+    pending = [(Fraction(-1), Fraction(1))]
+    while pending:
+        low, high = pending.pop()  # half-open: (low, high]
+        n_roots = _variations(chain, low) - _variations(chain, high)
+        if n_roots > 1:
+            middle = (low + high) / 2
+            pending += [(low, middle), (middle, high)]
+        elif n_roots == 1:
+            roots.append(_bisect(p, low, high))
+    return sorted(roots)
+
+
+def _bisect(p: Poly, low: Fraction, high: Fraction) -> float:
+    """The one root, a simple one, in (low, high]."""
+    if _value(p, high) == 0:
+        return float(high)
+    above = _value(p, high) > 0
+    while high - low > Fraction(1, 2**60):
+        middle = (low + high) / 2
+        value = _value(p, middle)
+        if value == 0:
+            return float(middle)
+        low, high = (low, middle) if (value > 0) == above else (middle, high)
+    return float(high)
+
+
+# --- subdivision -----------------------------------------------------------------------------------------------
+
+
+def _subdivide(law: SwitchingLaw, target: Floats, slip: Slips, curvature: float, resolution: float) -> Floats:
+    """All zeros of s - target over the free components; see `SmoothLaw` for what is promised."""
+    free = np.flatnonzero(slip == 0)
+    m, lam = len(free), slip.astype(np.float64)
+    if not m:
+        return lam[None]
+    found: list[Floats] = []
+
+    def residual(centre: Floats) -> tuple[Floats, Floats]:
+        lam[free] = centre
+        return law.resistance(lam)[free] - target[free], law.slope(lam)[np.ix_(free, free)]
+
+    cells = [(np.zeros(m), 1.0)]
+    while cells:
+        centre, half = cells.pop()
+        value, slope = residual(centre)
+        if (np.abs(value) > half * np.abs(slope).sum(axis=1) + curvature * (m * half) ** 2 / 2 + ON_FACE).any():
+            continue
+        try:
+            inverse = np.linalg.inv(slope)
+        except np.linalg.LinAlgError:
+            inverse = None
+        # |1 - J(c)^-1 J| on the cell, per half-width; on twice the cell below 1/4 every zero of the cell is unique
+        bend = np.inf if inverse is None else np.abs(inverse).sum(axis=1).max() * curvature * m * m * half
+        if inverse is not None and bend < 1 / 8:
+            if np.abs(inverse @ value).max() <= (1 + bend) * half + ON_FACE:
+                zero = _newton(residual, centre)
+                if np.abs(zero - centre).max() <= 2 * half and np.abs(residual(zero)[0]).max() < ON_FACE:
+                    found.append(zero)  # of a cell that holds a zero Newton's method always comes here
+        elif half < resolution:
+            raise IntegrationError(
+                f"zeros of the law near lambda = {centre.round(9).tolist()}: not decided at resolution"
+                f" {resolution:g}; an equilibrium there is degenerate or nearly so: move the state, or refine"
+            )
+        else:
+            cells += [(centre + half / 2 * np.array(sign), half / 2) for sign in product((-1.0, 1.0), repeat=m)]
+    distinct: list[Floats] = []
+    for zero in found:  # zeros are unique in cells far wider than this
+        if not any(np.abs(zero - other).max() < 1e-10 for other in distinct):
+            distinct.append(zero)
+    table = np.tile(slip.astype(np.float64), (len(distinct), 1))
+    table[:, free] = np.array(distinct).reshape(-1, m)
+    return _in_box(table)
+
+
+def _newton(residual: Callable[[Floats], tuple[Floats, Floats]], lam: Floats) -> Floats:
+    """Newton's method from inside the region where Kantorovich's condition holds."""
+    for _ in range(30):
+        value, slope = residual(lam)
+        step = np.linalg.solve(slope, value)
+        lam = lam - step
+        if np.abs(step).max() < 1e-15:
+            break
+    return lam
