@@ -1,7 +1,7 @@
 """The physics: a system in, an event series out. No files, no dask, no pandas."""
 
 from sim.coupling import COUPLINGS, draw_system, perturb_system
-from sim.run import IntegrationError, Run, Stats, simulate
+from sim.run import IntegrationError, Run, Samples, Stats, simulate
 from sim.series import EventSeries
 from sim.system import System
 
@@ -10,6 +10,7 @@ __all__ = [
     "EventSeries",
     "IntegrationError",
     "Run",
+    "Samples",
     "Stats",
     "System",
     "draw_system",

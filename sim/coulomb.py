@@ -27,7 +27,7 @@ from sim import drive, fate
 from sim.arguments import Floats, flag, number
 from sim.compile import inner, kernel
 from sim.kernels import ROUNDING, copy, largest, roots
-from sim.run import Run
+from sim.run import Run, Samples
 from sim.system import System
 from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 
@@ -134,6 +134,16 @@ def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
+    """Keep the state at all sample times up to t_next, from the series about t."""
+    k = counters[drive.N_SAMPLED]
+    while k < len(sample_t) and sample_t[k] <= t_next:
+        _evaluate(series, order, sample_t[k] - t, sample_z[k], sample_w[k])
+        k += 1
+    counters[drive.N_SAMPLED] = k
+
+
+@inner
 def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching):  # type: ignore[no-untyped-def]
     """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
@@ -156,7 +166,7 @@ def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching)
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
     law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
-    event_t, event_block, event_mode, series, forces,
+    sample_t, sample_z, sample_w, event_t, event_block, event_mode, series, forces,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
@@ -193,6 +203,7 @@ def _advance(  # type: ignore[no-untyped-def]
         n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
         counters[drive.N_EVENTS] += n_recorded - before
         if remaining <= 0.0:
+            _sample(series, order, t, t, counters, sample_t, sample_z, sample_w)  # of a run that has no length
             return drive.DONE, n_recorded
         if same and mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
             return drive.ALL_SLIP, n_recorded
@@ -203,6 +214,8 @@ def _advance(  # type: ignore[no-untyped-def]
             counters[drive.LAST_BLOCK] = block
         for i in range(n):  # what rounding does to w - v in this step
             near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
+        t_next = t_end if step == remaining else t + step
+        _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w)
         left = h - step
         is_inside = block >= 0 and left > 0.0
         if is_inside:
@@ -224,7 +237,7 @@ def _advance(  # type: ignore[no-untyped-def]
             _on_the_edge(law, mode, 0.0, w, forces, block, is_inside, near, touching)
             is_open = False
             is_cut = is_cut or block >= 0
-        clock[drive.TIME] = t_end if step == remaining else t + step
+        clock[drive.TIME] = t_next
         clock[_EXPOSURE] += step
         if not is_open:
             clock[_EXPOSURE] *= _DECAY
@@ -246,6 +259,7 @@ def integrate(
     w0: Floats,
     t_start: float,
     t_end: float,
+    samples: Samples,
     *,
     tol: float = 1e-10,
     stop_early: bool = True,
@@ -257,6 +271,8 @@ def integrate(
     system : System
     z0, w0 : ndarray, shape (n,)
     t_start, t_end : float
+    samples : Samples
+        Times at which to keep the state, and room for it.
     tol : float
         Truncation error of w in a step, relative to the largest of |w|, |v| and what w changes by in the step. The
         error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only.
@@ -291,7 +307,7 @@ def integrate(
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
             law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
-            *buffers, series, forces,
+            samples.t, samples.z, samples.w, *buffers, series, forces,
         )  # fmt: skip
 
     return drive.complete(
@@ -301,6 +317,6 @@ def integrate(
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=n,
-        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
-        clock=clock, counters=counters,
+        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode[np.newaxis],
+        clock=clock, counters=counters, samples=samples,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim import fate
 from sim.arguments import Floats
-from sim.run import IntegrationError, Outcome, Run, Stats
+from sim.run import IntegrationError, Outcome, Run, Samples, Stats
 from sim.series import EventSeries
 from sim.system import System
 
@@ -24,7 +24,7 @@ DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
 STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
-N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS, LAST_BLOCK, N_STALLED, N_COUNTERS = range(7)
+N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS, LAST_BLOCK, N_STALLED, N_SAMPLED, N_COUNTERS = range(8)
 #: Clocks that every engine keeps, float64: the time, and when a collapse may be certified next, with all blocks
 #: slipping left and (the next clock) right. An engine may keep more behind them.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
@@ -46,6 +46,8 @@ def complete(
     initial_mode: NDArray[np.int8],
     clock: Floats,
     counters: NDArray[np.int64],
+    samples: Samples,
+    thresholds: tuple[float, ...] = (),
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
 
@@ -60,8 +62,11 @@ def complete(
         What to say, after the time and the block, when the engine cannot go on.
     events_a_step : int
         The most events that a step can record.
-    z, w, mode, initial_mode, clock, counters
-        The state that `advance` works on.
+    z, w, mode, clock, counters, samples
+        The state that `advance` works on, and where it puts the samples.
+    initial_mode : int8, shape (1 + m, n)
+        The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
+        definition d carry block + d n.
     """
     capacity = max(2 * events_a_step, 4096)
     buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
@@ -97,12 +102,19 @@ def complete(
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     known_to = t if outcome == "diverged" else t_end
+    definition, event_block = np.divmod(event_block, np.int32(system.n))
+    series = [
+        EventSeries(event_t[of], event_block[of], event_mode[of], initial_mode[d], t_start, known_to)
+        for d, of in enumerate(definition == d for d in range(1 + len(thresholds)))
+    ]
     return Run(
         z=z,
         w=w,
         t_end=t,
-        events=EventSeries(event_t, event_block, event_mode, initial_mode, t_start, known_to),
+        events=series[0],
         outcome=outcome,
         reason=reason,
         stats=Stats(*(int(counters[k]) for k in (N_STEPS, N_REJECTED, N_PRODUCTS, N_EVENTS))),
+        samples=samples.first(int(counters[N_SAMPLED])),
+        by_threshold=dict(zip(thresholds, series[1:], strict=True)),
     )

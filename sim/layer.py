@@ -52,7 +52,7 @@ def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[
 
 
 @inner
-def _between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
+def between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
     """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
     y = 1.0 - x
     return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
@@ -90,11 +90,12 @@ def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
 @inner
 def step_events(  # type: ignore[no-untyped-def]
     law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
-    slope0, slope1, t, event_t, event_block, event_mode, n_recorded,
+    slope0, slope1, t, first, event_t, event_block, event_mode, n_recorded,
 ):  # fmt: skip
     """Record all changes of mode in a step that begins at t, block by block; `mode` is brought up to date.
 
-    Returns the number of events recorded in all.
+    Blocks are recorded from number `first` on. Returns the number of events recorded in all; slope0 and slope1
+    receive the end slopes of w in the step.
 
     w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
     places the mode is constant.
@@ -134,12 +135,12 @@ def step_events(  # type: ignore[no-untyped-def]
             if right <= left:
                 continue
             middle = 0.5 * (left + right)
-            gap = _between(gap0, rate0, gap1, rate1, middle)
-            pull = _between(force0, pull0, force1, pull1, middle)
+            gap = between(gap0, rate0, gap1, rate1, middle)
+            pull = between(force0, pull0, force1, pull1, middle)
             new = _mode(gap, pull, friction[i], band[i], by_force)
             if new != mode[i]:
                 event_t[n_recorded] = t + h * left
-                event_block[n_recorded] = i
+                event_block[n_recorded] = first + i
                 event_mode[n_recorded] = new
                 mode[i] = new
                 n_recorded += 1

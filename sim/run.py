@@ -1,6 +1,6 @@
 """One run: a system and a start in, an event series out. The contract that both engines keep.
 
-An engine is a function ``integrate(system, z0, w0, t_start, t_end, **settings) -> Run`` such that
+An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **settings) -> Run`` such that
 
 1. the state is float64, arguments are not changed, and the same arguments give the same run;
 2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
@@ -8,19 +8,20 @@ An engine is a function ``integrate(system, z0, w0, t_start, t_end, **settings) 
    renumbers the run;
 4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`);
    `diverged` when the state left every bound: then, and only then, the series ends early;
-5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block.
+5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
+6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.arguments import Floats, number, per_block
+from sim.arguments import Floats, floats, number, per_block
 from sim.series import EventSeries
 from sim.system import System
 
@@ -43,6 +44,33 @@ class Stats:
 
 
 @dataclass(frozen=True, eq=False)
+class Samples:
+    """The state at given times.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+    z, w : float64, shape (m, n)
+    """
+
+    t: Floats
+    z: Floats
+    w: Floats
+
+    @classmethod
+    def blank(cls, t: Floats, n: int) -> Samples:
+        """Room for the state at times `t`; NaN until it is known."""
+        return cls(t, np.full((len(t), n), np.nan), np.full((len(t), n), np.nan))
+
+    def first(self, m: int) -> Samples:
+        """The first m of them."""
+        return Samples(self.t[:m], self.z[:m], self.w[:m])
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """The result of `simulate` (dimensionless).
 
@@ -58,6 +86,10 @@ class Run:
     reason : str
         Why the run stopped early; empty for a finished run.
     stats : Stats
+    samples : Samples
+        The state at those times of ``t_eval`` that the run reached, a collapsed one no further than `t_end`.
+    by_threshold : mapping of float to EventSeries
+        What sticks by each of the further definitions ``thresholds`` of the sigmoid engine.
     """
 
     z: Floats
@@ -67,6 +99,8 @@ class Run:
     outcome: Outcome
     reason: str
     stats: Stats
+    samples: Samples = field(default_factory=lambda: Samples.blank(np.empty(0), 0))
+    by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times; see `EventSeries.n_stick`."""
@@ -83,6 +117,7 @@ def simulate(
     t_end: float,
     *,
     t_start: float = 0.0,
+    t_eval: ArrayLike = (),
     engine: Engine = "coulomb",
     **settings: object,
 ) -> Run:
@@ -94,12 +129,15 @@ def simulate(
     z0, w0 : float or array_like, shape (n,)
         Displacements and velocities at `t_start`.
     t_end, t_start : float
+    t_eval : array_like, shape (m,)
+        Times in [t_start, t_end], not decreasing, at which to keep the state: see `Run.samples`.
     engine : "coulomb" or "sigmoid"
         The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
     **settings
         both: ``stop_early`` (True: end a run once its collapse is certain); coulomb: ``tol`` (see
         `sim.coulomb.integrate`);
-        sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold`` (see `sim.sigmoid.integrate`).
+        sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
+        `sim.sigmoid.integrate`).
 
     Returns
     -------
@@ -123,4 +161,10 @@ def simulate(
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
-    return engines[engine](system, z, w, t_start, t_end, **settings)
+    times = floats("t_eval", t_eval, "an array of times")
+    if times.ndim != 1 or not (np.diff(times) >= 0).all() or not ((times >= t_start) & (times <= t_end)).all():
+        raise ValueError(
+            f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
+            " and leave out what lies outside"
+        )
+    return engines[engine](system, z, w, t_start, t_end, Samples.blank(times, system.n), **settings)

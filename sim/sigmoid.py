@@ -31,12 +31,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim import drive, fate
-from sim.arguments import Floats, flag, number, per_block
+from sim.arguments import Floats, flag, floats, number, per_block
 from sim.compile import inner, kernel
 from sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
 from sim.kernels import ROUGH, ROUNDING, copy, largest, one_product, rough_product, tanh_positive, two_products
-from sim.layer import PASSES, UNRESOLVED, step_events
-from sim.run import Run
+from sim.layer import PASSES, UNRESOLVED, between, step_events
+from sim.run import Run, Samples
 from sim.system import System
 
 Stick = Literal["manifold", "threshold"]
@@ -168,14 +168,31 @@ def _step(  # type: ignore[no-untyped-def]
     return worst, block
 
 
+@inner
+def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
+    """Keep the state at all sample times up to t_next: cubics in each block's z, with slope w, and in w."""
+    k = counters[drive.N_SAMPLED]
+    while k < len(sample_t) and sample_t[k] <= t_next:
+        x = min((sample_t[k] - t) / h, 1.0)
+        for i in range(len(z)):
+            sample_z[k, i] = between(z[i], h * w[i], new_z[i], h * new_w[i], x)
+            sample_w[k, i] = between(w[i], slope0[i], new_w[i], slope1[i], x)
+        k += 1
+    counters[drive.N_SAMPLED] = k
+
+
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    law, rough, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end, rtol, atol, bound,
-    event_t, event_block, event_mode, work, stage_w, stage_rate,
+    law, rough, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end, rtol, atol, bound,
+    sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w, stage_rate,
 ):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
+
+    Each row of `bands` and of `modes` belongs to one definition of sticking, the first to the run's own.
+    """
     columns = law[0]
     n = len(z)
+    band, mode = bands[0], modes[0]
     coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate = (
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8],
     )  # fmt: skip
@@ -188,8 +205,9 @@ def _advance(  # type: ignore[no-untyped-def]
         t = clock[drive.TIME]
         remaining = t_end - t
         if remaining <= 0.0:
+            _sample(1.0, z, w, z, w, rate, rate, t, t, counters, sample_t, sample_z, sample_w)  # a run of no length
             return drive.DONE, n_recorded
-        if n_recorded + PASSES * n > len(event_t):
+        if n_recorded + PASSES * n * len(bands) > len(event_t):
             return drive.BUFFER_FULL, n_recorded
         if mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
             same = True
@@ -217,19 +235,22 @@ def _advance(  # type: ignore[no-untyped-def]
         counters[drive.N_STEPS] += 1
         two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
         counters[drive.N_PRODUCTS] += 2
-        before = n_recorded
-        n_recorded = step_events(
-            law, band, by_force, h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
-            new_force_rate, mode, calm, base, x, t, event_t, event_block, event_mode, n_recorded,
-        )  # fmt: skip
+        for d in range(len(bands) - 1, -1, -1):  # the run's own definition last: its slopes are the samples'
+            before = n_recorded
+            n_recorded = step_events(
+                law, bands[d], by_force[d], h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
+                new_force_rate, modes[d], calm, base, x, t, d * n, event_t, event_block, event_mode, n_recorded,
+            )  # fmt: skip
         counters[drive.N_EVENTS] += n_recorded - before
+        t_next = t_end if h == remaining else t + h
+        _sample(h, z, w, new_z, new_w, base, x, t, t_next, counters, sample_t, sample_z, sample_w)
         for i in range(n):
             z[i] = new_z[i]
             w[i] = new_w[i]
             rate[i] = stage_rate[STAGES - 1, i]
             force[i] = new_force[i]
             force_rate[i] = new_force_rate[i]
-        clock[drive.TIME] = t_end if h == remaining else t + h
+        clock[drive.TIME] = t_next
         worst = max(worst, 1e-4)
         factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
         clock[_LAST_ERROR] = worst
@@ -246,6 +267,7 @@ def integrate(
     w0: Floats,
     t_start: float,
     t_end: float,
+    samples: Samples,
     *,
     eps: float = 0.03,
     ratio: ArrayLike = 1.0,
@@ -253,6 +275,7 @@ def integrate(
     atol: float = 1e-6,
     stick: Stick = "manifold",
     threshold: float = 1.0,
+    thresholds: ArrayLike = (),
     stop_early: bool = True,
 ) -> Run:
     """Run the stiff engine under the contract of `sim.run`.
@@ -262,6 +285,8 @@ def integrate(
     system : System
     z0, w0 : ndarray, shape (n,)
     t_start, t_end : float
+    samples : Samples
+        Times at which to keep the state, and room for it.
     eps : float
         Smoothing of the sign, > 0.
     ratio : float or array_like, shape (n,)
@@ -272,6 +297,8 @@ def integrate(
         When a block counts as sticking; see the module.
     threshold : float
         c > 0 of ``stick="threshold"``.
+    thresholds : array_like, shape (m,)
+        Further c, each once: the events by these definitions too, from the same run (`Run.by_threshold`).
     stop_early : bool
         End a run once its collapse is certain.
 
@@ -297,8 +324,12 @@ def integrate(
         raise ValueError(
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
+    also = floats("thresholds", thresholds, "an array of numbers")
+    if also.ndim != 1 or not ((also > 0) & np.isfinite(also)).all() or len(set(also.tolist())) < len(also):
+        raise ValueError(f"thresholds: expected different finite numbers > 0, got {thresholds!r}")
     band = delta * np.log(1 / delta) if stick == "manifold" else threshold * delta
-    by_force = stick == "manifold"
+    bands = np.vstack([band, np.multiply.outer(also, delta)])
+    by_force = np.array([stick == "manifold"] + [False] * len(also))
     v, friction = system.belt_speed, system.friction
     law = (system.columns, system.damping, friction, delta, v)
     rough = ROUGH * float(system.row_sums.max())
@@ -306,12 +337,11 @@ def integrate(
     z, w = z0.copy(), w0.copy()
     force, force_rate = system.stiffness @ z, system.stiffness @ w
     rate = -system.damping * w - force - friction * np.tanh((w - v) / delta)
-    held = (friction > 0) & (np.abs(w - v) < band)
-    if by_force:
-        held &= np.abs(system.damping * v + force) < friction
+    held = (friction > 0) & (np.abs(w - v) < bands)
+    held[by_force] &= np.abs(system.damping * v + force) < friction
     side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
-    mode = np.where(held, 0, side).astype(np.int8)
-    initial_mode = mode.copy()
+    modes = np.where(held, 0, side).astype(np.int8)
+    initial_mode = modes.copy()
     clock = np.zeros(drive.N_CLOCKS + 2)
     clock[drive.TIME], clock[_LAST_ERROR] = t_start, 1.0
     clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
@@ -324,8 +354,8 @@ def integrate(
 
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
-            law, rough, band, by_force, z, w, rate, force, force_rate, mode, clock, counters, t_end,
-            rtol, atol, bound, *buffers, work, stage_w, stage_rate,
+            law, rough, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end,
+            rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w, stage_rate,
         )  # fmt: skip
 
     return drive.complete(
@@ -334,7 +364,7 @@ def integrate(
         certify=lambda slip: fate.collapse(system, z, w, slip, band, delta),
         stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
-        events_a_step=PASSES * n,
-        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode,
-        clock=clock, counters=counters,
+        events_a_step=PASSES * n * len(bands),
+        t_start=t_start, t_end=t_end, z=z, w=w, mode=modes[0], initial_mode=initial_mode,
+        clock=clock, counters=counters, samples=samples, thresholds=tuple(also.tolist()),
     )  # fmt: skip

@@ -1,0 +1,98 @@
+"""Samples of the state, and further definitions of sticking: read off a run that they do not change."""
+
+import numpy as np
+import pytest
+
+from sim import System, draw_system, simulate
+
+ENGINES = {
+    "coulomb": {"engine": "coulomb", "tol": 1e-12},
+    "sigmoid": {"engine": "sigmoid", "rtol": 1e-8, "atol": 1e-8},
+}
+TIMES = np.linspace(0.0, 60.0, 121)
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def settings(request):
+    return ENGINES[request.param]
+
+
+@pytest.fixture(scope="module")
+def system():
+    return draw_system("antisymmetric", 30, 4)
+
+
+def test_a_block_between_stick_and_rest():
+    """One block (AUDIT, first row): on the belt to t = 3.956..., then an overdamped return in closed form."""
+    rho, kappa, v, t_exit, z_exit = 3.5, 0.2, -0.2, 3.9564549379897342, -1.5
+    t = np.array([0.0, 1.0, 3.0, t_exit, 5.0, 40.0])
+    kept = simulate(System([[kappa]], rho, 1.0, v), -0.7, -0.4, 50.0, t_eval=t, tol=1e-13, stop_early=False).samples
+    fast, slow = (-0.5 * (rho + sign * np.sqrt(rho**2 - 4 * kappa)) for sign in (1, -1))
+    late = t[3:] - t_exit
+    # z - z_eq = a exp(fast t) + b exp(slow t); z_eq = -1/kappa, slope v at the exit
+    b = (v - fast * (z_exit + 5.0)) / (slow - fast)
+    a = z_exit + 5.0 - b
+    expected = a * np.exp(fast * late) + b * np.exp(slow * late) - 5.0
+    np.testing.assert_array_equal(kept.t, t)
+    assert (kept.z[0, 0], kept.w[0, 0]) == (-0.7, -0.4)
+    np.testing.assert_allclose(kept.z[1:3, 0], z_exit - v * (t_exit - t[1:3]), rtol=1e-12)
+    np.testing.assert_allclose(kept.w[1:3, 0], v, rtol=1e-14)
+    np.testing.assert_allclose(kept.z[3:, 0], expected, rtol=1e-11)
+
+
+def test_they_are_the_states_that_shorter_runs_end_in(system, settings):
+    kept = simulate(system, -0.7, -0.4, 60.0, t_eval=TIMES, stop_early=False, **settings).samples
+    exact = settings["engine"] == "coulomb"
+    for k in (0, 1, 7, 40, 120):
+        run = simulate(system, -0.7, -0.4, TIMES[k], stop_early=False, **settings)
+        np.testing.assert_allclose(kept.z[k], run.z, rtol=0, atol=1e-11 if exact else 1e-7)
+        np.testing.assert_allclose(kept.w[k], run.w, rtol=0, atol=1e-11 if exact else 1e-6)
+
+
+def test_to_ask_for_them_changes_nothing(system, settings):
+    plain = simulate(system, -0.7, -0.4, 60.0, **settings)
+    asked = simulate(system, -0.7, -0.4, 60.0, t_eval=TIMES, **settings)
+    assert len(plain.samples) == 0
+    np.testing.assert_array_equal(plain.z, asked.z)
+    np.testing.assert_array_equal(plain.events.t, asked.events.t)
+
+
+def test_a_run_that_stops_early_has_those_that_it_reached(settings):
+    run = simulate(draw_system("antisymmetric", 20, 0), -0.7, -0.4, 500.0, t_eval=np.arange(501.0), **settings)
+    assert run.outcome == "collapsed"
+    assert len(run.samples) == np.floor(run.t_end) + 1
+    assert np.isfinite(run.samples.z).all()
+
+
+def test_of_a_run_without_length(system, settings):
+    kept = simulate(system, -0.7, -0.4, 2.0, t_start=2.0, t_eval=[2.0, 2.0], **settings).samples
+    np.testing.assert_array_equal(kept.z, np.full((2, 30), -0.7))
+    np.testing.assert_array_equal(kept.w, np.full((2, 30), -0.4))
+
+
+@pytest.mark.parametrize("times", [[-1.0], [61.0], [2.0, 1.0], [[1.0]], [np.nan], 3.0])
+def test_times_that_cannot_be_are_refused(system, settings, times):
+    with pytest.raises(ValueError, match=r"t_eval: expected times in \[0, 60\] in rising order"):
+        simulate(system, -0.7, -0.4, 60.0, t_eval=times, **settings)
+
+
+def test_further_definitions_are_those_of_runs_of_their_own(system):
+    ratio = 1.0 - np.random.default_rng(3).random(30)
+    common = {**ENGINES["sigmoid"], "ratio": ratio, "stop_early": False}
+    run = simulate(system, -0.7, -0.4, 60.0, thresholds=[2.0, 0.5], **common)
+    assert list(run.by_threshold) == [2.0, 0.5]
+    for threshold, series in run.by_threshold.items():
+        own = simulate(system, -0.7, -0.4, 60.0, stick="threshold", threshold=threshold, **common).events
+        np.testing.assert_array_equal(series.block, own.block)
+        np.testing.assert_array_equal(series.mode, own.mode)
+        np.testing.assert_array_equal(series.initial_mode, own.initial_mode)
+        np.testing.assert_allclose(series.t, own.t, atol=1e-5)
+    plain = simulate(system, -0.7, -0.4, 60.0, **common)
+    np.testing.assert_array_equal(run.events.t, plain.events.t)
+    assert run.stats == plain.stats
+
+
+@pytest.mark.parametrize("thresholds", [[0.0], [1.0, 1.0], [-1.0], [np.inf], 1.0])
+def test_definitions_that_cannot_be_are_refused(system, thresholds):
+    with pytest.raises(ValueError, match="thresholds: expected different finite numbers > 0"):
+        simulate(system, -0.7, -0.4, 1.0, engine="sigmoid", thresholds=thresholds)
