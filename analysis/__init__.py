@@ -4,16 +4,20 @@ Takes arrays and data frames; knows no files but those the report writes. All qu
 """
 
 from analysis.cascades import DEFINITIONS, Law, Window, laws, sample, sizes, window
-from analysis.fits import Estimate, correlation_time, gamma, over_matrices, random_order
+from analysis.chance.nulls import random_order
+from analysis.fits import Estimate, correlation_time, gamma, over_matrices
 from analysis.report import Report, build
+from analysis.section import Data, Section
 from analysis.settings import AnalysisSettings
 
 __all__ = [
     "DEFINITIONS",
     "AnalysisSettings",
+    "Data",
     "Estimate",
     "Law",
     "Report",
+    "Section",
     "Window",
     "build",
     "correlation_time",

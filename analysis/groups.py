@@ -7,7 +7,7 @@ ratios). Only members that reached t_end enter a statistic; the others are count
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,11 +16,13 @@ import pandas as pd
 
 from analysis import words
 from analysis.cascades import Law, Window, laws, sizes_of_path, window
-from analysis.fits import Estimate, NullTally, add_histograms, correlation_time, random_order
+from analysis.chance.nulls import NullTally, random_order
+from analysis.fits import Estimate, add_histograms, correlation_time
+from analysis.section import Series
 from analysis.settings import AnalysisSettings
 
-Series = Mapping[str, tuple[np.ndarray, np.ndarray]]
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
+PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
 ENGINE_KEYS = ("engine", "eps", "ratio", "stick", "threshold", "tol", "rtol", "atol")
 REQUIRED = (*SYSTEM_KEYS, *ENGINE_KEYS, "member_id", "matrix", "outcome", "reason", "t_stop")
@@ -33,6 +35,7 @@ class LawData:
     sums: np.ndarray  # (G, 4): total size and number of cascades, the same under random order
     histograms: list[np.ndarray]
     null: NullTally
+    parts: list[np.ndarray]  # of each matrix, (b, 2): total size and number in consecutive stretches of its runs
 
 
 @dataclass
@@ -47,10 +50,6 @@ class Group:
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))  # whole, 1st half, 2nd half, variance, 1
     taus: list[Estimate] = field(default_factory=list)  # one a run
     n_quiet: int = 0  # finished, but nothing sticks or slips anew after t_burn
-
-    @property
-    def is_perturbed(self) -> bool:
-        return bool(self.key["perturbation_size"] > 0)
 
 
 def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:
@@ -110,22 +109,35 @@ def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     finished = group.members[group.members["outcome"] == "finished"]
     group.matrices = [int(matrix) for matrix in finished["matrix"].unique()]
     n_rows = len(group.matrices)
-    row_of = {matrix: row for row, matrix in enumerate(group.matrices)}
     group.means = np.zeros((n_rows, 5))
     for law in laws(settings.dt):
         null = NullTally(np.zeros(settings.resamples), np.zeros(settings.resamples))
-        group.by_law[law] = LawData(np.zeros((n_rows, 4)), [np.zeros(1, np.int64)] * n_rows, null)
+        histograms, parts = [np.zeros(1, np.int64)] * n_rows, [np.zeros((0, 2))] * n_rows
+        group.by_law[law] = LawData(np.zeros((n_rows, 4)), histograms, null, parts)
+    for row, member_id, win in windows(group, series, settings.t_burn):
+        _add_run(group, row, win, settings, generator(settings.seed, member_id))
+
+
+def windows(group: Group, series: Series, t_burn: float) -> Iterator[tuple[int, str, Window]]:
+    """Row (matrix), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
+
+    Raises
+    ------
+    ValueError
+        If a series is not one, naming the member.
+    """
+    finished = group.members[group.members["outcome"] == "finished"]
+    row_of = {matrix: row for row, matrix in enumerate(group.matrices)}
     for matrix, member_id, t_end in zip(finished["matrix"], finished["member_id"], finished["t_end"], strict=True):
-        row = row_of[int(matrix)]
         try:
-            win = window(*series[member_id], settings.t_burn, float(t_end))
+            win = window(*series[member_id], t_burn, float(t_end))
         except ValueError as error:
             raise ValueError(f"series of member {member_id!r}: {error}") from error
-        _add_run(group, row, win, settings, _generator(settings.seed, str(member_id)))
+        yield row_of[int(matrix)], str(member_id), win
 
 
-def _generator(seed: int, member_id: str) -> np.random.Generator:
-    """Random orders of a member depend on its name alone, not on its place in the table."""
+def generator(seed: int, member_id: str) -> np.random.Generator:
+    """Random numbers of a member depend on its name alone, not on its place in the table."""
     words32 = np.frombuffer(hashlib.sha256(member_id.encode()).digest(), dtype="<u4")
     return np.random.default_rng(np.random.SeedSequence([seed, *words32.tolist()]))
 
@@ -142,4 +154,6 @@ def _add_run(group: Group, row: int, win: Window, settings: AnalysisSettings, rn
         data.sums[row, :2] += [found[law].sum(), len(found[law])]
         data.sums[row, 2:] += [null[law].totals.sum(), null[law].counts.sum()]
         data.histograms[row] = add_histograms(data.histograms[row], np.bincount(found[law]))
+        stretches = [(part.sum(), part.size) for part in np.array_split(found[law], PARTS)]
+        data.parts[row] = np.vstack([data.parts[row], stretches])
         data.null += null[law]

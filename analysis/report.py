@@ -15,8 +15,16 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from analysis import figures, words
-from analysis.cascades import DEFINITIONS
-from analysis.groups import Group, Series, check, fill, groups
+from analysis.cascades import DEFINITIONS, SAMPLED
+from analysis.chance.clustering_section import clustering_section
+from analysis.chance.gamma_map import map_section
+from analysis.change.pairs import is_changed
+from analysis.change.robustness_section import robustness_section
+from analysis.change.sensitivity_section import sensitivity_section
+from analysis.change.survival import survival_section
+from analysis.groups import Group, check, fill, groups
+from analysis.law.section import law_section
+from analysis.section import Data, Section, Series
 from analysis.settings import AnalysisSettings
 from analysis.tables import (
     burn_in_table,
@@ -88,9 +96,24 @@ def _replace(path: Path, content: str | pd.DataFrame) -> None:
         partial.unlink(missing_ok=True)
 
 
+def sections(data: Data, found: list[Group], settings: AnalysisSettings) -> list[Section]:
+    """Every question that the data can be asked, answered; `found` are the filled groups of unchanged members."""
+    t_burn, confidence, seed = settings.t_burn, settings.confidence, settings.seed
+    answered = [
+        sensitivity_section(data, t_burn=t_burn, confidence=confidence),
+        robustness_section(data, t_burn=t_burn, margins=settings.margins, confidence=confidence, seed=seed),
+        law_section(found, k_min=settings.smallest, confidence=confidence, seed=seed),
+        map_section(
+            data, found, t_burn=t_burn, dt=settings.map_dt, taus=settings.tau, confidence=confidence, seed=seed
+        ),
+        clustering_section(data, found, t_burn=t_burn, taus=settings.tau, confidence=confidence, seed=seed),
+        survival_section(data, confidence=confidence),
+    ]
+    return [section for section in answered if section is not None]
+
+
 def build(
-    members: pd.DataFrame,
-    series: Series,
+    data: Data,
     settings: AnalysisSettings,
     title: str,
     about: str,
@@ -100,11 +123,8 @@ def build(
 
     Parameters
     ----------
-    members : DataFrame
-        One row a member; the columns in `analysis.groups.REQUIRED`, null where a setting does not apply.
-    series : mapping of member_id to (t, n_stick)
-        Change points, n_stick[k] on [t[k], t[k+1]); needed for every finished member. Each is read once for
-        the statistics and, for a few draws, once more for the first figure, so the mapping may load lazily.
+    data : Data
+        Members and what they recorded; the `series` of every finished member.
     settings : AnalysisSettings
     title, about : str
         Shown at the head of the page, escaped.
@@ -116,10 +136,12 @@ def build(
     ValueError
         If members, series or settings contradict each other, naming the column, member or setting.
     """
-    check(members, series, settings)
-    found = groups(members)
+    check(data.members, data.series, settings)
+    changed = is_changed(data.members)
+    # changed members are looked at beside their originals; nothing is pooled with them
+    found = groups(data.members[~changed] if not changed.all() else data.members)
     for group in found:
-        fill(group, series, settings)
+        fill(group, data.series, settings)
     tables = {
         "law": law_table(found, settings),
         "groups": groups_table(found),
@@ -130,33 +152,63 @@ def build(
         "engines": engines_table(found, settings),
     }
     rows = {name: records(table) for name, table in tables.items()}
-    shown = [group for group in found if not group.is_perturbed] or found
-    answer = {group.label: _answer(group.label, rows, settings) for group in shown}
-    labels = set(answer)
-    law = [row for row in rows["law"] if row["group"] in labels]
+    answered = sections(data, found, settings)
+    tables |= {table.name: table.frame for section in answered for table in section.tables}
+    answer = {group.label: _answer(group.label, rows, settings) for group in found}
+    law = rows["law"]
     paper = words.paper_sentence(law)
     page = _environment().get_template("report.html")
     html = page.render(
         title=title,
         about=about,
         answer=answer,
+        sections=[_rendered(section) for section in answered],
+        has_changes=bool(changed.any()),
         paper=paper,
         paper_gamma=words.PAPER_GAMMA,
         luck=words.many_rows(sum(row["difference_low"] is not None for row in law), settings.confidence),
         chance=words.chance_check(law),
         law=law,
-        perturbed=[row for row in rows["law"] if row["group"] not in labels],
         rows=rows,
         settings=settings,
         level=words.percent(settings.confidence),
-        definitions=DEFINITIONS,
-        trajectories=_trajectories(shown, series, settings),
+        definitions={name: DEFINITIONS[name] for name in dict.fromkeys(row["definition"] for row in rows["law"])},
+        trajectories=_trajectories(found, data.series, settings),
         forests=_forests(law),
-        distributions=_distributions(shown, rows["sizes"], settings),
+        distributions=_distributions(found, rows["sizes"], settings),
         provenance=provenance,
     )
     headline = [title] + [f"{label}: {line}" for label, lines in answer.items() for line in lines] + [paper]
+    headline += [line for section in answered for line in section.statements]
     return Report(html, tables, headline)
+
+
+def _rendered(section: Section) -> dict[str, Any]:
+    """A section in the plain values that the page is filled with."""
+    shown = []
+    for table in section.tables:
+        rows = records(table.frame)
+        if table.columns and rows:
+            numeric = [column.is_number(rows) for column in table.columns]
+            cells = [[column.text(row) for column in table.columns] for row in rows[: table.max_rows]]
+            shown.append(
+                {
+                    "caption": table.caption,
+                    "name": table.name,
+                    "heads": list(zip([column.heading for column in table.columns], numeric, strict=True)),
+                    "rows": [list(zip(row, numeric, strict=True)) for row in cells],
+                    "n_more": max(len(rows) - table.max_rows, 0),
+                }
+            )
+    return {
+        "title": section.title,
+        "question": section.question,
+        "statements": section.statements,
+        "method": section.method,
+        "assumptions": section.assumptions,
+        "pictures": [(embedded(picture.figure), picture) for picture in section.pictures],
+        "tables": shown,
+    }
 
 
 def _answer(label: str, rows: Mapping[str, list[dict]], settings: AnalysisSettings) -> list[str]:
@@ -223,7 +275,7 @@ def _forests(law: list[dict]) -> list[dict[str, str]]:
 def _distributions(shown: list[Group], sizes: list[dict], settings: AnalysisSettings) -> list[dict[str, Any]]:
     """Figure and table of the sizes of each group that has cascades; sampled definitions at the first dt."""
     dt = settings.dt[0]
-    titles = {name: name if name == "events" else f"{name}, dt = {dt:g}" for name in DEFINITIONS}
+    titles = {name: name if name == "events" else f"{name}, dt = {dt:g}" for name in ("events", *SAMPLED)}
     found: list[dict[str, Any]] = []
     for group in shown:
         rows = [row for row in sizes if row["group"] == group.label and row["dt"] in (None, dt)]

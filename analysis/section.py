@@ -25,6 +25,9 @@ Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Separation = tuple[np.ndarray, np.ndarray]
 
 
+Series = Mapping[str, ChangePoints]
+
+
 @dataclass(frozen=True)
 class Data:
     """An ensemble as the statistics see it. All mappings are by member_id, and may load lazily.
@@ -44,7 +47,7 @@ class Data:
     """
 
     members: pd.DataFrame
-    series: Mapping[str, ChangePoints]
+    series: Series
     events: Mapping[str, Events] = field(default_factory=dict)
     separations: Mapping[str, Separation] = field(default_factory=dict)
     thresholds: Mapping[tuple[str, float], ChangePoints] = field(default_factory=dict)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,15 @@ class AnalysisSettings:
     confidence : float
         Level of every interval, in (0, 1).
     seed : int
-        Root of the null model's random orders.
+        Root of every random number.
+    map_dt : tuple of float
+        Sampling steps of the map of gamma; those of `dt` if there are none.
+    tau : tuple of float
+        Gaps within which exits are looked at as pairs and clusters (dimensionless).
+    smallest : int
+        Least size of a cascade that the law is fitted to.
+    margins : mapping of str to float
+        By name of `QUANTITIES` in `analysis.change.robustness`: how much two runs may differ and count as equivalent.
 
     Raises
     ------
@@ -34,15 +43,25 @@ class AnalysisSettings:
     resamples: int
     confidence: float
     seed: int
+    map_dt: tuple[float, ...] = ()
+    tau: tuple[float, ...] = (0.05, 0.2, 1.0)
+    smallest: int = 1
+    margins: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))
+        object.__setattr__(self, "map_dt", tuple(float(dt) for dt in self.map_dt) or self.dt)
+        object.__setattr__(self, "tau", tuple(float(tau) for tau in self.tau))
         if not (math.isfinite(self.t_burn) and self.t_burn >= 0):
             raise ValueError(f"t_burn: expected a finite number >= 0, got {self.t_burn!r}")
-        if not self.dt or len(set(self.dt)) < len(self.dt):
-            raise ValueError(f"dt: expected one or more different sampling steps, got {self.dt!r}")
-        if not all(math.isfinite(dt) and dt > 0 for dt in self.dt):
-            raise ValueError(f"dt: expected finite numbers > 0, got {self.dt!r}")
+        for name in ("dt", "map_dt", "tau"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"{name}: expected one or more different numbers, got {values!r}")
+            if not all(math.isfinite(value) and value > 0 for value in values):
+                raise ValueError(f"{name}: expected finite numbers > 0, got {values!r}")
+        if self.smallest < 1:
+            raise ValueError(f"smallest: expected an integer >= 1, got {self.smallest!r}")
         if self.resamples < 2:
             raise ValueError(f"resamples: expected an integer >= 2, got {self.resamples!r}; 200 is a usual choice")
         if not 0 < self.confidence < 1:

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from analysis import words
+from analysis.chance.nulls import NullTally
 from analysis.fits import (
     SHORT_WINDOW,
     Estimate,
-    NullTally,
     Undefined,
     add_histograms,
     gamma,
@@ -62,10 +62,15 @@ SCHEMAS: dict[str, dict[str, str]] = {
 
 def frame(name: str, rows: Iterable[Mapping[str, object]]) -> pd.DataFrame:
     """Rows as a data frame with the declared columns and nullable types of the table `name`."""
+    return typed(SCHEMAS[name], rows)
+
+
+def typed(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd.DataFrame:
+    """Rows as a data frame with the columns and nullable types of a schema; what a row lacks is null."""
     listed = list(rows)
-    columns: dict[str, Any] = SCHEMAS[name]  # pandas' stubs know each dtype by its literal name only
+    columns: dict[str, Any] = dict(schema)  # pandas' stubs know each dtype by its literal name only
     return pd.DataFrame(
-        {column: pd.array([row[column] for row in listed], dtype=dtype) for column, dtype in columns.items()}
+        {column: pd.array([row.get(column) for row in listed], dtype=dtype) for column, dtype in columns.items()}
     )
 
 

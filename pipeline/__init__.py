@@ -5,14 +5,16 @@ Reading is in `pipeline.query`: ``query.members(path)``, ``query.n_stick(path, m
 
 from pipeline import query
 from pipeline.audit import Status, status, verify
+from pipeline.interrupt import Interrupted, interruptible
 from pipeline.manifest import StoreError, dataset_scene
 from pipeline.members import Batch, Member, batches, expand
 from pipeline.query import QueryError
 from pipeline.scene import Scene, SceneError, load_scene, parse_scene
-from pipeline.schedule import Progress, ScheduleError, run_scene
+from pipeline.schedule import Progress, ScheduleError, run_member, run_scene
 
 __all__ = [
     "Batch",
+    "Interrupted",
     "Member",
     "Progress",
     "QueryError",
@@ -24,9 +26,11 @@ __all__ = [
     "batches",
     "dataset_scene",
     "expand",
+    "interruptible",
     "load_scene",
     "parse_scene",
     "query",
+    "run_member",
     "run_scene",
     "status",
     "verify",

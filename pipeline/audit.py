@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.manifest import DATA, TEMPORARY, StoreError, dataset_scene, read_manifest
-from pipeline.members import batches, expand
-from pipeline.shards import SCHEMA_VERSION, shard_schema
+from pipeline.manifest import DATA, TEMPORARY, StoreError, dataset_scene, read_manifest, read_tasks
+from pipeline.shards import SCHEMA_VERSION
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Status:
     failures: dict[str, int]
     n_shards: int
     n_bytes: int
+    first_failed: str | None  #: a failed member, to be run alone
 
     @property
     def is_complete(self) -> bool:
@@ -44,11 +45,13 @@ def status(path: str | Path) -> Status:
     scene, manifest = dataset_scene(path), read_manifest(path)
     outcomes: Counter[str] = Counter()
     failures: Counter[str] = Counter()
-    for name in manifest.shards:
-        for row in _read(path / DATA / name, ["outcome", "reason"]).to_pylist():
-            outcomes[row["outcome"]] += 1
-            if row["outcome"] == "failed":
-                failures[row["reason"]] += 1
+    failed: list[str] = []
+    for name, shard in sorted(manifest.shards.items()):
+        outcomes.update(shard.outcomes)
+        if shard.n_failed:
+            rows = _read(path / DATA / name, ["member_id", "outcome", "reason"]).to_pylist()
+            failures.update(row["reason"] for row in rows if row["outcome"] == "failed")
+            failed += [row["member_id"] for row in rows if row["outcome"] == "failed"]
     return Status(
         path=path,
         n_members=scene.n_members,
@@ -57,13 +60,14 @@ def status(path: str | Path) -> Status:
         failures=dict(failures.most_common()),
         n_shards=len(manifest.shards),
         n_bytes=sum(shard.bytes for shard in manifest.shards.values()),
+        first_failed=failed[0] if failed else None,
     )
 
 
 def verify(path: str | Path) -> list[str]:
     """Check a dataset that nobody is writing; one line a problem, an empty list if there is none.
 
-    Missing, damaged and stray files, wrong row counts, wrong schemas, and members other than the scene's. An
+    Missing, damaged and stray files, wrong row counts, outcomes and schemas, and members other than the scene's. An
     unfinished dataset is no problem. Running its scene again computes what is missing or damaged, only that.
 
     Raises
@@ -72,9 +76,8 @@ def verify(path: str | Path) -> list[str]:
         If there is no readable dataset.
     """
     path = Path(path)
-    scene, manifest = dataset_scene(path), read_manifest(path)
-    expected = {batch.name: batch for batch in batches(expand(scene), manifest.scene_hash)}
-    schema = shard_schema(manifest.scene_hash, scene.record.events)
+    manifest = read_manifest(path)
+    expected = {batch.name: (batch, recording) for batch, recording in read_tasks(path, manifest)}
     problems = []
     for name, shard in sorted(manifest.shards.items()):
         file = path / DATA / name
@@ -82,11 +85,12 @@ def verify(path: str | Path) -> list[str]:
         if not problem and name not in expected:
             problem = "not a shard of this scene"
         elif not problem:
-            ids = [member.member_id for member in expected[name].members]
+            batch, recording = expected[name]
+            ids = [member.member_id for member in batch.members]
             entry = (shard.rows, shard.first, shard.last)
             if entry != (len(ids), ids[0], ids[-1]):
                 problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-            problem = problem or _content(file, schema, ids)
+            problem = problem or _content(file, recording.schema, ids, shard.outcomes)
         if problem:
             problems.append(f"{file}: {problem}")
     data = path / DATA
@@ -96,7 +100,7 @@ def verify(path: str | Path) -> list[str]:
     return problems + [f"{file}: stray file, not in the manifest" for file in strays]
 
 
-def _content(file: Path, schema: pa.Schema, ids: list[str]) -> str:
+def _content(file: Path, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
     """What is wrong inside a shard whose bytes are as they were written: "" if nothing."""
     try:
         table = _read(file)
@@ -108,7 +112,10 @@ def _content(file: Path, schema: pa.Schema, ids: list[str]) -> str:
         return f"expected {len(ids)} rows, got {table.num_rows}"
     found = table["member_id"].to_pylist()
     wrong = [(a, b) for a, b in zip(ids, found, strict=True) if a != b]
-    return f"expected member {wrong[0][0]}, got {wrong[0][1]}" if wrong else ""
+    if wrong:
+        return f"expected member {wrong[0][0]}, got {wrong[0][1]}"
+    counted = dict(Counter(table["outcome"].to_pylist()))
+    return "" if counted == outcomes else f"expected the outcomes {outcomes}, got {counted}"
 
 
 def _read(file: Path, columns: list[str] | None = None) -> pa.Table:

@@ -1,21 +1,25 @@
 """The manifest of a dataset: the shards that are done, and whether their files still are what was written.
 
 OUT/scene.toml         exact copy of the scene file
-OUT/manifest.json      the shards that are done: sha256, rows, bytes, first and last member
+OUT/manifest.json      the shards that are done: sha256, rows, outcomes; how members are packed; which programs wrote
 OUT/data/*.parquet     the shards, one a batch
-OUT/timings.jsonl      seconds, host and process of each batch: apart from the data, which ignore them
+OUT/timings.jsonl      a line a commit: seconds, host and process, apart from the data, which ignore them; and what
+                       the manifest says of the shard, from which a lost manifest is made again
 OUT/.lock              held by the process that writes; a crash releases it
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from pipeline.plan import PlanError, Task, tasks
 from pipeline.scene import Scene, SceneError, load_scene
 from pipeline.shards import SCHEMA_VERSION
 
@@ -28,6 +32,9 @@ class StoreError(RuntimeError):
     """The dataset cannot be written or read. The message says which file, why, and what to do."""
 
 
+Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
+
+
 class Shard(BaseModel):
     """A shard that is done, as the manifest knows it."""
 
@@ -37,6 +44,12 @@ class Shard(BaseModel):
     bytes: Annotated[int, Field(ge=1)]
     first: str
     last: str
+    outcomes: dict[Outcome, Annotated[int, Field(ge=1)]]
+
+    @property
+    def n_failed(self) -> int:
+        """Members of the shard that failed."""
+        return self.outcomes.get("failed", 0)
 
     def damage(self, file: Path) -> str:
         """What is wrong with the bytes of the shard's file: "" if nothing."""
@@ -55,24 +68,71 @@ ShardName = Annotated[str, Field(pattern=r"^shard-\d{5,}-[0-9a-f]{12}\.parquet$"
 
 
 class Manifest(BaseModel):
-    """The shards that are done, by name, and the scene that they belong to."""
+    """The shards that are done, by name, the scene that they belong to, and how its members are packed.
+
+    `earlier` holds the sources of the scenes that this one grew from; `packing`, for each of these and for the scene
+    itself, the number of members of each shard that it added (see `pipeline.plan`). `programs` are the versions of
+    the program whose numbers the shards may hold.
+    """
 
     model_config = ConfigDict(strict=True, extra="forbid")
-    schema_version: Literal[2] = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     scene_hash: str
+    programs: list[str] = []
+    earlier: list[str] = []
+    packing: list[list[Annotated[int, Field(ge=1)]]]
     shards: dict[ShardName, Shard] = {}
 
+    @model_validator(mode="after")
+    def _one_packing_a_scene(self) -> Manifest:
+        if len(self.packing) != len(self.earlier) + 1:
+            raise ValueError(f"expected the packing of {len(self.earlier) + 1} scenes, got {len(self.packing)}")
+        return self
+
     def to_bytes(self) -> bytes:
-        """JSON, one line a shard, sorted: the same shards give the same bytes."""
+        """JSON that begins with a digest of the rest, a line a shard, sorted: the same shards give the same bytes."""
+        head = self.model_dump(exclude={"shards"})
+        lines = [f"{json.dumps(key)}: {json.dumps(head[key], separators=(',', ':'))}" for key in sorted(head)]
         shards = [f"{json.dumps(name)}: {json_line(self.shards[name].model_dump())}" for name in sorted(self.shards)]
         listed = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
-        head = f'"scene_hash": {json.dumps(self.scene_hash)},\n"schema_version": {self.schema_version}'
-        return f'{{\n{head},\n"shards": {listed}\n}}\n'.encode()
+        rest = (",\n".join([*lines, f'"shards": {listed}']) + "\n}\n").encode()
+        return _checked(rest) + rest
+
+
+def _checked(rest: bytes) -> bytes:
+    return f'{{\n"check": "{hashlib.sha256(rest).hexdigest()}",\n'.encode()
 
 
 def json_line(values: dict[str, object]) -> str:
     """JSON with sorted keys: the same values give the same text."""
     return json.dumps(values, sort_keys=True)
+
+
+class Commit(BaseModel):
+    """A line of the record of the commits: a shard as it was written, by which program, when and where."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    name: ShardName = Field(alias="shard")
+    shard: Shard = Field(alias="entry")
+    program: str
+    seconds: float
+    host: str
+    pid: int
+
+
+def read_commits(file: Path) -> Iterator[Commit]:
+    """The commits in the order they came in; lines that are damaged are left out, as is a file that is not there."""
+    try:
+        lines = file.read_bytes().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        with contextlib.suppress(ValidationError):
+            yield Commit.model_validate_json(line)
+
+
+class DamagedManifest(StoreError):
+    """The manifest is there and cannot be understood."""
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -81,22 +141,43 @@ def read_manifest(path: Path) -> Manifest:
     Raises
     ------
     StoreError
-        If there is none, or it cannot be read.
+        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest.
     """
     file = path / MANIFEST
     try:
-        return Manifest.model_validate_json(file.read_bytes())
+        content = file.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise StoreError(f"{path}: expected a dataset, found no {MANIFEST}; name the directory of a run") from None
     except OSError as error:
         raise StoreError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+    rest = content[len(_checked(b"")) :]
+    is_whole = content == _checked(rest) + rest
+    _same_version(file, content, is_whole)
+    try:
+        if is_whole:
+            return Manifest.model_validate_json(b"{" + rest)
+        problem = "its check does not fit"
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
+        problem = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    raise DamagedManifest(
+        f"{file}: expected a manifest, got something damaged ({problem}); run the scene again with this directory: "
+        f"what {TIMINGS} confirms is kept, the rest computed anew"
+    )
+
+
+def _same_version(file: Path, content: bytes, is_whole: bool) -> None:
+    """Refuse the manifest of another version of the schema, which is not damaged."""
+    try:
+        found = json.loads(content)
+        version, is_checked = found["schema_version"], "check" in found
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return
+    if version != SCHEMA_VERSION and (is_whole or not is_checked):
         raise StoreError(
-            f"{file}: expected a manifest, got something damaged{where and f' at {where}'} ({first['msg']}); "
-            f"restore it from a copy, or delete {path} and run the scene again"
-        ) from None
+            f"{file}: expected a dataset of schema version {SCHEMA_VERSION}, got one of version {version}; go on "
+            f"with the version of stickslip that began it, or choose another directory"
+        )
 
 
 def dataset_scene(path: Path) -> Scene:
@@ -118,3 +199,20 @@ def dataset_scene(path: Path) -> Scene:
             f"got another (hash {scene.hash[:12]}); restore the file"
         )
     return scene
+
+
+def read_tasks(path: Path, manifest: Manifest) -> list[Task]:
+    """The shards that the dataset at `path` consists of, done or not.
+
+    Raises
+    ------
+    StoreError
+        If its scene cannot be read, or the manifest's packing is not of its members.
+    """
+    try:
+        return tasks(dataset_scene(path), manifest.earlier, manifest.packing)
+    except PlanError as error:
+        raise DamagedManifest(
+            f"{path / MANIFEST}: expected the packing of the scene's members, got {error}; go on with the version of "
+            f"stickslip that began it, or choose another directory"
+        ) from None

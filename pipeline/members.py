@@ -5,16 +5,21 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import sim
 from pipeline.scene import Coulomb, Scene, Sigmoid
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
-MATRIX, PERTURBATION, RATIO = 0, 1, 2
+MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3
+
+#: The readings of a perturbation in a member's name.
+_READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
 
 #: Work in a batch, in units of `Member.cost` (about a second each). A constant: were it chosen by the number
 #: of workers, so would be the shards' names and the dataset's bytes.
@@ -37,8 +42,10 @@ class Member:
     friction: float
     belt_speed: float
     matrix: int
+    perturbation_reading: str | None
     perturbation_size: float
     perturbation_draw: int | None
+    twin_size: float | None
     engine: Literal["coulomb", "sigmoid"]
     tol: float | None
     eps: float | None
@@ -48,11 +55,14 @@ class Member:
     atol: float | None
     stick: str | None
     threshold: float | None
+    thresholds: tuple[float, ...]
     picked_for: str | None
     z0: float
     w0: float
     t_end: float
     seed: int
+    #: Its part of work that is done once for several members; no part of what it is.
+    shared_cost: float = field(default=0.0, compare=False)
 
     def _seed(self, purpose: int, *draw: int) -> np.random.SeedSequence:
         """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
@@ -73,10 +83,35 @@ class Member:
             friction=self.friction,
             belt_speed=self.belt_speed,
         )
-        if self.perturbation_draw is None:
+        if self.perturbation_draw is None or self.perturbation_reading is None:
             return system
         seed = self._seed(PERTURBATION, self.perturbation_draw)
-        return sim.perturb_system(system, self.coupling, self.perturbation_size, seed, kappa=self.kappa, rho=self.rho)
+        return sim.perturb_system(
+            system,
+            self.coupling,
+            self.perturbation_size,
+            seed,
+            reading=self.perturbation_reading,
+            kappa=self.kappa,
+            rho=self.rho,
+        )
+
+    def start(self) -> tuple[float | np.ndarray, float | np.ndarray]:
+        """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2."""
+        if self.twin_size is None:
+            return self.z0, self.w0
+        moved = np.random.default_rng(self._seed(TWIN)).standard_normal((2, self.n))
+        moved *= self.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
+        return self.z0 + moved[0], self.w0 + moved[1]
+
+    @property
+    def base(self) -> Member | None:
+        """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
+        if self.perturbation_draw is not None or self.twin_size is not None:
+            return replace(
+                self, perturbation_reading=None, perturbation_size=0.0, perturbation_draw=None, twin_size=None
+            )
+        return None if self.ratio_draw is None else replace(self, ratio="one", ratio_draw=None)
 
     def ratios(self) -> float | np.ndarray:
         """Stiffness ratios r_i of the sigmoid: 1, or shape (n,) uniform in (0, 1]."""
@@ -84,7 +119,7 @@ class Member:
             return 1.0
         return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
 
-    def simulate(self) -> sim.Run:
+    def simulate(self, t_eval: ArrayLike = ()) -> sim.Run:
         """Draw the system and run it."""
         settings: dict[str, Any]
         if self.engine == "coulomb":
@@ -92,13 +127,16 @@ class Member:
         else:
             settings = {"eps": self.eps, "ratio": self.ratios(), "rtol": self.rtol, "atol": self.atol}
             settings["stick"] = self.stick
+            settings["thresholds"] = self.thresholds
             if self.threshold is not None:
                 settings["threshold"] = self.threshold
-        return sim.simulate(self.system(), self.z0, self.w0, t_end=self.t_end, engine=self.engine, **settings)
+        return sim.simulate(
+            self.system(), *self.start(), t_end=self.t_end, t_eval=t_eval, engine=self.engine, **settings
+        )
 
     @property
     def cost(self) -> float:
-        """Estimated work, about seconds of one core; constants measured from n = 10 to 300 at eps = 0.03.
+        """Estimated work, about seconds of one core; constants measured from n = 5 to 400, eps = 0.0003 to 0.3.
 
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
         """
@@ -107,44 +145,79 @@ class Member:
             rate *= max(0.3, 1.0 + 0.11 * math.log10(1e-10 / self.tol))
         if self.rtol is not None and self.atol is not None:  # steps of a method of order four
             rate *= 0.85 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
-        return 1e-3 + self.t_end * rate
+        if self.eps is not None:  # thinner layers, more steps across them
+            rate *= min(max((0.03 / self.eps) ** 0.4, 0.3), 6.0)
+        if self.ratio == "uniform":
+            rate *= 1.8
+        rate *= 1.0 + 0.06 * len(self.thresholds)
+        certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
+        return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
 def expand(scene: Scene) -> list[Member]:
-    """All members of a scene, sorted by n, matrix, perturbation, engine (as in the file) and ratio draw."""
+    """All members of a scene, sorted by n, matrix, change (none first), engine (as in the file) and ratio draw."""
     return list(_expand(scene))
 
 
 def _expand(scene: Scene) -> Iterator[Member]:
-    changes: list[tuple[float, int | None]] = [(0.0, None)]
+    changes = [_Change()]
     if scene.perturbation is not None:
         table = scene.perturbation
-        changes += [(size, draw) for size in table.sizes for draw in range(table.draws)]
+        moves = product(table.readings, table.sizes, range(table.draws))
+        changes += [_Change(reading, size, draw) for reading, size, draw in moves]
+    if scene.twins is not None:
+        changes += [_Change(twin_size=size) for size in scene.twins.sizes]
     for n in scene.system.n:
         for matrix in range(scene.run.matrices):
-            for size, draw in changes:
+            for change in changes:
                 for engine in scene.engines:
+                    if change.reading is not None and change.reading not in scene.readings_of(engine):
+                        continue
+                    if change.twin_size is not None and not engine.twins:
+                        continue
                     for ratio_draw in engine.draws:
-                        yield _member(scene, n, matrix, size, draw, engine, ratio_draw)
+                        yield _with_shared_cost(scene, _member(scene, n, matrix, change, engine, ratio_draw), engine)
+
+
+def _with_shared_cost(scene: Scene, member: Member, engine: Coulomb | Sigmoid) -> Member:
+    """Add a member's part of the unchanged run that it is compared with, and of its system's eigenvalues."""
+    cost = 0.0
+    copies = scene.n_changes(engine)
+    if scene.record.separation is not None and (base := member.base) is not None:
+        is_changed = base.ratio_draw == member.ratio_draw
+        cost += base.cost / (copies if is_changed else len(engine.draws))
+    if scene.record.growth_rate:
+        sharing = len(scene.engines) * len(engine.draws)
+        cost += 1e-8 * member.n**3 / sharing
+    return replace(member, shared_cost=cost) if cost else member
+
+
+@dataclass(frozen=True)
+class _Change:
+    """How a member differs from the system and start of its matrix."""
+
+    reading: str | None = None
+    size: float = 0.0
+    draw: int | None = None
+    twin_size: float | None = None
+
+    @property
+    def words(self) -> list[str]:
+        if self.reading is not None:
+            return [f"{_READINGS[self.reading]}{_short(self.size)}", f"d{self.draw}"]
+        return [] if self.twin_size is None else [f"t{_short(self.twin_size)}"]
 
 
 def _member(
-    scene: Scene,
-    n: int,
-    matrix: int,
-    size: float,
-    draw: int | None,
-    engine: Coulomb | Sigmoid,
-    ratio_draw: int | None,
+    scene: Scene, n: int, matrix: int, change: _Change, engine: Coulomb | Sigmoid, ratio_draw: int | None
 ) -> Member:
-    words = [f"n{n}", f"m{matrix:03d}"]
-    if draw is not None:
-        words += [f"p{_short(size)}", f"d{draw}"]
-    words.append(engine.name)
+    words = [f"n{n}", f"m{matrix:03d}", *change.words, engine.name]
     settings: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
+    settings["thresholds"] = ()
     settings |= engine.tolerances
     if isinstance(engine, Sigmoid):
         settings |= engine.model_dump(include={"eps", "ratio", "stick"})
+        settings["thresholds"] = engine.thresholds or ()
         words += [_short(engine.eps), "one" if ratio_draw is None else f"u{ratio_draw}"]
     words += map(_short, engine.tolerances.values())
     if isinstance(engine, Sigmoid) and engine.stick == "threshold":
@@ -159,8 +232,10 @@ def _member(
         friction=scene.system.friction,
         belt_speed=scene.system.belt_speed,
         matrix=matrix,
-        perturbation_size=size,
-        perturbation_draw=draw,
+        perturbation_reading=change.reading,
+        perturbation_size=change.size,
+        perturbation_draw=change.draw,
+        twin_size=change.twin_size,
         engine=engine.name,
         ratio_draw=ratio_draw,
         picked_for=engine.picked_for,
@@ -204,9 +279,10 @@ def batches(members: Sequence[Member], scene_hash: str) -> list[Batch]:
             cost = 0.0
         packed[-1].append(member)
         cost += member.cost
-    return [_batch(number, tuple(group), scene_hash) for number, group in enumerate(packed)]
+    return [as_batch(number, tuple(group), scene_hash) for number, group in enumerate(packed)]
 
 
-def _batch(number: int, members: tuple[Member, ...], scene_hash: str) -> Batch:
+def as_batch(number: int, members: tuple[Member, ...], scene_hash: str) -> Batch:
+    """The batch of some members; `number` is its place among the dataset's shards."""
     content = "\n".join([scene_hash, *(member.member_id for member in members)])
     return Batch(f"shard-{number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet", members)

@@ -1,11 +1,11 @@
-"""Reading a dataset: members as a data frame, n_stick as arrays, anything by SQL. Nothing here writes."""
+"""Reading a dataset: members as Arrow, pandas or dask frames, n_stick as arrays, anything by SQL. Nothing writes."""
 
 from __future__ import annotations
 
-import contextlib
-import difflib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -16,62 +16,55 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import sim
-from pipeline.manifest import DATA, StoreError, dataset_scene, read_manifest
-from pipeline.shards import SCALARS, shard_schema
+from pipeline.dataset import NULLABLE, QueryError, dataset, frame, near, reading
+from pipeline.manifest import dataset_scene, read_manifest
+from pipeline.shards import scalars
+from pipeline.sql import answer, sql
 
-# pandas' plain numbers have no null but NaN; these do, and keep integers integers
-_NULLABLE = {
-    pa.int32(): pd.Int32Dtype(),
-    pa.int64(): pd.Int64Dtype(),
-    pa.float64(): pd.Float64Dtype(),
-    pa.bool_(): pd.BooleanDtype(),
-}
+if TYPE_CHECKING:
+    from dask.dataframe import DataFrame
 
+__all__ = [
+    "QueryError",
+    "all_events",
+    "answer",
+    "by_threshold",
+    "dask_members",
+    "dataset",
+    "events",
+    "members",
+    "n_stick",
+    "reasons",
+    "separations",
+    "series",
+    "sql",
+    "table",
+]
 
-class QueryError(ValueError):
-    """The question cannot be answered. The message says what was expected and what came."""
+Filters: TypeAlias = pc.Expression | list[tuple]
 
+#: Shards that one part of a dask frame holds together, in bytes of their files.
+_PART = 64_000_000
 
-def dataset(path: str | Path) -> ds.Dataset:
-    """The shards that the manifest lists, as one Arrow dataset, in the order of the members.
-
-    Raises
-    ------
-    StoreError
-        If there is no readable dataset at `path`.
-    """
-    path = Path(path)
-    manifest = read_manifest(path)
-    schema = shard_schema(manifest.scene_hash, dataset_scene(path).record.events)
-    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    with _reading(path):
-        return ds.dataset(
-            [str(path / DATA / name) for name in sorted(manifest.shards)],
-            schema=schema,
-            format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
-        )
+#: What an event series is made of.
+_EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
 
 
-def members(
+def table(
     path: str | Path,
     columns: Sequence[str] | None = None,
-    filters: pc.Expression | list[tuple] | None = None,
-) -> pd.DataFrame:
-    """The members table, one row a member, sorted as the scene expands.
+    filters: Filters | None = None,
+) -> pa.Table:
+    """The dataset, or a part of it, as an Arrow table: one row a member, sorted as the scene expands.
 
     Parameters
     ----------
     path : str or Path
         Directory of the dataset.
     columns : sequence of str, optional
-        Columns of the schema; all scalar ones if left out.
+        Columns of the dataset; all, the lists too, if left out.
     filters : pyarrow.compute.Expression or list of tuple, optional
         Which rows, e.g. ``[("n", "=", 200), ("engine", "=", "coulomb")]``; applied while reading.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A column that holds nulls has a nullable type (NA, never NaN).
 
     Raises
     ------
@@ -81,20 +74,95 @@ def members(
         If there is no readable dataset.
     """
     source = dataset(path)
-    names = list(SCALARS if columns is None else columns)
+    return _chosen(path, source, _known(source.schema, columns), filters)
+
+
+def members(
+    path: str | Path,
+    columns: Sequence[str] | None = None,
+    filters: Filters | None = None,
+) -> pd.DataFrame:
+    """The members table as a data frame; as `table`, but all scalar columns if `columns` is left out.
+
+    A column that holds nulls has a nullable type (NA, never NaN).
+    """
+    source = dataset(path)
+    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
+    return frame(_chosen(path, source, names, filters))
+
+
+def dask_members(
+    path: str | Path,
+    columns: Sequence[str] | None = None,
+    filters: Filters | None = None,
+) -> DataFrame:
+    """The members table as a dask frame, each part read where it is computed; arguments as of `members`.
+
+    A column that may hold nulls has a nullable type in every part, whether it does there or not.
+    """
+    import dask.dataframe  # takes a second to load
+
+    source = dataset(path)
+    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
+    condition = _condition(filters)
+    schema = pa.schema([source.schema.field(name) for name in names])
+    empty = _part((), str(path), names, condition, schema)
+    parts = _parts({name: shard.bytes for name, shard in sorted(read_manifest(Path(path)).shards.items())})
+    return dask.dataframe.from_map(
+        _part, parts, path=str(path), names=names, condition=condition, schema=schema, meta=empty, label="members"
+    )
+
+
+def _parts(sizes: dict[str, int]) -> list[tuple[str, ...]]:
+    """Consecutive shards together, up to `_PART` bytes."""
+    parts: list[list[str]] = [[]]
+    filled = 0
+    for name, size in sizes.items():
+        if parts[-1] and filled + size > _PART:
+            parts.append([])
+            filled = 0
+        parts[-1].append(name)
+        filled += size
+    return [tuple(part) for part in parts]
+
+
+def _part(
+    part: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
+) -> pd.DataFrame:
+    """One part of a dask frame; of no shards: its columns and their types."""
+    found = _chosen(path, dataset(path, part), names, condition) if part else schema.empty_table()
+    never_null = [field for field in schema if not field.nullable and field.type in NULLABLE]
+    plain = {field.name: field.type.to_pandas_dtype() for field in never_null}
+    return found.to_pandas(types_mapper=NULLABLE.get).astype(plain)
+
+
+def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
+    names = list(schema.names if columns is None else columns)
     for name in names:
-        if name not in source.schema.names:
-            raise QueryError(
-                f"columns: expected columns of the dataset, got {name!r}{_near(name, source.schema.names)}"
-            )
+        if name not in schema.names:
+            raise QueryError(f"columns: expected columns of the dataset, got {name!r}{near(name, schema.names)}")
+    return names
+
+
+def _condition(filters: Filters | None) -> pc.Expression | None:
     try:
-        condition = None if filters is None else pq.filters_to_expression(filters)
-        with _reading(path):
-            return _frame(source.to_table(columns=names, filter=condition))
+        return None if filters is None else pq.filters_to_expression(filters)
     except (pa.ArrowException, ValueError) as error:
-        raise QueryError(
-            f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}"
-        ) from error
+        raise _misfit(filters, error) from error
+
+
+def _chosen(path: str | Path, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
+    try:
+        with reading(path):
+            return source.to_table(columns=names, filter=_condition(filters))
+    except (pa.ArrowException, ValueError) as error:
+        raise _misfit(filters, error) from error
+
+
+def _misfit(filters: Filters | None, error: Exception) -> QueryError:
+    if isinstance(error, QueryError):
+        return error
+    return QueryError(f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}")
 
 
 def n_stick(path: str | Path, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -133,20 +201,15 @@ def events(path: str | Path, member_id: str) -> sim.EventSeries:
         raise QueryError(
             "events: expected a dataset with events, got one without; set `events = true` under [record]"
         )
-    columns = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
-    row = _member_row(path, source, member_id, columns)
-    # nothing happens any more after a collapse: its series is known to the end
-    end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
-    t, block, mode, initial_mode = (_array(row[name]) for name in columns[:4])
-    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py())
+    return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
 
 
 def _member_row(path: str | Path, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
-    with _reading(path):
+    with reading(path):
         rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
         known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
     if rows.num_rows == 0:
-        raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{_near(member_id, known)}")
+        raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, known)}")
     if not rows[columns[0]][0].is_valid:
         raise QueryError(
             f"member_id: expected a member that ran, got {member_id!r}, which failed: {rows['reason'][0]}"
@@ -160,81 +223,63 @@ def series(path: str | Path) -> Iterator[tuple[str, NDArray[np.float64], NDArray
     Failed members, which have no series, are left out: `members` lists them.
     """
     for fragment in dataset(path).get_fragments():
-        with _reading(path):
+        with reading(path):
             table = fragment.to_table(columns=["member_id", "t", "n_stick"])
         for member_id, t, counts in zip(*table.columns, strict=True):
             if t.is_valid:
                 yield member_id.as_py(), _array(t), _array(counts)
 
 
-def sql(path: str | Path, query: str) -> pd.DataFrame:
-    """Answer a question in SQL (DuckDB), without access to anything but the dataset.
+def all_events(path: str | Path) -> Iterator[tuple[str, sim.EventSeries]]:
+    """Each member's id and events, in order, one shard in memory at a time; none if they are not recorded."""
+    for row in _rows(path, "event_t", _EVENT_COLUMNS):
+        yield row["member_id"].as_py(), _event_series(row)
 
-    Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point) and, if the
-    scene records them, `events` (member_id, t, block, mode).
 
-    Raises
-    ------
-    QueryError
-        If DuckDB is not installed, or refuses the query.
-    StoreError
-        If there is no readable dataset.
+def separations(path: str | Path) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+    """Each changed member's id, times, and distance from the unchanged run; none if the scene does not record them.
+
+    The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
-    try:
-        import duckdb
-    except ImportError as error:
-        raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
+    step = dataset_scene(Path(path)).record.separation
+    for row in _rows(path, "separation", ["separation"]):
+        assert step is not None  # there would be no such column
+        distance: NDArray[np.float64] = _array(row["separation"])
+        yield row["member_id"].as_py(), step * np.arange(len(distance), dtype=np.float64), distance
+
+
+def by_threshold(path: str | Path) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.int32]]]:
+    """Id, threshold, t and n_stick of each further definition of sticking; none if the scene has no `thresholds`."""
+    for row in _rows(path, "by_threshold", ["by_threshold"]):
+        for entry in row["by_threshold"].values:  # noqa: PD011  an Arrow scalar, no data frame
+            yield row["member_id"].as_py(), entry["threshold"].as_py(), _array(entry["t"]), _array(entry["n_stick"])
+
+
+def reasons(path: str | Path, shard: str) -> dict[str, int]:
+    """Why members of one shard failed, and how many for each reason, the most frequent first."""
+    with reading(path):
+        failed = dataset(path, [shard]).to_table(["reason"], filter=pc.field("outcome") == "failed")
+    return dict(Counter(failed["reason"].to_pylist()).most_common())
+
+
+def _rows(path: str | Path, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:
+    """The rows of a dataset in which a column that a scene may record is not null, one shard in memory at a time."""
     source = dataset(path)
-    with duckdb.connect(":memory:") as connection:
-        connection.register("shards", source)
-        views = {
-            "members": ", ".join(SCALARS),
-            "n_stick": "member_id, unnest(t) AS t, unnest(n_stick) AS n_stick",
-        }
-        if "event_t" in source.schema.names:
-            views["events"] = (
-                "member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
-            )
-        for name, selection in views.items():
-            connection.execute(f"CREATE VIEW {name} AS SELECT {selection} FROM shards")
-        # from here on no files, no network, no variables of this process, and no way back
-        for setting in (
-            "temp_directory = ''",
-            "python_enable_replacements = false",
-            "enable_external_access = false",
-            "lock_configuration = true",
-        ):
-            connection.execute(f"SET {setting}")
-        try:
-            answer = connection.sql(query)
-            if answer is None:
-                raise QueryError("query: expected a statement that returns rows, got none; try SELECT * FROM members")
-            return _frame(answer.to_arrow_table())
-        except duckdb.Error as error:
-            raise QueryError(f"query: {error}") from error
+    if recorded not in source.schema.names:
+        return
+    for fragment in source.get_fragments():
+        with reading(path):
+            table = fragment.to_table(columns=["member_id", *columns], filter=pc.field(recorded).is_valid())
+        for k in range(table.num_rows):
+            yield {name: table[name][k] for name in table.column_names}
 
 
-@contextlib.contextmanager
-def _reading(path: str | Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:  # a file that is gone, or a page whose checksum is wrong
-        raise StoreError(
-            f"{path}: a shard cannot be read ({error}); run the scene again to compute it anew"
-        ) from error
-
-
-def _frame(table: pa.Table) -> pd.DataFrame:
-    plain = [name for name in table.column_names if table[name].null_count == 0]
-    frame = table.to_pandas(types_mapper=_NULLABLE.get)
-    types = {name: table.schema.field(name).type for name in plain}
-    return frame.astype({name: kind.to_pandas_dtype() for name, kind in types.items() if kind in _NULLABLE})
+def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:
+    # nothing happens any more after a collapse: its series is known to the end
+    end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
+    t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
+    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py())
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:
     return entry.values.to_numpy(zero_copy_only=False)  # noqa: PD011  an Arrow scalar, no data frame
-
-
-def _near(word: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(known[:10])}"

@@ -5,6 +5,7 @@ All quantities are dimensionless.
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import hashlib
 import json
@@ -108,15 +109,21 @@ class StartTable(StrictTable):
     w: float = Field(description="velocity at t = 0", examples=[-0.4])
 
 
+Purpose = Literal["statistics", "paths"]
+
+
 class RunTable(StrictTable):
     """[run]: how long, how many, from which seed."""
 
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
     matrices: Count = Field(description="number of random systems for each n", examples=[20])
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+    purpose: Purpose | None = Field(
+        default=None,
+        description="what tolerances that are not given are picked for; by default what the scene records says it",
+        examples=["statistics"],
+    )
 
-
-Purpose = Literal["statistics", "paths"]
 
 #: Tolerances of the engines where a scene gives none, by what it asks for. Of statistics the chart `statistics`
 #: found 1e-4 tight enough (n = 200, 20 matrices, eps = 0.03); this is a decade tighter, and half the cost of paths.
@@ -126,9 +133,27 @@ TOLERANCES: dict[Purpose, dict[str, float]] = {
 }
 
 
-class _EngineTable(StrictTable):
-    """What the tables [[engine]] share: tolerances that are picked where the scene gives none."""
+Reading = Literal["scale", "relative", "damping matrix"]
 
+
+def _once(values: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(values)) < len(values):
+        raise ValueError(f"expected each value once, got {list(values)!r}; remove the duplicates")
+    return values
+
+
+Readings = Annotated[tuple[Reading, ...], BeforeValidator(as_tuple), AfterValidator(_once)]
+
+
+class _EngineTable(StrictTable):
+    """What the tables [[engine]] share: tolerances, picked where none are given, and which changes to run."""
+
+    readings: Readings | None = Field(
+        default=None,
+        description="readings of [perturbation] that this engine runs; all of them if left out",
+        examples=[["scale"]],
+    )
+    twins: bool = Field(default=True, description="choice to run [twins] with this engine", examples=[False])
     _picked_for: Purpose | None = PrivateAttr(default=None)
 
     @property
@@ -180,6 +205,11 @@ class Sigmoid(_EngineTable):
         description="definition of sticking: the one that converges to Coulomb, or |w - v| < threshold r_i eps",
     )
     threshold: Positive = Field(default=1.0, description='threshold, with stick = "threshold"', examples=[1.0])
+    thresholds: PositiveNumbers | None = Field(
+        default=None,
+        description="thresholds of further definitions |w - v| < threshold r_i eps, recorded from the same runs",
+        examples=[[0.5, 1.0, 2.0]],
+    )
 
     @property
     def draws(self) -> tuple[int | None, ...]:
@@ -205,14 +235,53 @@ Engine = Annotated[Coulomb | Sigmoid, Field(discriminator="name")]
 class PerturbationTable(StrictTable):
     """[perturbation]: each system again with its constants moved; size 0, unmoved, is always run once."""
 
+    readings: Readings = Field(
+        default=("scale",),
+        min_length=1,
+        description="what moves by how much: see `sim.perturb_system`",
+        examples=[["scale", "relative"]],
+    )
     sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])
     draws: Count = Field(default=1, description="number of random changes of each size", examples=[3])
+
+
+class TwinsTable(StrictTable):
+    """[twins]: each system again from a start moved in a random direction, the same for every size."""
+
+    sizes: PositiveNumbers = Field(
+        description="distances of the starts, as roots of the mean square a block", examples=[[1e-8, 1e-2]]
+    )
 
 
 class RecordTable(StrictTable):
     """[record]: what is kept beside the change points of n_stick, which always are."""
 
     events: bool = Field(default=False, description="choice to keep every event", examples=[False])
+    growth_rate: bool = Field(
+        default=False,
+        description="choice to keep the growth rate of the all-slip state; its eigenvalues cost as a run does",
+        examples=[False],
+    )
+    separation: Positive | None = Field(
+        default=None,
+        description="step of time at which to keep the distance of a changed run from the unchanged",
+        examples=[5.0],
+    )
+
+
+class MarginsTable(StrictTable):
+    """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
+
+    Shares of the original's value, `distribution` of its standard deviation in time.
+    """
+
+    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick", examples=[0.1])
+    variance: Positive = Field(default=0.25, description="margin of its variance in time", examples=[0.25])
+    rate: Positive = Field(default=0.1, description="margin of the rate of its changes", examples=[0.1])
+    gamma: Positive = Field(default=0.05, description="margin of gamma by events", examples=[0.05])
+    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time", examples=[0.5])
+    band: Positive = Field(default=0.5, description="margin of its power at periods 15 to 25", examples=[0.5])
+    distribution: Positive = Field(default=0.5, description="margin of its stationary distribution", examples=[0.5])
 
 
 class AnalysisTable(StrictTable):
@@ -220,12 +289,20 @@ class AnalysisTable(StrictTable):
 
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
     dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
+    map_dt: PositiveNumbers | None = Field(
+        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.03, 3.0]]
+    )
+    tau: PositiveNumbers = Field(
+        default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs and clusters of exits", examples=[[0.05]]
+    )
+    smallest: Count = Field(default=1, description="least size of a cascade that the law is fitted to", examples=[1])
     resamples: int = Field(
         default=200, ge=2, description="number of random orders drawn for each member", examples=[200]
     )
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.95, description="level of the intervals", examples=[0.95]
     )
+    margins: MarginsTable = MarginsTable()
 
 
 class Scene(StrictTable):
@@ -240,19 +317,34 @@ class Scene(StrictTable):
         alias="engine", min_length=1, description="one or more tables [[engine]]"
     )
     perturbation: PerturbationTable | None = None
+    twins: TwinsTable | None = None
     record: RecordTable = RecordTable()
     analysis: AnalysisTable
 
     @property
     def purpose(self) -> Purpose:
-        """What the scene asks to know: paths if it keeps events or moves a system's constants, else statistics."""
-        return "paths" if self.record.events or self.perturbation is not None else "statistics"
+        """What the scene asks to know; if it does not say, paths if it keeps events or has runs to compare."""
+        asks_paths = self.record.events or self.record.separation is not None
+        asks_paths = asks_paths or self.perturbation is not None or self.twins is not None
+        return self.run.purpose or ("paths" if asks_paths else "statistics")
+
+    @property
+    def records(self) -> tuple[str, ...]:
+        """Which of the optional parts of a dataset there are."""
+        thresholds = any(isinstance(engine, Sigmoid) and engine.thresholds for engine in self.engines)
+        asked = {
+            "growth_rate": self.record.growth_rate,
+            "events": self.record.events,
+            "separation": self.record.separation is not None,
+            "thresholds": thresholds,
+        }
+        return tuple(name for name, is_asked in asked.items() if is_asked)
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         # frozen for everybody else: a scene that exists has all its tolerances
         object.__setattr__(self, "engines", tuple(engine.complete(self.purpose) for engine in self.engines))
-        settings = [engine.model_dump() for engine in self.engines]
+        settings = [engine.model_dump(exclude={"readings", "twins"}) for engine in self.engines]
         for i, setting in enumerate(settings):
             if setting in settings[:i]:
                 raise ValueError(
@@ -264,10 +356,13 @@ class Scene(StrictTable):
                 f"analysis.t_burn: expected less than run.t_end = {self.run.t_end}, "
                 f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
             )
-        if self.perturbation is not None and self.system.coupling == "springs":
+        readings = self.perturbation.readings if self.perturbation is not None else ()
+        if self.system.coupling == "springs" and set(readings) - {"relative"}:
             raise ValueError(
-                'perturbation: expected none with coupling = "springs", which it could make negative; remove it'
+                'perturbation.readings: expected "relative" alone with coupling = "springs", as others could make'
+                f' springs negative, got {list(readings)}; write readings = "relative"'
             )
+        self._changes_apply()
         if self.n_members > MAX_MEMBERS:
             raise ValueError(
                 f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {self.n_members} "
@@ -275,15 +370,52 @@ class Scene(StrictTable):
             )
         return self
 
+    def _changes_apply(self) -> None:
+        """What is changed must be what the engines can run, and what is recorded of changes must have some."""
+        known = self.perturbation.readings if self.perturbation is not None else ()
+        for i, engine in enumerate(self.engines):
+            unknown = sorted(set(engine.readings or ()) - set(known))
+            if unknown:
+                raise ValueError(
+                    f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(known)}, got"
+                    f" {unknown[0]!r}; add it there, or remove it here"
+                )
+            if isinstance(engine, Coulomb) and "damping matrix" in self.readings_of(engine):
+                others = [reading for reading in known if reading != "damping matrix"]
+                raise ValueError(
+                    f'engine[{i}].readings: expected no "damping matrix" with the engine "coulomb", whose dampings'
+                    f" are diagonal; list the others there, as readings = {others}"
+                )
+        changed = self.perturbation is not None or self.twins is not None
+        changed = changed or any(isinstance(engine, Sigmoid) and engine.ratio == "uniform" for engine in self.engines)
+        if self.record.separation is not None and not changed:
+            raise ValueError(
+                "record.separation: expected a scene with changed runs, got none; add [perturbation] or [twins],"
+                ' or a sigmoid with ratio = "uniform"'
+            )
+
     @property
     def n_members(self) -> int:
         """Number of members, counted without expanding the scene."""
-        changes = 1
+        runs = 0
+        for engine in self.engines:
+            # ratio_draws may be absurd: counted, not enumerated
+            draws = engine.ratio_draws if isinstance(engine, Sigmoid) and engine.ratio == "uniform" else 1
+            runs += (1 + self.n_changes(engine)) * draws
+        return len(self.system.n) * self.run.matrices * runs
+
+    def n_changes(self, engine: Coulomb | Sigmoid) -> int:
+        """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
+        changes = len(self.twins.sizes) if self.twins is not None and engine.twins else 0
         if self.perturbation is not None:
-            changes += len(self.perturbation.sizes) * self.perturbation.draws
-        # ratio_draws may be absurd: counted, not enumerated
-        runs = sum(e.ratio_draws if isinstance(e, Sigmoid) and e.ratio == "uniform" else 1 for e in self.engines)
-        return len(self.system.n) * self.run.matrices * changes * runs
+            changes += len(self.readings_of(engine)) * len(self.perturbation.sizes) * self.perturbation.draws
+        return changes
+
+    def readings_of(self, engine: Coulomb | Sigmoid) -> tuple[Reading, ...]:
+        """The readings of a perturbation that an engine of this scene runs."""
+        if self.perturbation is None:
+            return ()
+        return self.perturbation.readings if engine.readings is None else engine.readings
 
     def data_keys(self) -> dict[str, Any]:
         """What determines the data, as plain values: all but title, about and analysis."""
@@ -331,6 +463,8 @@ def parse_scene(source: bytes, name: str = "scene") -> Scene:
     SceneError
         As `load_scene`.
     """
+    if source.startswith(codecs.BOM_UTF8):
+        raise SceneError(f"{name}: expected plain UTF-8, got a byte order mark; save the file as UTF-8 without it")
     try:
         text = source.decode()
     except UnicodeDecodeError as error:
@@ -354,8 +488,10 @@ _TABLES: dict[str, type[BaseModel]] = {
     "start": StartTable,
     "run": RunTable,
     "perturbation": PerturbationTable,
+    "twins": TwinsTable,
     "record": RecordTable,
     "analysis": AnalysisTable,
+    "analysis.margins": MarginsTable,
 }
 _ENGINES: dict[str, type[BaseModel]] = {"coulomb": Coulomb, "sigmoid": Sigmoid}
 
@@ -381,7 +517,7 @@ def _place(location: tuple[int | str, ...]) -> tuple[str, type[BaseModel], str |
             table, key = _ENGINES[part], None
         else:
             path += f".{part}" if path else part
-            table, key = (_TABLES[part], None) if table is Scene and part in _TABLES else (table, part)
+            table, key = (_TABLES[path], None) if path in _TABLES else (table, part)
     return path, table, key
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 import time
-from dataclasses import dataclass, fields
+from collections import Counter
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from importlib.metadata import version
 from typing import Any, Final
 
 import numpy as np
@@ -14,9 +18,11 @@ import pyarrow.parquet as pq
 
 import sim
 from pipeline.members import Batch, Member
+from pipeline.scene import Scene
+from sim.compile import source_digest
 
 #: Version of the schema below; kept in every shard and in the manifest.
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 
 def _column(name: str, kind: pa.DataType, description: str, nullable: bool = True) -> pa.Field:
@@ -27,12 +33,41 @@ def _list(kind: pa.DataType) -> pa.ListType:
     return pa.list_(pa.field("element", kind, nullable=False))  # Parquet's own name for it
 
 
-_RECORDED = [
-    _column("event_t", _list(pa.float64()), "times of the events, never decreasing"),
-    _column("event_block", _list(pa.int32()), "block of each event"),
-    _column("event_mode", _list(pa.int8()), "the block's mode from the event on: -1 or +1 slips, 0 sticks"),
-    _column("initial_mode", _list(pa.int8()), "mode of each block at t = 0"),
-]
+def _struct(**kinds: pa.DataType) -> pa.StructType:
+    return pa.struct([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+
+
+#: What a scene may ask for beside n_stick.
+_RECORDED = {
+    "growth_rate": [
+        _column(
+            "growth_rate",
+            pa.float64(),
+            "largest real part of the eigenvalues of the system with all blocks slipping; below 0 it comes to rest",
+        ),
+    ],
+    "events": [
+        _column("event_t", _list(pa.float64()), "times of the events, never decreasing"),
+        _column("event_block", _list(pa.int32()), "block of each event"),
+        _column("event_mode", _list(pa.int8()), "the block's mode from the event on: -1 or +1 slips, 0 sticks"),
+        _column("initial_mode", _list(pa.int8()), "mode of each block at t = 0"),
+    ],
+    "separation": [
+        _column(
+            "separation",
+            _list(pa.float64()),
+            "distance from the unchanged run at k times the step that the scene gives, as far as both go: the root of"
+            " the mean over blocks of dz^2 + dw^2; null for an unchanged run",
+        ),
+    ],
+    "thresholds": [
+        _column(
+            "by_threshold",
+            _list(_struct(threshold=pa.float64(), t=_list(pa.float64()), n_stick=_list(pa.int32()))),
+            "t and n_stick of the same run where a block sticks if |w - v| < threshold r_i eps; null if not sigmoid",
+        ),
+    ],
+}
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
 SCHEMA = pa.schema(
@@ -57,6 +92,12 @@ SCHEMA = pa.schema(
             False,
         ),
         _column("perturbation_draw", pa.int32(), "number of the random change; null if unchanged"),
+        _column(
+            "perturbation_reading",
+            pa.string(),
+            "what the size is relative to: scale, relative or damping matrix; null if unchanged",
+        ),
+        _column("twin_size", pa.float64(), "how far the start is moved, as a distance like `separation`; null: not"),
         _column("engine", pa.string(), "coulomb or sigmoid", False),
         _column("tol", pa.float64(), "truncation error of a step (coulomb)"),
         _column("eps", pa.float64(), "width of the sigmoid"),
@@ -73,6 +114,11 @@ SCHEMA = pa.schema(
         _column("seed", pa.int64(), "root of the scene's random draws", False),
         _column("outcome", pa.string(), "finished, collapsed, diverged or failed", False),
         _column("reason", pa.string(), "why the outcome is not finished"),
+        _column(
+            "reproduce",
+            pa.string(),
+            "command that runs a failed member alone, given in the dataset's directory; null if not failed",
+        ),
         _column(
             "t_stop",
             pa.float64(),
@@ -95,16 +141,32 @@ SCHEMA = pa.schema(
     ]
 )
 
-#: The scalar columns, those of the members table.
-SCALARS = tuple(field.name for field in SCHEMA if not pa.types.is_list(field.type))
 
-_PARAMETERS = tuple(field.name for field in fields(Member))
+def scalars(schema: pa.Schema) -> tuple[str, ...]:
+    """The columns of the members table."""
+    return tuple(field.name for field in schema if not pa.types.is_list(field.type))
 
 
-def shard_schema(scene_hash: str, events: bool) -> pa.Schema:
-    """The schema of a dataset's shards: `SCHEMA`, with the events if the scene records them."""
-    schema = pa.schema([*SCHEMA, *_RECORDED]) if events else SCHEMA
-    return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": scene_hash})
+_PARAMETERS = tuple(field.name for field in fields(Member) if field.name in SCHEMA.names)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a scene keeps of its members: `parts` beside n_stick, and every how long the distance from a twin."""
+
+    scene_hash: str
+    parts: tuple[str, ...]
+    separation: float | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> Recording:
+        return cls(scene.hash, scene.records, scene.record.separation)
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The schema of the dataset's shards: `SCHEMA` and the parts."""
+        schema = pa.schema([*SCHEMA, *(column for name in self.parts for column in _RECORDED[name])])
+        return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
 
 
 @dataclass(frozen=True)
@@ -114,41 +176,121 @@ class Result:
     name: str
     shard: bytes
     member_ids: tuple[str, ...]
-    n_failed: int
+    outcomes: dict[str, int]
+    program: str
     seconds: float
     host: str
     pid: int
 
 
-def compute(batch: Batch, scene_hash: str, events: bool) -> Result:
+def program() -> str:
+    """What the numbers come from: the version of stickslip, and a digest of the sources that compute."""
+    return f"{version('stickslip')}-{source_digest()}"
+
+
+def compute(batch: Batch, recording: Recording) -> Result:
     """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
     start = time.perf_counter()
-    rows = [_row(member, events) for member in batch.members]
+    return as_result(batch, recording, [row(member, recording) for member in batch.members], start)
+
+
+def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], start: float) -> Result:
+    """The rows of a batch, encoded; `start` is when they were begun, by `time.perf_counter`."""
     return Result(
         name=batch.name,
-        shard=encode(rows, shard_schema(scene_hash, events)),
+        shard=encode(rows, recording.schema),
         member_ids=tuple(member.member_id for member in batch.members),
-        n_failed=sum(row["outcome"] == "failed" for row in rows),
+        outcomes=dict(Counter(row["outcome"] for row in rows)),
+        program=program(),
         seconds=time.perf_counter() - start,
         host=socket.gethostname(),
         pid=os.getpid(),
     )
 
 
-def _row(member: Member, events: bool) -> dict[str, Any]:
-    parameters = {name: getattr(member, name) for name in _PARAMETERS}
+def row(member: Member, recording: Recording) -> dict[str, Any]:
+    """Run a member: its row, by column; one that raised has a row that says so."""
     try:
-        return parameters | _measured(member.simulate(), events)
+        return _parameters(member) | _results(member, recording)
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
         message = " ".join(str(error).split())
-        return parameters | {"outcome": "failed", "reason": f"{type(error).__name__}: {message}"}
+        return failed_row(member, f"{type(error).__name__}: {message}")
 
 
-def _measured(run: sim.Run, events: bool) -> dict[str, Any]:
+def failed_row(member: Member, reason: str) -> dict[str, Any]:
+    """The row of a member that could not be run."""
+    # words of an exception may hold what Parquet's text cannot
+    reason = reason.encode(errors="replace").decode()
+    command = f"stickslip run scene.toml --only {member.member_id}"
+    return _parameters(member) | {"outcome": "failed", "reason": reason, "reproduce": command}
+
+
+def _parameters(member: Member) -> dict[str, Any]:
+    return {name: getattr(member, name) for name in _PARAMETERS}
+
+
+def _results(member: Member, recording: Recording) -> dict[str, Any]:
+    times, base = np.empty(0), None
+    if recording.separation is not None:
+        times, base = _multiples(recording.separation, member.t_end), member.base
+    run = member.simulate(times if base is not None else ())
+    found = _measured(run)
+    if "growth_rate" in recording.parts:
+        found["growth_rate"] = _growth_rate(replace(member, **_OF_A_RUN))
+    if "events" in recording.parts:
+        found |= _events(run.events)
+    if base is not None:
+        found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
+    if member.thresholds:
+        changes = {c: series.change_points() for c, series in run.by_threshold.items()}
+        found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
+    return found
+
+
+#: What a member's system does not depend on, set to one value each: members that share a system share a key.
+_OF_A_RUN: dict[str, Any] = dict.fromkeys(
+    ("member_id", "engine", "tol", "eps", "ratio", "ratio_draw", "rtol", "atol", "stick", "threshold", "thresholds",
+     "picked_for", "twin_size", "z0", "w0", "t_end"),
+)  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _growth_rate(member: Member) -> float:
+    return float(np.linalg.eigvals(member.system().slip_matrix()).real.max())
+
+
+def _multiples(step: float, t_end: float) -> np.ndarray:
+    """0, step, 2 step ... to t_end, which rounding does not lose."""
+    times = step * np.arange(math.floor(t_end / step * (1 + 1e-12)) + 1)
+    return np.minimum(times, t_end)
+
+
+@lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it
+def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
+    return member.simulate(times).samples
+
+
+def _distance(one: sim.Samples, other: sim.Samples) -> np.ndarray:
+    """Distance of two runs at the times that both reached."""
+    m = min(len(one), len(other))
+    squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
+    return np.sqrt(squares.mean(axis=1))
+
+
+def _events(series: sim.EventSeries) -> dict[str, Any]:
+    return {
+        "event_t": series.t,
+        "event_block": series.block,
+        "event_mode": series.mode,
+        "initial_mode": series.initial_mode,
+    }
+
+
+def _measured(run: sim.Run) -> dict[str, Any]:
     t, n_stick = run.events.change_points()
     if not np.isfinite(t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
-    row = {
+    return {
         "outcome": run.outcome,
         "reason": run.reason or None,
         "t_stop": run.t_end,
@@ -161,32 +303,32 @@ def _measured(run: sim.Run, events: bool) -> dict[str, Any]:
         "t": t,
         "n_stick": n_stick,
     }
-    if events:
-        row |= {
-            "event_t": run.events.t,
-            "event_block": run.events.block,
-            "event_mode": run.events.mode,
-            "initial_mode": run.events.initial_mode,
-        }
-    return row
 
 
 def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
     """The Parquet file of some rows, a pure function of them (for given versions of pyarrow)."""
     columns = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
     buffer = pa.BufferOutputStream()
-    times = [f"{name}.list.element" for name in ("t", "event_t") if name in schema.names]
+    leaves = [leaf for field in schema for leaf in _leaves(field)]
+    floats = ("t.list.element", "event_t.list.element", "separation.list.element")
+    times = [leaf for leaf in leaves if leaf.endswith(floats)]
     pq.write_table(
         pa.Table.from_arrays(columns, schema=schema),
         buffer,
         compression="zstd",
         # times never repeat: no dictionary; their high bytes hardly change: split, they compress
-        use_dictionary=[_leaf(field) for field in schema if _leaf(field) not in times],
+        use_dictionary=[leaf for leaf in leaves if leaf not in times],
         column_encoding=dict.fromkeys(times, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
     )
     return buffer.getvalue().to_pybytes()
 
 
-def _leaf(field: pa.Field) -> str:
-    return f"{field.name}.list.element" if pa.types.is_list(field.type) else field.name
+def _leaves(field: pa.Field, above: str = "") -> list[str]:
+    """Parquet's names of the columns that a field is kept in."""
+    path = above + field.name
+    if pa.types.is_list(field.type):
+        return _leaves(field.type.value_field, f"{path}.list.")
+    if pa.types.is_struct(field.type):
+        return [leaf for part in field.type for leaf in _leaves(part, f"{path}.")]
+    return [path]

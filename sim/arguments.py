@@ -49,3 +49,20 @@ def flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{name}: expected True or False, got {value!r}")
     return bool(value)
+
+
+def integer(name: str, value: Any, low: int, high: int | None) -> int:
+    """One integer from low to high, both included; None: without bound."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name}: expected an integer, got {value!r}")
+    if value < low or (high is not None and value > high):
+        span = f"at least {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name}: expected an integer {span}, got {value}")
+    return int(value)
+
+
+def sign(name: str, value: Any) -> int:
+    """+1 or -1."""
+    if isinstance(value, bool | np.bool_) or value not in (-1, 1):
+        raise ValueError(f"{name}: expected +1 or -1, got {value!r}")
+    return int(value)

@@ -9,31 +9,46 @@ Decisions, and why:
 - ``no_rewrites=True``: kernels hold no array expressions, and looking for them takes time.
 - the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
+- a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
+  index, raise or crash when truncated, run what a flipped bit made of them, and mix up two kernels that two
+  processes compile at once. What does not match is compiled anew; what cannot be written is used without.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import pickle
 import shutil
+import uuid
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
 
 _config: Any = numba.config
 _SOURCES = Path(__file__).parent
 
 
-def _digest() -> str:
-    """Digest of the sources of ``sim`` and the version of numba (numba itself adds the CPU to its keys)."""
-    digest = hashlib.sha256(numba.__version__.encode())
+@cache
+def source_digest() -> str:
+    """Digest of the sources of ``sim``, as this process loaded them: the same sources compute the same numbers."""
+    digest = hashlib.sha256()
     for source in sorted(_SOURCES.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _digest() -> str:
+    """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
+    return hashlib.sha256(f"{numba.__version__} {source_digest()}".encode()).hexdigest()[:16]
 
 
 def cache_directory() -> Path:
@@ -47,16 +62,12 @@ def _usable_cache() -> Path | None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        warnings.warn(
-            f"kernels are compiled anew in every process: the cache directory {directory} cannot be made"
-            f" ({error.strerror}); set NUMBA_CACHE_DIR to a writable directory",
-            stacklevel=2,
-        )
+        _warn_uncached(error)
         return None
     return directory
 
 
-_CACHE = _usable_cache()
+_DIGEST_SIZE = hashlib.sha256().digest_size
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_rewrites": True}
 
@@ -65,6 +76,64 @@ def clear_cache() -> None:
     """Remove the compiled kernels of this version; the next call compiles them again."""
     shutil.rmtree(cache_directory(), ignore_errors=True)
     cache_directory().mkdir(parents=True, exist_ok=True)
+
+
+class _KernelFiles:
+    """Compiled kernels on disk, each in a file named by its key; what `numba.core.caching.Cache` asks of its files."""
+
+    def __init__(self, directory: Path, name: str) -> None:
+        self._directory, self._name = directory, name
+
+    def _file(self, key: object) -> Path:
+        return self._directory / f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+
+    def load(self, key: object) -> Any:
+        """What was saved under a key; None if nothing, or if a byte of it has changed."""
+        try:
+            content = self._file(key).read_bytes()
+        except OSError:
+            return None
+        data, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
+        return pickle.loads(data) if hashlib.sha256(data).digest() == digest else None
+
+    def save(self, key: object, kernel: object) -> None:
+        data = dumps(kernel)
+        temporary = self._directory / f"{self._name}.{uuid.uuid4().hex}.tmp"
+        try:
+            temporary.write_bytes(data + hashlib.sha256(data).digest())
+            os.replace(temporary, self._file(key))
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
+    def flush(self) -> None:
+        for file in self._directory.glob(f"{self._name}.*.nbc"):
+            file.unlink(missing_ok=True)
+
+
+class _KernelCache(FunctionCache):
+    def __init__(self, function: Callable[..., Any], directory: Path) -> None:
+        super().__init__(function)
+        self._cache_file: Any = _KernelFiles(directory, self._impl.filename_base)
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        try:
+            super().save_overload(signature, compiled)
+        except OSError as error:
+            _warn_uncached(error)
+
+
+def _warn_uncached(error: Exception) -> None:
+    why = error.strerror if isinstance(error, OSError) else error
+    warnings.warn(
+        f"kernels are compiled anew in every process: the cache directory {cache_directory()} cannot be written"
+        f" ({why}); make room there, or set NUMBA_CACHE_DIR to another directory",
+        stacklevel=3,
+    )
+
+
+_CACHE = _usable_cache()
 
 
 def inner(function: Callable[..., Any]) -> Any:
@@ -81,6 +150,11 @@ def kernel(function: Callable[..., Any]) -> Any:
     previous = _config.CACHE_DIR
     _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        return _jit(**_POLICY, cache=_CACHE is not None)(function)
+        compiled = _jit(**_POLICY)(function)
+        if _CACHE is not None:
+            compiled._cache = _KernelCache(function, _CACHE)
+    except RuntimeError as error:  # numba found no directory that it may write
+        _warn_uncached(error)
     finally:
         _config.CACHE_DIR = previous
+    return compiled

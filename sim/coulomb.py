@@ -28,7 +28,7 @@ from sim.arguments import Floats, flag, number
 from sim.compile import inner, kernel
 from sim.kernels import ROUNDING, copy, largest, roots
 from sim.run import Run, Samples
-from sim.system import System
+from sim.system import System, require_diagonal_damping
 from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
@@ -277,15 +277,16 @@ def integrate(
         Truncation error of w in a step, relative to the largest of |w|, |v| and what w changes by in the step. The
         error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only.
     stop_early : bool
-        End a run once its collapse is certain.
+        End a run once its collapse or its escape is certain.
 
     Raises
     ------
     ValueError
-        If `tol` is not in (1e-16, 1e-2).
+        If `tol` is not in (1e-16, 1e-2), or the system has cross damping.
     IntegrationError
         If events accumulate at one instant.
     """
+    require_diagonal_damping(system, "engine='coulomb'")
     tol = number("tol", tol, 1e-16, 1e-2)
     stop_early = flag("stop_early", stop_early)
     n = system.n
@@ -318,5 +319,5 @@ def integrate(
         " perturb it, or use engine='sigmoid'",
         events_a_step=n,
         t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode[np.newaxis],
-        clock=clock, counters=counters, samples=samples,
+        clock=clock, counters=counters, samples=samples, stop_early=stop_early,
     )  # fmt: skip

@@ -50,6 +50,9 @@ _RULES: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
 
 COUPLINGS: tuple[str, ...] = tuple(_RULES)
 
+#: what "random values on the order of 1%" of the constants (section 4) may mean; see `perturb_system`
+READINGS: tuple[str, ...] = ("scale", "relative", "damping matrix")
+
 
 def _rule(coupling: str) -> Callable[[Floats], Floats]:
     if coupling not in _RULES:
@@ -58,12 +61,27 @@ def _rule(coupling: str) -> Callable[[Floats], Floats]:
 
 
 def _uniform(
-    n: int, seed: int | np.random.SeedSequence, kappa: float, rho: tuple[float, float]
+    n: int, seed: int | np.random.SeedSequence | np.random.Generator, kappa: float, rho: tuple[float, float]
 ) -> tuple[Floats, Floats]:
     """R in [rho[0], rho[1]] (n,), then U in [-kappa, kappa] (n, n), from one generator in this order."""
     rng = np.random.default_rng(seed)
     damping = rng.uniform(*rho, n)
     return rng.uniform(-kappa, kappa, (n, n)), damping
+
+
+def _relative_change(coupling: str, stiffness: Floats, u: Floats) -> Floats:
+    """What a factor 1 + u on every free constant of the ensemble changes K by.
+
+    A constant stands in one place of K (`full`), or in K_ij and K_ji: the factor is then that of the upper triangle.
+    The diagonal of `springs` is a sum: the spring to the ground, which is the sum of the row of K, and the others.
+    """
+    if coupling == "full":
+        return stiffness * u
+    change = stiffness * (np.triu(u) + np.triu(u, 1).T)
+    if coupling == "springs":
+        np.fill_diagonal(change, 0.0)
+        np.fill_diagonal(change, stiffness.sum(axis=1) * np.diag(u) - change.sum(axis=1))
+    return change
 
 
 def draw_system(
@@ -113,27 +131,66 @@ def perturb_system(
     size: float,
     seed: int | np.random.SeedSequence,
     *,
+    reading: str = "scale",
     kappa: float = 0.2,
     rho: float = 3.5,
 ) -> System:
-    """Move every constant by up to `size` of its scale, keeping the structure of the ensemble (figure 4 iii, iv).
+    """Move every constant by the order of `size`, keeping the structure of the ensemble (figure 4 iii, iv).
 
-    K + S(dU) with dU uniform in [-size kappa, size kappa] and S the ensemble's rule (signed on the diagonal);
-    R + dR with dR uniform in [-size rho, size rho].
+    One seed goes the same way at every size. The paper's text allows several readings:
+
+    - ``"scale"``: by up to `size` of its scale. K + S(dU) with dU uniform in [-size kappa, size kappa] and S the
+      ensemble's rule (signed on the diagonal); R + dR with dR uniform in [-size rho, size rho].
+    - ``"relative"``: by up to `size` of itself. Every free constant, of K and of R, times 1 + size u, u uniform in
+      [-1, 1]; entries of K that are one constant, such as K_ij = -K_ji, share their u.
+    - ``"damping matrix"``: as "scale", and noise uniform in [-size rho, size rho] on every entry of the damping
+      matrix off its diagonal: `System.cross_damping`, for the sigmoid engine alone.
+
+    Parameters
+    ----------
+    system : System
+        As drawn by `draw_system`.
+    coupling : str
+        The ensemble it was drawn from.
+    size : float
+        At least 0; below 1 for "relative", so that no constant changes its sign.
+    seed : int or numpy.random.SeedSequence
+    reading : str
+        One of `READINGS`.
+    kappa, rho : float
+        As in `draw_system`; not used by "relative".
 
     Raises
     ------
     ValueError
-        If `size` is negative, the name is unknown or `springs`, or K is sparse (the ensembles are dense).
+        If `size` is out of range, a name is unknown, the coupling is `springs` and the reading not "relative", or
+        the system is of no ensemble: K sparse, or the damping not diagonal.
     """
+    if reading not in READINGS:
+        raise ValueError(f"reading: expected one of {', '.join(READINGS)}, got {reading!r}")
+    rule = _rule(coupling)
     if not size >= 0:
         raise ValueError(f"size: expected a number >= 0, got {size}")
-    if coupling == "springs":
+    if reading == "relative" and size >= 1:
         raise ValueError(
-            "coupling: a perturbation of `springs` would make some springs negative; scale kappa instead"
+            f"size: expected less than 1 for reading='relative', got {size}: constants would change sign"
+        )
+    if coupling == "springs" and reading != "relative":
+        raise ValueError(
+            "coupling: a perturbation of `springs` would make some springs negative; use reading='relative', or scale"
+            " kappa instead"
         )
     if not isinstance(system.stiffness, np.ndarray):
         raise ValueError("system: expected a dense stiffness, as drawn by draw_system, got a sparse one")
-    du, dr = _uniform(system.n, seed, size * kappa, (-size * rho, size * rho))
-    change = _on_diagonal(_rule(coupling)(du), np.diag(du))
-    return System(system.stiffness + change, system.damping + dr, system.friction, system.belt_speed)
+    if system.cross_damping is not None:
+        raise ValueError("system: expected a diagonal damping, as drawn by draw_system, got a full matrix")
+    n, rng = system.n, np.random.default_rng(seed)
+    if reading == "relative":
+        u, r = _uniform(n, rng, 1.0, (-1.0, 1.0))
+        stiffness = system.stiffness + size * _relative_change(coupling, system.stiffness, u)
+        return System(stiffness, system.damping * (1.0 + size * r), system.friction, system.belt_speed)
+    du, dr = _uniform(n, rng, size * kappa, (-size * rho, size * rho))
+    stiffness, damping = system.stiffness + _on_diagonal(rule(du), np.diag(du)), system.damping + dr
+    if reading == "damping matrix":
+        damping = _on_diagonal(rng.uniform(-size * rho, size * rho, (n, n)), damping)
+    return System(stiffness, damping, system.friction, system.belt_speed)

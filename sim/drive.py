@@ -47,6 +47,7 @@ def complete(
     clock: Floats,
     counters: NDArray[np.int64],
     samples: Samples,
+    stop_early: bool,
     thresholds: tuple[float, ...] = (),
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
@@ -64,6 +65,8 @@ def complete(
         The most events that a step can record.
     z, w, mode, clock, counters, samples
         The state that `advance` works on, and where it puts the samples.
+    stop_early : bool
+        Whether a run whose escape is certain ends there; `certify` is asked when the clocks say so.
     initial_mode : int8, shape (1 + m, n)
         The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
         definition d carry block + d n.
@@ -71,7 +74,7 @@ def complete(
     capacity = max(2 * events_a_step, 4096)
     buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
     recorded: list[Buffers] = []
-    bound = fate.divergence_bound(system, z, w)
+    bound, diverged_beyond = fate.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason = ""
     while True:
@@ -88,10 +91,19 @@ def complete(
                 break
             clock[CHECK + (slip > 0)] = t + certificate.ask_again_after
         elif status == DIVERGED:
-            if fate.grows(system):
-                outcome, reason = "diverged", fate.divergence_reason(z, w, t, bound)
+            size = max(float(np.abs(z).max()), float(np.abs(w).max()))
+            if not np.isfinite(size):
+                pass  # said below
+            elif not fate.grows(system):
+                bound = np.inf  # far out, but of a motion that does not grow
+            elif stop_early and (reason := fate.escape(system, z, w)):
+                outcome = "diverged"
                 break
-            bound = np.inf  # far out, but of a motion that does not grow
+            elif size > diverged_beyond:
+                outcome, reason = "diverged", fate.divergence_reason(z, w, t, diverged_beyond)
+                break
+            else:
+                bound = min(2.0 * size, diverged_beyond)
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
         if not (np.isfinite(z).all() and np.isfinite(w).all()):

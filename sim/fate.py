@@ -1,4 +1,4 @@
-"""When the fate of a run is known before its end: collapse certified, divergence detected."""
+"""When the fate of a run is known before its end: collapse certified, escape certified or seen."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from sim.arguments import Floats
 from sim.system import System
 
-#: A run is called diverged when its state exceeds this many times max(1, |v|, its start) and the all-slip system
-#: is unstable: friction is bounded by mu, so out there the motion is that of the linear system, which grows.
+#: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
+_ESCAPE_FACTOR = 30.0
+#: A run whose escape cannot be certified is called diverged when its state exceeds this many times the same and the
+#: all-slip system is unstable: friction is bounded by mu, so out there the motion is that of the linear system.
 _DIVERGENCE_FACTOR = 1e6
 
 #: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: seconds). Beyond, nothing is certified,
@@ -22,12 +24,41 @@ _EIGENVALUES_MAX = 1000
 #: Real parts closer to zero than this share of the largest eigenvalue are not told from zero.
 _EIGENVALUE_ROUNDING = 1e-12
 
+#: Slack for the rounding of the eigenvectors, by which what friction can hold is taken larger.
+_CERTAIN = 1.01
+
 _NEVER = float("inf")
 
 
-def divergence_bound(system: System, z: Floats, w: Floats) -> float:
-    """The size of |z| or |w| beyond which a run from this start may be called diverged."""
-    return _DIVERGENCE_FACTOR * max(1.0, abs(system.belt_speed), float(np.abs(z).max()), float(np.abs(w).max()))
+def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
+    """Sizes of |z| or |w| of a run from this start: from where to ask for its escape, where to call it diverged."""
+    start = max(1.0, abs(system.belt_speed), float(np.abs(z).max()), float(np.abs(w).max()))
+    return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
+
+
+def escape(system: System, z: Floats, w: Floats) -> str:
+    """Why a run grows for ever from this state, under either law; empty if that is not certain.
+
+    With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k:
+
+        c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} mu_k lambda_k,    |lambda_k| <= 1,
+
+    whatever sticks. So once |c_j| Re Lambda_j > sum_k |T^-1_{j, n+k}| mu_k for one j, |c_j| grows and keeps growing.
+    """
+    if system.n > _EIGENVALUES_MAX:
+        return ""
+    modes = _modes(system)
+    if np.isinf(modes.inverse).any():
+        return ""
+    size = np.abs(modes.inverse @ np.concatenate((z, w)))
+    held = np.abs(modes.inverse[:, system.n :]) @ system.friction
+    rates = np.where(modes.rates > _EIGENVALUE_ROUNDING * modes.largest, modes.rates, 0.0)
+    margin = size * rates - _CERTAIN * held
+    mode = int(np.argmax(margin))
+    if not margin[mode] > 0:
+        return ""
+    times = size[mode] * rates[mode] / held[mode] if held[mode] > 0 else _NEVER
+    return f"a mode that grows at the rate {rates[mode]:.3g} is {times:.3g} times as far out as friction can hold it"
 
 
 def grows(system: System) -> bool:
@@ -58,10 +89,12 @@ class Certificate:
 class _Modes:
     """The all-slip system A T = T Lambda.
 
-    Max Re Lambda, max |Lambda|, |T| for the velocities (n, 2n), T^-1 (2n, 2n; infinite if A is defective), and the
-    bound on |w_i| that unit forces on the blocks cause, sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n).
+    Re Lambda (2n), its maximum, max |Lambda|, |T| for the velocities (n, 2n), T^-1 (2n, 2n; infinite if A is
+    defective), and the bound on |w_i| that unit forces on the blocks cause,
+    sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n).
     """
 
+    rates: Floats
     growth: float
     largest: float
     velocity_parts: Floats
@@ -80,11 +113,12 @@ def _modes(system: System) -> _Modes:
         try:
             inverse = np.linalg.inv(vectors)
         except np.linalg.LinAlgError:  # a defective matrix: no certificate by this bound
-            _MODES[system] = _Modes(growth, largest, velocity_parts, np.full_like(vectors, np.inf), velocity_parts)
+            nothing = np.full_like(vectors, np.inf)
+            _MODES[system] = _Modes(eigenvalues.real, growth, largest, velocity_parts, nothing, velocity_parts)
             return _MODES[system]
         with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
             response = (velocity_parts / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        _MODES[system] = _Modes(growth, largest, velocity_parts, inverse, response)
+        _MODES[system] = _Modes(eigenvalues.real, growth, largest, velocity_parts, inverse, response)
     return _MODES[system]
 
 

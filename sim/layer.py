@@ -1,6 +1,6 @@
 """Who sticks under the smoothed law, and when that changes: events in a step, by the layer |w - v| < band around v.
 
-`sim.sigmoid` says what the two definitions of sticking are. Here w - v and F = R v + K z are cubics on a step.
+`sim.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **s
 3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
    renumbers the run;
 4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`);
-   `diverged` when the state left every bound: then, and only then, the series ends early;
+   `diverged` when it escapes for ever (proved, or beyond every bound): then, and only then, the series ends early;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
 6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else.
 """
@@ -35,7 +35,7 @@ class IntegrationError(RuntimeError):
 
 @dataclass(frozen=True)
 class Stats:
-    """What a run cost: steps taken, steps rejected, products of K with a vector, events."""
+    """What a run cost: steps taken, steps rejected, products of K (and of N, see `System`) with a vector, events."""
 
     n_steps: int
     n_rejected: int
@@ -134,7 +134,7 @@ def simulate(
     engine : "coulomb" or "sigmoid"
         The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
     **settings
-        both: ``stop_early`` (True: end a run once its collapse is certain); coulomb: ``tol`` (see
+        both: ``stop_early`` (True: end a run once its collapse or escape is certain); coulomb: ``tol`` (see
         `sim.coulomb.integrate`);
         sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
         `sim.sigmoid.integrate`).

@@ -1,6 +1,6 @@
 """The stiff engine: the sign smoothed to mu tanh((w - v) / delta_i), delta_i = ratio_i eps.
 
-    z' = w,    w' = -R w - K z - mu tanh((w - v) / delta)
+    z' = w,    w' = -R w - N w - K z - mu tanh((w - v) / delta)        (N: off the diagonal of the damping, if given)
 
 All stiffness (up to mu / delta) sits in one scalar function a block, and K is small beside 1 / h^2. So an
 L-stable, stiffly accurate ESDIRK method needs no linear algebra: with K z taken at a predicted stage value (off
@@ -10,11 +10,16 @@ by (h gamma) K times the predictor's error, O(h^5) in w), each stage is one mono
 
 which Newton's method solves from any start: no Newton failure, however small delta. One product with K a stage.
 
+A full damping matrix C = diag(R) + N couples the velocities of a stage. Its scalar equations are solved with N w of
+a predicted w, and again with N times their own w until it stays. A sweep takes one product with N; since the root x
+depends on beta with slope below 1 / a, it multiplies the error of w, in the Euclidean norm, by at most
+h gamma |N| / (1 + h gamma min R) for every delta, and the step is kept so short that this is 1/2.
+
 The method is in `sim.esdirk`, the search for entries and exits in `sim.layer`.
 
 When does a block stick?
 
-- ``stick="manifold"`` (default): |F_i| < mu_i, F = R v + K z, and |w_i - v| < delta_i ln(1 / delta_i). The slow
+- ``stick="manifold"`` (default): |F_i| < mu_i, F = R v + K z + N w, and |w_i - v| < delta_i ln(1 / delta_i). The slow
   manifold is w - v = delta atanh(lambda), so this is the definition whose entries and exits tend to those of the
   Coulomb law as eps -> 0.
 - ``stick="threshold"``: |w_i - v| < c delta_i, that is |lambda| < tanh c: the plain reading, which does not.
@@ -57,6 +62,9 @@ _SHARP = 4.0
 #: estimate vanishes for some theta: now and then a step would err by hundreds of tolerances and be accepted.
 _CROSSED = 0.02
 _NEWTON_MAX = 400
+#: What a sweep over N may leave of the error of a stage, and how many there may be: from any error to rounding.
+_CONTRACTION = 0.5
+_SWEEPS_MAX = 60
 
 # behind the common clocks: the next step to try, and the error of the last one
 _STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
@@ -103,14 +111,15 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
 
 @inner
 def _step(  # type: ignore[no-untyped-def]
-    law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w, rtol,
-    atol, moving, single,
+    law, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w,
+    fixed, change, rtol, atol, moving, single, counters,
 ):  # fmt: skip
     """One trial step. Returns the largest error over tolerance and its block."""
     columns, damping, friction, delta, v = law
     n = len(z)
     copy(w, stage_w[0])
     copy(rate, stage_rate[0])
+    is_coupled = len(cross[0]) > 0
     for s in range(1, STAGES):
         for i in range(n):
             base[i] = w[i]
@@ -124,6 +133,7 @@ def _step(  # type: ignore[no-untyped-def]
                 new_z[i] += a * stage_w[j, i]
                 new_w[i] += p * stage_rate[j, i]
         for i in range(n):
+            change[i] = new_w[i] - w[i]
             new_w[i] = new_z[i] + h * GAMMA * new_w[i]
             # the layer moves with its block: the last stage is the best guess inside it, harmless outside
             x[i] = (stage_w[s - 1, i] - v) / delta[i]
@@ -134,7 +144,25 @@ def _step(  # type: ignore[no-untyped-def]
             one_product(columns, new_w, coupling, moving)
         for i in range(n):
             coupling[i] += force[i]
-        if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
+        copy(coupling, fixed)
+        for _ in range(_SWEEPS_MAX if is_coupled else 1):
+            if is_coupled:  # N w at the start is in `force`; `change` is what w moves by, as guessed or last solved
+                one_product(cross, change, coupling, moving)
+                counters[drive.N_PRODUCTS] += 1
+                for i in range(n):
+                    coupling[i] += fixed[i]
+            if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
+                return np.inf, 0
+            is_solved = True
+            if is_coupled:
+                for i in range(n):
+                    new_w[i] = (stage_w[s, i] - w[i]) - change[i]
+                    change[i] = stage_w[s, i] - w[i]
+                    x[i] = (stage_w[s, i] - v) / delta[i]
+                is_solved = largest(new_w) <= _SOLVED * atol + ROUNDING * largest(beta)
+            if is_solved:
+                break
+        if not is_solved:
             return np.inf, 0
     last = STAGES - 1
     new_rate = stage_rate[last]
@@ -183,8 +211,8 @@ def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t
 
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    law, rough, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end, rtol, atol, bound,
-    sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w, stage_rate,
+    law, cross, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end, rtol,
+    atol, bound, sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w, stage_rate,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
@@ -193,8 +221,8 @@ def _advance(  # type: ignore[no-untyped-def]
     columns = law[0]
     n = len(z)
     band, mode = bands[0], modes[0]
-    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate = (
-        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8],
+    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate, fixed, change = (
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10],
     )  # fmt: skip
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
@@ -215,12 +243,12 @@ def _advance(  # type: ignore[no-untyped-def]
                 same = same and mode[i] == mode[0]
             if same:
                 return drive.ALL_SLIP, n_recorded
-        h = clock[_STEP]
+        h = min(clock[_STEP], longest)
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
         worst, block = _step(
-            law, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w,
-            rtol, atol, moving, single,
+            law, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z,
+            new_w, fixed, change, rtol, atol, moving, single, counters,
         )  # fmt: skip
         counters[drive.N_PRODUCTS] += STAGES - 1
         if not worst <= 1.0:
@@ -235,6 +263,14 @@ def _advance(  # type: ignore[no-untyped-def]
         counters[drive.N_STEPS] += 1
         two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
         counters[drive.N_PRODUCTS] += 2
+        if len(cross[0]) > 0:
+            # two_products would save a pass over N, and cost a second of compilation in a second place
+            one_product(cross, new_w, fixed, moving)
+            one_product(cross, stage_rate[STAGES - 1], change, moving)
+            counters[drive.N_PRODUCTS] += 2
+            for i in range(n):
+                new_force[i] += fixed[i]
+                new_force_rate[i] += change[i]
         for d in range(len(bands) - 1, -1, -1):  # the run's own definition last: its slopes are the samples'
             before = n_recorded
             n_recorded = step_events(
@@ -300,7 +336,7 @@ def integrate(
     thresholds : array_like, shape (m,)
         Further c, each once: the events by these definitions too, from the same run (`Run.by_threshold`).
     stop_early : bool
-        End a run once its collapse is certain.
+        End a run once its collapse or its escape is certain.
 
     Raises
     ------
@@ -330,13 +366,21 @@ def integrate(
     band = delta * np.log(1 / delta) if stick == "manifold" else threshold * delta
     bands = np.vstack([band, np.multiply.outer(also, delta)])
     by_force = np.array([stick == "manifold"] + [False] * len(also))
-    v, friction = system.belt_speed, system.friction
+    v, friction, cross = system.belt_speed, system.friction, system.cross_damping
+    longest = math.inf
+    if cross is not None:
+        excess = np.linalg.norm(cross, 2) - _CONTRACTION * system.damping.min()
+        longest = float(_CONTRACTION / (GAMMA * excess)) if excess > 0 else math.inf
     law = (system.columns, system.damping, friction, delta, v)
     rough = ROUGH * float(system.row_sums.max())
 
     z, w = z0.copy(), w0.copy()
     force, force_rate = system.stiffness @ z, system.stiffness @ w
+    if cross is not None:
+        force += cross @ w
     rate = -system.damping * w - force - friction * np.tanh((w - v) / delta)
+    if cross is not None:
+        force_rate += cross @ rate
     held = (friction > 0) & (np.abs(w - v) < bands)
     held[by_force] &= np.abs(system.damping * v + force) < friction
     side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
@@ -348,14 +392,14 @@ def integrate(
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
-    counters[drive.N_PRODUCTS] = 2
+    counters[drive.N_PRODUCTS] = 2 if cross is None else 4
     # NaN: a value used before it was computed would show
-    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (9, STAGES, STAGES))
+    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (11, STAGES, STAGES))
 
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
-            law, rough, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end,
-            rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w, stage_rate,
+            law, system.cross_columns, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock,
+            counters, t_end, rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w, stage_rate,
         )  # fmt: skip
 
     return drive.complete(
@@ -366,5 +410,6 @@ def integrate(
         " or use engine='coulomb'",
         events_a_step=PASSES * n * len(bands),
         t_start=t_start, t_end=t_end, z=z, w=w, mode=modes[0], initial_mode=initial_mode,
-        clock=clock, counters=counters, samples=samples, thresholds=tuple(also.tolist()),
+        clock=clock, counters=counters, samples=samples, stop_early=stop_early,
+        thresholds=tuple(also.tolist()),
     )  # fmt: skip

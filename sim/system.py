@@ -2,6 +2,7 @@
 
     z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
 
+A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it.
 Everything is dimensionless: the mass of every block is scaled to one.
 """
 
@@ -31,12 +32,19 @@ class System:
     ----------
     stiffness : array_like or scipy.sparse matrix, shape (n, n)
         K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
-    damping : float or array_like, shape (n,)
-        R, the diagonal of the damping matrix.
+    damping : float or array_like, shape (n,) or (n, n)
+        R, the diagonal of the damping matrix C, or C itself, dense.
     friction : float or array_like, shape (n,)
         mu >= 0, kinetic friction; a block with mu = 0 slides freely.
     belt_speed : float
         v; the paper takes v < 0.
+
+    Attributes
+    ----------
+    damping : ndarray, shape (n,)
+        R, also of a full matrix.
+    cross_damping : ndarray, shape (n, n), or None
+        N = C - diag(R); None if that is zero.
 
     Raises
     ------
@@ -46,6 +54,7 @@ class System:
 
     stiffness: Floats | scipy.sparse.csc_array
     damping: Floats
+    cross_damping: Floats | None
     friction: Floats
     belt_speed: float
 
@@ -77,7 +86,9 @@ class System:
             block = int(np.flatnonzero(mu < 0)[0])
             raise ValueError(f"friction: expected mu >= 0, got {mu[block]} for block {block}")
         object.__setattr__(self, "stiffness", matrix)
-        object.__setattr__(self, "damping", per_block("damping", damping, n))
+        diagonal, cross = _damping(damping, n)
+        object.__setattr__(self, "damping", diagonal)
+        object.__setattr__(self, "cross_damping", cross)
         object.__setattr__(self, "friction", mu)
         object.__setattr__(self, "belt_speed", number("belt_speed", belt_speed))
 
@@ -89,10 +100,8 @@ class System:
     @cached_property
     def columns(self) -> Columns:
         """K by columns, the form in which the kernels stream it."""
-        no_index, no_data = np.empty(0, dtype=np.int32), np.empty(0)
         if isinstance(self.stiffness, np.ndarray):
-            transposed = np.ascontiguousarray(self.stiffness.T)
-            return transposed, transposed.astype(np.float32), no_index, no_index, no_data
+            return _dense_columns(self.stiffness)
         csc = self.stiffness
         none = np.empty((0, 0))
         return (
@@ -104,19 +113,40 @@ class System:
         )
 
     @cached_property
+    def cross_columns(self) -> Columns:
+        """N by columns; of no blocks if there is none."""
+        return _dense_columns(np.empty((0, 0)) if self.cross_damping is None else self.cross_damping)
+
+    @cached_property
     def row_sums(self) -> Floats:
         """sum_j |K_ij|, shape (n,): bounds what rounding does to (K x)_i."""
         return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
 
-    def holding_force(self, z: ArrayLike) -> Floats:
-        """F_i = R_i v + (K z)_i, shape (n,): what friction holds while block i sticks, lambda_i = -F_i / mu_i."""
-        return self.damping * self.belt_speed + self.stiffness @ per_block("z", z, self.n)
+    def holding_force(self, z: ArrayLike, w: ArrayLike | None = None) -> Floats:
+        """F_i = R_i v + (K z)_i + (N w)_i, shape (n,): what friction holds while block i sticks, -mu_i lambda_i.
+
+        The velocities `w` are needed with cross damping only; that of block i does not enter F_i.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument has the wrong type or shape, or `w` is needed and missing.
+        """
+        force = self.damping * self.belt_speed + self.stiffness @ per_block("z", z, self.n)
+        if self.cross_damping is None:
+            return force
+        if w is None:
+            raise ValueError("w: expected the velocities, on which cross damping depends, got None; pass them")
+        return np.asarray(force + self.cross_damping @ per_block("w", w, self.n))
 
     def slip_matrix(self) -> Floats:
         """A of the all-slip system x' = A x + const, x = (z, w); shape (2n, 2n)."""
         n = self.n
         stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
-        return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -np.diag(self.damping)]])
+        damping = np.diag(self.damping)
+        if self.cross_damping is not None:
+            damping += self.cross_damping
+        return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
 
     def rest_state(self, slip: ArrayLike) -> Floats:
         """Rest state with block i slipping in direction slip_i: K z = -mu slip, the fixed point of eq. (10) at w = 0.
@@ -136,4 +166,37 @@ class System:
 
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
-        return f"System(n={self.n}, K {kind}, belt_speed={self.belt_speed})"
+        damping = "" if self.cross_damping is None else ", C full"
+        return f"System(n={self.n}, K {kind}{damping}, belt_speed={self.belt_speed})"
+
+
+def require_diagonal_damping(system: System, what: str) -> None:
+    """ValueError if the system has cross damping, naming what cannot do with it."""
+    if system.cross_damping is not None:
+        block, other = np.argwhere(system.cross_damping)[0]
+        raise ValueError(
+            f"system: expected a diagonal damping matrix, all that {what} takes, got"
+            f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
+            " diagonal, or use engine='sigmoid'"
+        )
+
+
+def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
+    """R and N of a damping given as a number, by block, or as a matrix."""
+    cross = floats("damping", damping, f"a number, {n} numbers or a dense matrix")
+    if cross.ndim != 2:
+        return per_block("damping", cross, n), None
+    if cross.shape != (n, n):
+        raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {cross.shape}")
+    if not np.isfinite(cross).all():
+        raise ValueError("damping: expected finite entries, got NaN or infinity")
+    diagonal = per_block("damping", np.diag(cross), n)
+    np.fill_diagonal(cross, 0.0)
+    cross.flags.writeable = False
+    return diagonal, cross if cross.any() else None
+
+
+def _dense_columns(matrix: Floats) -> Columns:
+    transposed = np.ascontiguousarray(matrix.T)
+    no_index = np.empty(0, dtype=np.int32)
+    return transposed, transposed.astype(np.float32), no_index, no_index, np.empty(0)

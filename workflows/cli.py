@@ -1,15 +1,20 @@
 """The command `stickslip`.
 
-Exit codes: 0 done; 1 the work could not be finished or the data are damaged; 2 what was asked for is wrong;
-130 interrupted.
+Exit codes: 0 done; 1 the work could not be finished, members failed, or the data are damaged; 2 what was asked for
+is wrong; 130 interrupted by Ctrl-C (SIGINT); 143 ended by SIGTERM.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pipeline import Scene
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
@@ -38,17 +43,27 @@ def _parser() -> argparse.ArgumentParser:
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, default=2, metavar="N", help="local processes (default: 2)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster")
+    run.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
+    run.add_argument("--accept-version", action="store_true", help="go on with data that another version began")
+    run.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
     run.add_argument("--dry-run", action="store_true", help="say what would be run, and run nothing")
 
+    status = commands.add_parser("status", help="how far a run is, how fast it goes, and what failed")
+    status.add_argument("directory", type=Path, metavar="DIR")
+    status.add_argument("--watch", action="store_true", help="go on saying so until the run ends")
+
     for name, words in (
-        ("status", "how far a run is"),
         ("verify", "check every byte of a dataset"),
         ("report", "write the report of a dataset anew"),
     ):
         commands.add_parser(name, help=words).add_argument("directory", type=Path, metavar="DIR")
-    query = commands.add_parser("query", help="ask a dataset in SQL (views: members, n_stick, events)")
+    query = commands.add_parser("query", help="ask a dataset in SQL (views: members, n_stick, cascades, ...)")
     query.add_argument("directory", type=Path, metavar="DIR")
     query.add_argument("sql", metavar="SQL")
+    query.add_argument(
+        "--format", choices=("table", "csv", "parquet"), help="of the answer (default: as FILE ends; else a table)"
+    )
+    query.add_argument("--out", type=Path, metavar="FILE", help="where the answer goes (default: here)")
     commands.add_parser("scenes", help="list the scenes that ship")
     return parser
 
@@ -61,8 +76,9 @@ def _count(text: str) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pipeline import batches, expand, load_scene, run_scene
-    from workflows.progress import Watch, clock
+    from pipeline import Interrupted, batches, expand, load_scene, run_scene
+    from pipeline.interrupt import last_act
+    from workflows.progress import Watch, clock, in_words
     from workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
@@ -72,27 +88,75 @@ def _run(arguments: argparse.Namespace) -> int:
             " `stickslip scenes` says what they are"
         )
     out = arguments.out if arguments.out is not None else Path("runs") / file.stem
+    _check_place(out, file)
     if chart_of(file) is not None:
         return _run_chart(arguments, file, out)
     scene = load_scene(file)
     if arguments.dry_run:
-        members = expand(scene)
-        print(f"{file}: {len(members)} members in {len(batches(members, scene.hash))} shards, into {out}")
+        from pipeline.estimate import estimate
+
+        packed = batches(expand(scene), scene.hash)
+        print(
+            f"{file}: {scene.n_members} members in {len(packed)} shard{'s' * (len(packed) > 1)}, into {out}",
+            flush=True,
+        )
+        print("\n".join(in_words(estimate(scene, packed, arguments.workers))))
         return _DONE
-    try:
-        with Watch() as watch:
-            status = run_scene(
-                scene, file.read_bytes(), out, arguments.workers, arguments.scheduler, on_progress=watch
-            )
-    except KeyboardInterrupt:
+    if arguments.only is not None:
+        return _run_member(scene, arguments.only)
+
+    def how_to_go_on() -> None:
         print(f"\ninterrupted; what is done is kept. Go on with:\n  {_again(arguments, out)}", file=sys.stderr)
-        return _INTERRUPTED
-    _write_report(out)
+
+    try:
+        with Watch(out) as watch, last_act(how_to_go_on):
+            status = run_scene(
+                scene,
+                file.read_bytes(),
+                out,
+                arguments.workers,
+                arguments.scheduler,
+                on_progress=watch,
+                retry_failed=arguments.retry_failed,
+                accept_version=arguments.accept_version,
+            )
+            _write_report(out)
+    except Interrupted as interrupt:
+        how_to_go_on()
+        return interrupt.exit_code
     print(f"data    {out / 'data'}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)
+    if status.failures:
+        arguments.retry_failed = True
+        alone = ["stickslip", "run", str(out / "scene.toml"), "--only", str(status.first_failed)]
+        print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
     print(f"time    {clock(watch.elapsed)}")
     return _UNFINISHED if status.failures else _DONE
+
+
+def _run_member(scene: Scene, member_id: str) -> int:
+    from pipeline import run_member
+
+    try:
+        row = run_member(scene, member_id)
+    except ValueError as error:
+        raise _Wrong(f"--only: {error}") from None
+    for name, value in row.items():
+        if value is not None:
+            print(f"{name:18} {value if not hasattr(value, '__len__') or isinstance(value, str) else len(value)}")
+    return _UNFINISHED if row["outcome"] == "failed" else _DONE
+
+
+def _check_place(out: Path, file: Path) -> None:
+    """Refuse a directory in which a dataset would be in the way of something else."""
+    place, here = out.resolve(), Path(__file__).resolve().parents[1]
+    if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows")):
+        raise _Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; name another")
+    if place.exists() and not place.is_dir():
+        raise _Wrong(f"--out: expected a directory, got the file {out}; name another")
+    if place == file.resolve().parent and not (place / "manifest.json").exists():
+        raise _Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; name another")
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Path) -> int:
@@ -123,8 +187,9 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Path) -> int:
 
 
 def _again(arguments: argparse.Namespace, out: Path) -> str:
-    where = f"--scheduler {arguments.scheduler}" if arguments.scheduler else f"--workers {arguments.workers}"
-    return f"stickslip run {arguments.scene} --out {out} {where}"
+    where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
+    retry = ["--retry-failed"] if arguments.retry_failed else []
+    return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *retry])
 
 
 def _write_report(directory: Path) -> None:
@@ -144,14 +209,12 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from pipeline import status
+    from workflows.progress import say, watch
 
-    found = status(arguments.directory)
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()) or "none yet"
-    print(f"members {found.n_done} of {found.n_members} done: {outcomes}")
-    print(f"shards  {found.n_shards}, {found.n_bytes / 1e6:.2f} MB")
-    for reason, count in found.failures.items():
-        print(f"failed  {count}: {reason}")
+    try:
+        (watch if arguments.watch else say)(arguments.directory)
+    except KeyboardInterrupt:  # of the looking: the run goes on
+        return _INTERRUPTED
     return _DONE
 
 
@@ -164,9 +227,16 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 
 def _query(arguments: argparse.Namespace) -> int:
-    from pipeline.query import sql
+    from pipeline.query import answer
+    from workflows.answers import form_of, write
 
-    print(sql(arguments.directory, arguments.sql).to_string(index=False))
+    form = form_of(arguments.format, arguments.out)
+    try:
+        with answer(arguments.directory, arguments.sql) as batches:
+            write(batches, form, arguments.out, arguments.directory)
+    except KeyboardInterrupt:
+        print("\ninterrupted; no answer was written", file=sys.stderr)
+        return _INTERRUPTED
     return _DONE
 
 
@@ -202,10 +272,14 @@ _COMMANDS = {
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = _parser().parse_args(argv)
-    from pipeline import QueryError, SceneError, ScheduleError, StoreError
+    from pipeline import Interrupted, QueryError, SceneError, ScheduleError, StoreError, interruptible
 
     try:
-        return _COMMANDS[arguments.command](arguments)
+        with interruptible():
+            return _COMMANDS[arguments.command](arguments)
+    except Interrupted as interrupt:
+        print("\ninterrupted", file=sys.stderr)
+        return interrupt.exit_code
     except (SceneError, QueryError, _Wrong) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _WRONG
@@ -214,6 +288,9 @@ def main(argv: list[str] | None = None) -> int:
         return _UNFINISHED
     except BrokenPipeError:  # the reader, `head` for one, has seen enough; nothing can be told it any more
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _UNFINISHED
+    except OSError as error:  # a report or an answer that cannot be written
+        print(f"stickslip: {error}; make room or name another place, then give the command again", file=sys.stderr)
         return _UNFINISHED
 
 

@@ -1,18 +1,25 @@
-"""What a person sees while a scene runs: a bar in a terminal, a line now and then elsewhere."""
+"""What a person is told of a run: what it will take, how it goes (a bar, or a line now and then), where it stands."""
 
 from __future__ import annotations
 
 import sys
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
 from tqdm import tqdm
 
 from pipeline import Progress
+from pipeline.estimate import Estimate
+from pipeline.live import Follower, View
+from pipeline.query import reasons
 
 #: Seconds between two lines where there is no terminal.
 _EVERY = 10.0
+
+#: Seconds between two looks at a run.
+_LOOK = 2.0
 
 
 def clock(seconds: float) -> str:
@@ -20,11 +27,66 @@ def clock(seconds: float) -> str:
     return str(tqdm.format_interval(seconds))
 
 
-class Watch:
-    """Shows `Progress` as it comes; a context manager, called with each."""
+def in_words(found: Estimate) -> list[str]:
+    """An estimate in lines: time, disk, and where they come from."""
+    low, middle, high = found.seconds
+    core = " to ".join(f"{value:.3g}" for value in (found.core_seconds[0], found.core_seconds[2]))
+    disk = [value / 1e6 for value in found.n_bytes]
+    workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+    return [
+        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {workers}, report apart; {core} s of a core",
+        f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
+        f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s; the interval is"
+        " the spread of measured over expected cost, runs cut short, workers' start and pace",
+    ]
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+
+def say(directory: Path) -> None:
+    """Print the status of a dataset."""
+    print("\n".join(_status_lines(Follower(directory).look())))
+
+
+def watch(directory: Path) -> None:
+    """Print the status of a dataset, again and again until nobody writes it any more."""
+    follower = Follower(directory)
+    last: list[str] = []
+    while True:
+        view = follower.look()
+        lines = _status_lines(view)
+        if sys.stdout.isatty() and last:
+            print(f"\x1b[{len(last)}F\x1b[J", end="")  # over the last ones
+        if lines != last or sys.stdout.isatty():
+            print("\n".join(lines), flush=True)
+        last = lines
+        if view.running is None:
+            return
+        time.sleep(_LOOK)
+
+
+def _status_lines(view: View) -> list[str]:
+    found = view.status
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()) or "none yet"
+    lines = [
+        f"members {found.n_done} of {found.n_members} done: {outcomes}",
+        f"shards  {found.n_shards} of {view.n_planned}, {found.n_bytes / 1e6:.2f} MB",
+    ]
+    if view.running is not None:
+        pace = "" if view.rate is None else f", {view.rate:.3g} members/s"
+        eta = "" if view.eta is None else f", {clock(view.eta)} to go"
+        lines.append(f"running {view.running.owner}, {clock(time.time() - view.running.began.at)}{pace}{eta}")
+        lines += [f"dask    {view.running.dashboard}"] * (view.running.dashboard is not None)
+    elif not found.is_complete:
+        lines.append("running nothing: run the scene again to go on")
+    return lines + [f"failed  {count}: {reason}" for reason, count in found.failures.items()]
+
+
+class Watch:
+    """Shows `Progress` of the run into a directory as it comes; a context manager, called with each."""
+
+    def __init__(self, directory: Path, stream: TextIO | None = None) -> None:
+        self._directory = directory
         self._stream = sys.stderr if stream is None else stream
+        self._start: Progress | None = None
         self._bar: tqdm | None = None
         self._said = -_EVERY
         self._last: Progress | None = None
@@ -40,7 +102,12 @@ class Watch:
 
     def __call__(self, progress: Progress) -> None:
         if self._last is None and progress.n_done and progress.n_done < progress.n_members:
-            print(f"{progress.n_done} of {progress.n_members} members are there already", file=self._stream)
+            self._print(f"{progress.n_done} of {progress.n_members} members are there already")
+        if self._last is None:
+            self._start = progress
+        elif progress.last_shard is not None and progress.n_failed > self._last.n_failed:
+            for reason, count in reasons(self._directory, progress.last_shard).items():
+                self._print(f"failed  {count}: {reason}")
         self._last = progress
         if self._stream.isatty():
             self._draw(progress)
@@ -55,7 +122,15 @@ class Watch:
     def _words(self, progress: Progress) -> str:
         failed = f", {progress.n_failed} failed" if progress.n_failed else ""
         eta = "" if progress.eta is None else f", {clock(progress.eta)} to go"
-        return f"{progress.n_done}/{progress.n_members} members{failed}, {clock(progress.elapsed)}{eta}"
+        n_new = progress.n_done - (self._start.n_done if self._start is not None else 0)
+        pace = f", {n_new / progress.elapsed:.3g}/s" if n_new > 0 and progress.elapsed > 0 else ""
+        shards = f"{progress.n_shards_done}/{progress.n_shards} shards"
+        return (
+            f"{progress.n_done}/{progress.n_members} members, {shards}{failed}{pace}, {clock(progress.elapsed)}{eta}"
+        )
+
+    def _print(self, line: str) -> None:
+        tqdm.write(line, file=self._stream)  # above the bar, if there is one
 
     def _draw(self, progress: Progress) -> None:
         if self._bar is None:

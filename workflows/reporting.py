@@ -6,8 +6,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 from analysis import AnalysisSettings, Report, build
+from analysis.section import Data
 from pipeline import Status, dataset_scene, status
-from pipeline.query import members, series
+from pipeline.query import all_events, by_threshold, members, separations, series
 
 
 def report(path: Path) -> tuple[Report, Status]:
@@ -29,6 +30,10 @@ def report(path: Path) -> tuple[Report, Status]:
         resamples=scene.analysis.resamples,
         confidence=scene.analysis.confidence,
         seed=scene.run.seed,
+        map_dt=scene.analysis.map_dt or (),
+        tau=scene.analysis.tau,
+        smallest=scene.analysis.smallest,
+        margins=scene.analysis.margins.model_dump(),
     )
     provenance = {
         "stickslip": version("stickslip"),
@@ -40,5 +45,11 @@ def report(path: Path) -> tuple[Report, Status]:
     frame = members(path)
     picked = sorted(set(frame.picked_for.dropna()))
     provenance["tolerances"] = f"picked for {' and '.join(picked)} where not given" if picked else "given"
-    change_points = {member_id: (t, n_stick) for member_id, t, n_stick in series(path)}
-    return build(frame, change_points, settings, scene.title or path.name, scene.about, provenance), found
+    data = Data(
+        frame,
+        series={member_id: (t, n_stick) for member_id, t, n_stick in series(path)},
+        events={member_id: (e.t, e.block, e.mode, e.initial_mode) for member_id, e in all_events(path)},
+        separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
+        thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
+    )
+    return build(data, settings, scene.title or path.name, scene.about, provenance), found

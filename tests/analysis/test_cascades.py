@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis import Law, laws, sample, sizes, window
+from analysis.cascades import cluster_sizes, spans
 
 EVENTS = Law("events")
 # Change points counted by hand. Steps: -1 -1 | +1 | -1 0 -1 | +2 | -3 | +1 | -1 (cut)
@@ -34,6 +35,7 @@ def test_sampled_definitions_counted_by_hand():
     assert sizes(win, Law("drop", 1.0)).tolist() == [2, 1, 2]
     assert sizes(win, Law("length", 1.0)).tolist() == [1, 1, 2]
     assert sizes(win, Law("decreases", 1.0)).tolist() == [4]
+    assert sizes(win, Law("descent", 1.0)).tolist() == [5]
     assert sizes(win, EVENTS).tolist() == [5]
 
 
@@ -102,6 +104,7 @@ def test_sizes_agree_with_a_plain_walk(series):
         assert sizes(win, law).tolist() == walk(values, definition)
     moved = [b for a, b in zip([None, *samples], samples, strict=False) if a != b]
     assert sizes(win, Law("decreases", 0.5)).tolist() == walk(moved, "length")
+    assert sizes(win, Law("descent", 0.5)).tolist() == walk(moved, "drop")
 
 
 def walk(values, definition):
@@ -134,7 +137,54 @@ def test_bad_series_are_refused_by_name(t, n, start, stop, named):
         window(np.array(t), np.array(n, dtype=None if n else int), start, stop)
 
 
-@pytest.mark.parametrize("law", [Law("drops", 1.0), Law("events", 1.0), Law("drop")])
+@pytest.mark.parametrize(
+    "law",
+    [
+        Law("drops", 1.0),
+        Law("events", 1.0),
+        Law("drop"),
+        Law("clusters"),
+        Law("clusters", 1.0),
+        Law("drop", 1.0, 1.0),
+    ],
+)
 def test_bad_laws_are_refused(law):
-    with pytest.raises(ValueError, match=r"definition|dt"):
+    with pytest.raises(ValueError, match=r"definition|dt|tau"):
         sizes(window(T, N, 0.0, 12.0), law)
+
+
+def test_clusters_counted_by_hand():
+    exits = np.array([0.2, 2.0, 2.5, 2.9, 4.0, 4.0, 6.0, 9.8])
+    # Gaps of 1 and more end a cluster; the first and the last lie too near the ends to be known whole.
+    assert cluster_sizes(exits, 1.0, 0.0, 10.0).tolist() == [3, 2, 1]
+    assert cluster_sizes(exits, 1.0, -1.0, 11.0).tolist() == [1, 3, 2, 1, 1]
+    assert cluster_sizes(np.zeros(0), 1.0, 0.0, 10.0).tolist() == []
+    assert cluster_sizes(np.array([0.5]), 1.0, 0.0, 1.2).tolist() == []
+
+
+def test_clusters_ignore_entries_and_split_changes_into_exits():
+    win = window(np.array([0.0, 3.0, 3.5, 4.0, 8.0]), np.array([9, 6, 7, 6, 7]), 0.0, 10.0)  # -3 +1 -1 +1
+    assert win.exits().tolist() == [3.0, 3.0, 3.0, 4.0]
+    assert sizes(win, Law("clusters", tau=1.5)).tolist() == [4]
+    assert sizes(win, Law("clusters", tau=1.0)).tolist() == [3, 1]
+
+
+def test_an_exit_and_an_entry_at_one_instant_cancel():
+    t, n = np.array([0.0, 3.0, 5.0, 6.0, 9.0]), np.array([9, 8, 8, 7, 8])  # at 5 one block left and one came
+    assert window(t, n, 0.0, 10.0).exits().tolist() == [3.0, 6.0]
+
+
+def test_spans_of_cascades_counted_by_hand():
+    found = spans(window(T, N, 0.0, 12.0))  # the cascades of `test_events_counted_by_hand`
+    assert found.size.tolist() == [2, 3]
+    assert found.start.tolist() == [4.0, 8.0]
+    assert found.duration.tolist() == [2.0, 0.0]
+    assert found.waiting.tolist() == [4.0]
+
+
+def test_laws_say_their_scales_and_keep_their_order():
+    assert [str(law) for law in laws((0.5,), (2.0,))] == [
+        "events", "drop, dt = 0.5", "length, dt = 0.5", "descent, dt = 0.5", "decreases, dt = 0.5",
+        "clusters, tau = 2",
+    ]  # fmt: skip
+    assert Law("clusters", tau=0.1) < Law("drop", 0.1) < Law("drop", 0.3)

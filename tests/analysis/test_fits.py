@@ -1,15 +1,10 @@
-"""Estimates recover what was planted, intervals cover as often as they say, chance is chance."""
-
-from itertools import permutations
+"""Estimates recover what was planted, intervals cover as often as they say."""
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from analysis import Law, correlation_time, gamma, over_matrices, random_order, sizes, window
+from analysis import correlation_time, gamma, over_matrices, window
 from analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
-
-EVENTS = Law("events")
 
 
 @pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])
@@ -86,102 +81,6 @@ def test_paired_difference_removes_what_both_share():
     assert alone.high is not None
     assert paired.value < 0  # larger sizes, smaller gamma
     assert paired.high - paired.low < 0.05 * (alone.high - alone.low)
-
-
-def balanced(n_exits, t_stop=100.0):
-    """A window with as many exits as entries, in strict alternation: the order is far from random."""
-    steps = np.tile([1, -1], n_exits)
-    t = np.concatenate(([0.0], np.linspace(0.01, t_stop - 0.01, steps.size)))
-    return window(t, 10 + np.concatenate(([0], np.cumsum(steps))), 0.0, t_stop)
-
-
-def test_random_order_of_as_many_exits_as_entries_gives_ln_2():
-    tally = random_order(balanced(2000), (), 100, np.random.default_rng(5))[EVENTS]
-    rate, error = tally.rate()
-    assert error < 0.005
-    assert abs(rate - LN2) < 4 * error + 1 / 2000
-    shares = tally.histogram[1:6] / tally.histogram.sum()
-    np.testing.assert_allclose(shares, 0.5 ** np.arange(1, 6), rtol=0.03)
-
-
-def test_random_order_agrees_with_every_order_listed():
-    """Six changes: all 20 orders of three exits and three entries, counted without the code under test."""
-    totals, counts = [], []
-    for order in set(permutations("+++---")):
-        runs = "".join(order).split("+")[1:-1]  # what stands before the first entry and after the last is cut
-        totals.append(sum(len(run) for run in runs))
-        counts.append(sum(len(run) > 0 for run in runs))
-    draws = 20_000
-    tally = random_order(balanced(3), (), draws, np.random.default_rng(2))[EVENTS]
-    for exact, drawn in ((totals, tally.totals), (counts, tally.counts)):
-        assert abs(drawn.mean() - np.mean(exact)) < 4 * np.std(exact) / np.sqrt(draws)
-
-
-def test_simultaneous_exits_are_not_taken_as_given_by_chance():
-    """Exits three at a time: by events they are cascades, and random order of single exits does not keep them."""
-    steps = np.tile([1, 1, 1, -3], 500)
-    t = np.arange(steps.size + 1) / steps.size
-    win = window(t, 10 + np.concatenate(([0], np.cumsum(steps))), 0.0, 1.1)
-    rate, error = random_order(win, (), 50, np.random.default_rng(0))[EVENTS].rate()
-    assert abs(rate - LN2) < 4 * error + 1 / 1500
-
-
-def test_fair_series_are_rarely_called_different_from_chance(planted):
-    n_ensembles, n_matrices = 400, 20
-    alarms = 0
-    for ensemble in range(n_ensembles):
-        sums = []
-        for matrix in range(n_matrices):
-            rng = np.random.default_rng([ensemble, matrix])
-            t, n_stick = planted.runs(rng, 200, LN2)
-            win = window(t, n_stick, 100.0, planted.t_end)
-            found = sizes(win, EVENTS)
-            null = random_order(win, (), 5, rng)[EVENTS].sums().sum(axis=0)
-            sums.append([found.sum(), found.size, *null])
-        against = over_matrices(gamma_difference, np.array(sums, dtype=float), 0.95)
-        assert against.low is not None
-        assert against.high is not None
-        alarms += not against.low <= 0 <= against.high
-    # 5% of 400 with a standard deviation of 1.1 points: three of them.
-    assert 0.017 <= alarms / n_ensembles <= 0.083
-
-
-@pytest.mark.parametrize("per_step", [0.5, 1.0, 6.0])
-def test_sampled_chance_has_the_rates_of_independent_sampled_steps(per_step):
-    """Changes at random times in random order: steps of the samples are independent, Skellam(m / 2, m / 2).
-
-    A falling run then is geometric with q = P(step < 0), and its drop has the mean of a fall times the mean
-    length: chance gives a different gamma for each definition and dt, which is why none stands without them.
-    """
-    n_changes, t_stop = 20_000, 1000.0
-    t = np.sort(np.random.default_rng(6).uniform(0, t_stop, n_changes))
-    path = np.concatenate(([0], np.cumsum(np.tile([1, -1], n_changes // 2))))
-    dt = per_step * t_stop / n_changes
-    win = window(np.concatenate(([0.0], t)), path, 0.0, t_stop)
-    tallies = random_order(win, (dt,), 20, np.random.default_rng(1))
-    step = stats.skellam(per_step / 2, per_step / 2)
-    falls = -np.arange(-60, 0)
-    p_fall = step.cdf(-1)
-    mean_fall = np.dot(falls, step.pmf(-falls)) / p_fall
-    expected = {
-        "length": -np.log(p_fall),
-        "drop": -np.log1p(-(1 - p_fall) / mean_fall),
-        "decreases": LN2,
-    }
-    for definition, rate in expected.items():
-        assert tallies[Law(definition, dt)].rate()[0] == pytest.approx(rate, rel=0.03)
-
-
-def test_random_order_is_reproducible():
-    one, two = (random_order(balanced(50), (1.0,), 10, np.random.default_rng(9)) for _ in range(2))
-    assert all(np.array_equal(one[law].sums(), two[law].sums()) for law in one)
-
-
-def test_monte_carlo_error_shrinks_with_the_number_of_orders():
-    errors = [
-        random_order(balanced(200), (), draws, np.random.default_rng(4))[EVENTS].rate()[1] for draws in (20, 2000)
-    ]
-    assert errors[1] == pytest.approx(errors[0] / 10, rel=0.5)  # 20 draws give their own error to about 16%
 
 
 def test_jackknife_needs_every_row():

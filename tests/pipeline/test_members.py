@@ -113,12 +113,12 @@ def test_settings_reach_the_engine(scene, monkeypatch):
     members = by_id(scene)
     members["n3-m000-coulomb-1e-10"].simulate()
     members["n5-m002-sigmoid-0.03-u1-1e-8-1e-8-c1"].simulate()
-    assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "engine": "coulomb", "tol": 1e-10})
+    assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "t_eval": (), "engine": "coulomb", "tol": 1e-10})
     n, _, _, settings = seen[1]
     assert n == 5
     assert settings.pop("ratio").shape == (5,)
     assert settings == {
-        "t_end": 8.0, "engine": "sigmoid", "eps": 0.03, "rtol": 1e-8, "atol": 1e-8,
+        "t_end": 8.0, "t_eval": (), "engine": "sigmoid", "thresholds": (), "eps": 0.03, "rtol": 1e-8, "atol": 1e-8,
         "stick": "threshold", "threshold": 1.0,
     }  # fmt: skip
 

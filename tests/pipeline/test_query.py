@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
 from pipeline import QueryError, StoreError, expand, query
-from pipeline.shards import SCALARS
+from pipeline.shards import SCHEMA, scalars
 
 
 def test_members_table(finished, scene):
     frame = query.members(finished)
-    assert list(frame.columns) == list(SCALARS)
+    assert list(frame.columns) == list(scalars(SCHEMA))
     assert list(frame["member_id"]) == [member.member_id for member in expand(scene)]
     assert frame["n"].dtype == np.int32
     assert frame["t_stop"].dtype == np.float64
@@ -136,6 +140,26 @@ def test_sql_nulls_are_not_nan(finished):
         "SET python_enable_replacements = true",
         "SELECT * FROM source",  # a variable of the function that asks
         "SELECT 1; SELECT * FROM read_text('{secret}')",
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT getenv('PATH')",
+        "SELECT * FROM 'https://example.org/a.csv'",
+        "SELECT * FROM 's3://bucket/a.parquet'",
+        "LOAD httpfs",
+        "CREATE SECRET (TYPE s3)",
+        "CREATE TABLE mine AS SELECT 1",
+        "CREATE VIEW members AS SELECT 1",
+        "DROP VIEW members",
+        "PRAGMA database_list",
+        "PRAGMA enable_external_access = true",
+        "CALL pragma_version()",
+        "SET threads = 64",
+        "SET memory_limit = '1TB'",
+        "IMPORT DATABASE '{folder}'",
+        "PREPARE p AS SELECT 1",
+        "BEGIN TRANSACTION",
+        "VACUUM",
+        "CHECKPOINT",
+        "USE memory",
     ],
 )
 def test_sql_reaches_nothing_outside(text, finished, tmp_path):
@@ -155,10 +179,99 @@ def test_sql_changes_nothing(copy, content):
     assert content(copy) == before
 
 
+def test_a_refusal_says_what_may_be_asked(finished):
+    with pytest.raises(QueryError, match=r"expected a SELECT, got COPY: a dataset is read.*--out"):
+        query.sql(finished, "COPY members TO 'x.csv'")
+    with pytest.raises(QueryError, match=r"expected one SELECT, got 2 statements"):
+        query.sql(finished, "SELECT 1; SELECT 2")
+    for text in ("SELECT * FROM read_csv('/etc/passwd')", "SELECT * FROM member"):
+        with pytest.raises(QueryError, match=r"the views members, n_stick, cascades, events, and nothing else"):
+            query.sql(finished, text)
+
+
+@pytest.mark.parametrize("text", ["EXPLAIN SELECT * FROM members", "DESCRIBE n_stick", "SHOW TABLES", "VALUES (1)",
+                                  "FROM members", "WITH a AS (SELECT 1) SELECT * FROM a;  -- and a comment",
+                                  "PIVOT members ON engine USING count(*) GROUP BY n", "SUMMARIZE members"])  # fmt: skip
+def test_all_that_reads_is_allowed(text, finished):
+    assert len(query.sql(finished, text))
+
+
+def test_names_are_only_names(finished, tmp_path):
+    """Quotes, semicolons and SQL in a path or a name are letters."""
+    odd = tmp_path / 'it\'s "odd"; DROP VIEW members --'
+    os.symlink(finished, odd)
+    assert len(query.sql(odd, "SELECT * FROM members")) == len(query.members(odd))
+    for name in ("x' OR '1'='1", 'a"; DROP VIEW members; --', "%", "\x00", "n5-m00*"):
+        with pytest.raises(QueryError, match="expected a member that is done"):
+            query.n_stick(odd, name)
+        assert query.members(odd, filters=[("member_id", "=", name)]).empty
+
+
+ENDLESS = "SELECT sum(a.range * b.range) FROM range(1000000) a, range(1000000) b WHERE a.range % 7 = b.range % 5"
+
+
+@pytest.mark.parametrize("text", [ENDLESS, "SELECT sum(a.t * b.t) FROM n_stick a, n_stick b, n_stick c, n_stick d"])
+def test_a_query_without_end_can_be_interrupted(text, finished):
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        query.sql(finished, text)
+    timer.join()
+
+
+def test_cascades_by_hand(finished, scene):
+    """From the definition: walk along n_stick; what falls between a rise and the next rise is one cascade."""
+    found = query.sql(finished, "SELECT * FROM cascades")
+    assert len(found) > 20
+    for member_id, t, n_stick in query.series(finished):
+        want = []
+        fall = None
+        for k in range(1, len(t)):
+            if n_stick[k] > n_stick[k - 1]:
+                if fall is not None:
+                    want.append((*fall[:2], n_stick[fall[2]] - n_stick[k - 1], t[fall[2]], t[k]))
+                fall, rising = None, True
+            elif fall is None and k > 1 and rising:
+                fall = (t[k], t[k], k - 1)
+            elif fall is not None:
+                fall = (fall[0], t[k], fall[2])
+            rising = n_stick[k] > n_stick[k - 1]
+        rows = found[found["member_id"] == member_id]
+        columns = ["start", "stop", "size", "rise_before", "rise_after"]
+        assert list(rows[columns].itertuples(index=False, name=None)) == want
+
+
+def test_a_table_holds_the_lists_too(finished):
+    table = query.table(finished, filters=[("n", "=", 5)])
+    assert isinstance(table, pa.Table)
+    assert table.schema.names == query.dataset(finished).schema.names
+    t, n_stick = query.n_stick(finished, table["member_id"][3].as_py())
+    assert table["t"][3].as_py() == t.tolist()
+    assert table["n_stick"][3].as_py() == n_stick.tolist()
+    assert query.table(finished, ["n"], pc.field("n") > 99).num_rows == 0
+
+
+def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
+    monkeypatch.setattr("pipeline.query._PART", 60_000)  # some parts
+    columns, filters = ["member_id", "n", "tol", "n_exits"], [("engine", "=", "coulomb")]
+    lazy = query.dask_members(finished, columns, filters)
+    assert lazy.npartitions > 2
+    whole = lazy.compute(scheduler="sync")
+    want = query.members(finished, columns, filters)
+    assert whole["n"].dtype == np.int32
+    assert whole["tol"].dtype == pd.Float64Dtype()  # may be null elsewhere
+    assert dict(lazy.dtypes) == dict(whole.dtypes)
+    for name in columns:
+        assert list(whole[name]) == list(want[name])
+    assert lazy["n_exits"].mean().compute(scheduler="sync") == want["n_exits"].mean()
+    with pytest.raises(QueryError, match="columns: expected columns"):
+        query.dask_members(finished, ["colour"])
+
+
 def test_sql_errors_are_the_databases_own_words(finished):
     with pytest.raises(QueryError, match=r"query: .*colour"):
         query.sql(finished, "SELECT colour FROM members")
-    with pytest.raises(QueryError, match="try SELECT"):
+    with pytest.raises(QueryError, match=r"got nothing; try SELECT"):
         query.sql(finished, "  ")
 
 

@@ -82,14 +82,59 @@ BAD = {
         'ratio = "one"',
         ["engine[1].ratio_draws", 'ratio = "uniform"', "remove"],
     ),
+    "thresholds below zero": (
+        'stick = "threshold"',
+        'stick = "threshold"\nthresholds = [-1.0]',
+        ["engine[1].thresholds[0]", "greater than 0", "-1.0"],
+    ),
+    "unknown reading": (
+        "sizes = [0.05, 0.01]",
+        'sizes = [0.05, 0.01]\nreadings = ["damping"]',
+        ["perturbation.readings[0]", "'damping matrix'", "'damping'"],
+    ),
+    "a damping matrix for the exact engine": (
+        "sizes = [0.05, 0.01]",
+        'sizes = [0.05, 0.01]\nreadings = "damping matrix"',
+        ["engine[0].readings", "diagonal", "readings = []"],
+    ),
+    "a reading that is not there": (
+        'name = "coulomb"',
+        'name = "coulomb"\nreadings = ["relative"]',
+        ["engine[0].readings", "['scale']", "'relative'", "add it there"],
+    ),
+    "the same reading twice": (
+        "sizes = [0.05, 0.01]",
+        'sizes = [0.05, 0.01]\nreadings = ["scale", "scale"]',
+        ["perturbation.readings", "once", "remove"],
+    ),
+    "twins that are no twins": (
+        "[record]",
+        "[twins]\nsizes = [0.0]\n[record]",
+        ["twins.sizes[0]", "greater than 0", "0.0"],
+    ),
+    "unknown purpose": ("seed = 7", 'seed = 7\npurpose = "beauty"', ["run.purpose", "'paths'", "'beauty'"]),
     "threshold of nothing": (
         'stick = "threshold"',
         'stick = "manifold"\nthreshold = 2.0',
         ["engine[1].threshold", 'stick = "threshold"', "remove"],
     ),
     "wide sigmoid": ('stick = "threshold"', "eps = 2.0", ["engine[1].eps", "less than 1", "2.0"]),
-    "perturbed springs": ('"antisymmetric"', '"springs"', ["perturbation", "springs", "remove it"]),
+    "perturbed springs": (
+        '"antisymmetric"',
+        '"springs"',
+        ["perturbation.readings", "springs", 'readings = "relative"'],
+    ),
     "burn-in too long": ("t_burn = 1.0", "t_burn = 8.0", ["analysis.t_burn", "run.t_end = 8.0", "shorten"]),
+    "margin of nothing": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\nmargins.meen = 0.1",
+        ["analysis.margins.meen", "did you mean 'mean'"],
+    ),
+    "margin in percent of nothing": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\nmargins.mean = 0.0",
+        ["analysis.margins.mean", "greater than 0", "`mean = 0.1`"],
+    ),
     "confidence in percent": (
         "t_burn = 1.0",
         "t_burn = 1.0\nconfidence = 95.0",

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
 
-import pipeline
-from pipeline import Progress, ScheduleError, expand, parse_scene, run_scene, schedule, status, verify
+from pipeline import Progress, ScheduleError, expand, run_scene, schedule, verify
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -68,30 +64,6 @@ def test_libraries_have_one_thread_in_a_worker():
     assert set(blas_threads) <= {1}  # empty with another BLAS
 
 
-def test_a_batch_that_kills_its_workers_does_not_take_the_others_along(source, tmp_path, monkeypatch):
-    text = source.replace(b"n = [5, 3]", b"n = [3]").replace(b"matrices = 3", b"matrices = 1")
-    scene = parse_scene(text)
-    original = schedule.compute
-    victim = expand(scene)[0].member_id
-
-    def deadly(batch, scene_hash, events):
-        import os
-        import signal
-
-        if batch.members[0].member_id == victim:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return original(batch, scene_hash, events)
-
-    monkeypatch.setattr(schedule, "compute", deadly)
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 0.0)
-    with pytest.raises(ScheduleError, match=rf"got 1 that killed.*{victim}.*all other batches are done"):
-        run_scene(scene, text, tmp_path / "out", workers=1)
-    monkeypatch.setattr(schedule, "compute", original)
-    seen: list[Progress] = []
-    assert run_scene(scene, text, tmp_path / "out", workers=0, on_progress=seen.append).is_complete
-    assert seen[0].n_done == scene.n_members - 1
-
-
 def test_no_scheduler_there(scene, source, tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.schedule.CONNECT_TIMEOUT", 0.5)
     with pytest.raises(ScheduleError, match=r"scheduler: expected the address.*127\.0\.0\.1:9.*dask scheduler"):
@@ -99,35 +71,6 @@ def test_no_scheduler_there(scene, source, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="workers: expected a count >= 0, got -1"):
         run_scene(scene, source, tmp_path / "other", workers=-1)
     assert not (tmp_path / "other").exists()
-
-
-def test_ctrl_c_is_answered_by_the_driver_alone(source, tmp_path):
-    script = """
-import os, signal, sys
-from pathlib import Path
-from pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 3.5e-3
-source = Path(sys.argv[1]).read_bytes()
-def interrupt(progress):
-    if progress.n_done:
-        os.killpg(0, signal.SIGINT)  # as a terminal does: to the workers too
-if __name__ == "__main__":
-    try:
-        run_scene(parse_scene(source), source, Path(sys.argv[2]), workers=2, on_progress=interrupt)
-    except KeyboardInterrupt:
-        print("interrupted")
-"""
-    (tmp_path / "scene").write_bytes(source)
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path / "scene"), str(tmp_path / "out")],
-        env={**os.environ, "PYTHONPATH": str(Path(pipeline.__file__).parents[1])},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        start_new_session=True,
-    )
-    assert (done.stdout, done.stderr) == ("interrupted\n", "")
-    assert 0 < status(tmp_path / "out").n_done < parse_scene(source).n_members
 
 
 def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, tmp_path):

@@ -18,9 +18,9 @@ import pytest
 
 import pipeline
 import sim
-from pipeline import Progress, StoreError, expand, parse_scene, query, run_scene, status, verify
+from pipeline import Progress, StoreError, expand, parse_scene, query, run_member, run_scene, status, verify
 from pipeline.manifest import read_manifest
-from pipeline.shards import SCALARS, SCHEMA, shard_schema
+from pipeline.shards import SCHEMA, Recording, scalars
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -37,7 +37,7 @@ def tables(path):
 
 
 def test_one_row_a_member_in_order_with_the_written_schema(finished, scene):
-    schema = shard_schema(scene.hash, events=True)
+    schema = Recording.of(scene).schema
     found = []
     for table in tables(finished):
         assert table.schema.equals(schema, check_metadata=True)
@@ -53,9 +53,9 @@ def test_rows_hold_parameters_and_results(finished, scene):
     for table in tables(finished):
         for row in table.to_pylist():
             member = members[row["member_id"]]
-            assert {name: row[name] for name in member.__slots__} == {
-                name: getattr(member, name) for name in member.__slots__
-            }
+            # thresholds are the keys of what they give, a cost is no part of the data
+            kept = [name for name in member.__slots__ if name not in ("thresholds", "shared_cost")]
+            assert {name: row[name] for name in kept} == {name: getattr(member, name) for name in kept}
             assert row["n_events"] == row["n_entries"] + row["n_exits"] + row["n_crossings"] == len(row["event_t"])
             assert row["n_stick_end"] == row["n_stick"][-1]
             assert row["t"][0] == 0.0
@@ -69,7 +69,7 @@ def test_every_column_is_described_and_holds_no_nan(finished):
         for field in table.schema:
             assert field.metadata[b"description"], field.name
             values = table[field.name].combine_chunks()
-            values = values.flatten() if field.name not in SCALARS else values
+            values = values.flatten() if field.name not in scalars(table.schema) else values
             if str(values.type) == "double":
                 assert np.isfinite(values.drop_null().to_numpy()).all(), field.name
 
@@ -118,33 +118,6 @@ def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
 
 # ------------------------------------------------------------------------------------------ crashes
 
-# Every file operation of a run in turn, the process dies in it: before it has its effect.
-KILLED = """
-import os, sys
-from pathlib import Path
-from pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 3.5e-3
-source, out = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2])
-scene = parse_scene(source)
-for moment in map(int, sys.argv[3:]):
-    child = os.fork()
-    if child == 0:
-        calls = 0
-        def deadly(operation):
-            def call(*args, **kwargs):
-                global calls
-                calls += 1
-                if calls == moment:
-                    os.kill(os.getpid(), 9)
-                return operation(*args, **kwargs)
-            return call
-        for name in ("fsync", "replace", "open"):
-            setattr(os, name, deadly(getattr(os, name)))
-        run_scene(scene, source, out / str(moment), workers=0)
-        os._exit(0)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-
 
 def python(script, *arguments):
     return subprocess.run(
@@ -154,22 +127,6 @@ def python(script, *arguments):
         text=True,
         timeout=120,
     )
-
-
-def test_killed_at_each_step_of_a_commit_then_resumed(scene, source, finished, content, tmp_path):
-    (tmp_path / "scene").write_bytes(source)
-    moments = [*range(1, 19), 40, 41, 42, 43]
-    done = python(KILLED, tmp_path / "scene", tmp_path, *moments)
-    assert done.stdout.split() == ["-9"] * len(moments), done.stderr
-    leftovers = 0
-    for moment in moments:
-        out = tmp_path / str(moment)
-        leftovers += len(list(out.rglob(".tmp-*")))
-        run_scene(scene, source, out, workers=0)
-        assert content(out) == content(finished), moment
-        timings = [json.loads(line) for line in (out / "timings.jsonl").read_text().splitlines()]
-        assert {timing["shard"] for timing in timings} <= set(read_manifest(out).shards)
-    assert leftovers >= 4  # some kills hit between the writing of a file and its renaming
 
 
 DRIVER = """
@@ -286,14 +243,15 @@ def test_a_foreign_file_is_found_and_never_removed(copy, scene, source):
 
 def forge(path, name, **entries):
     """Make the manifest agree with a shard that was changed on purpose."""
-    manifest = json.loads((path / "manifest.json").read_text())
+    manifest = read_manifest(path)
     content = (path / "data" / name).read_bytes()
-    manifest["shards"][name] |= {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)} | entries
-    (path / "manifest.json").write_text(json.dumps(manifest))
+    entries = {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)} | entries
+    manifest.shards[name] = manifest.shards[name].model_copy(update=entries)
+    (path / "manifest.json").write_bytes(manifest.to_bytes())
 
 
 def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
-    first, second, third, fourth = shards(copy)[:4]
+    first, second, third, fourth, fifth = shards(copy)[:5]
     table = pq.read_table(first)
     pq.write_table(table.slice(1), first)
     forge(copy, first.name)
@@ -305,11 +263,13 @@ def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
     forge(copy, third.name, rows=99)
     pq.write_table(pq.read_table(fourth).drop_columns("n"), fourth)
     forge(copy, fourth.name)
-    rows, members, entry, columns = verify(copy)
+    forge(copy, fifth.name, outcomes={"failed": 1})
+    rows, members, entry, columns, outcomes = verify(copy)
     assert f"got {pq.read_table(first).num_rows}" in rows
     assert f"expected member {ids[1]}, got {ids[2]}" in members
     assert "99" in entry
-    assert "expected the columns of schema version 2" in columns
+    assert "expected the columns of schema version 3" in columns
+    assert "expected the outcomes {'failed': 1}, got" in outcomes
 
 
 def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy):
@@ -353,10 +313,20 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
     assert verify(copy) == []
 
 
-def test_shards_packed_otherwise_are_refused_and_kept(copy, scene, source, monkeypatch):
-    kept = {file: file.read_bytes() for file in shards(copy)}
+def test_a_dataset_keeps_the_packing_that_it_began_with(copy, scene, source, content, finished, monkeypatch):
     monkeypatch.setattr("pipeline.members.TARGET_COST", 7e-3)
-    with pytest.raises(StoreError, match=r"go on with the version that began, or choose another directory"):
+    shards(copy)[2].unlink()
+    run_scene(scene, source, copy, workers=0)
+    assert content(copy) == content(finished)
+
+
+def test_shards_of_other_members_are_refused_and_kept(copy, scene, source):
+    manifest, victim = read_manifest(copy), shards(copy)[2]
+    foreign = victim.rename(victim.with_name(victim.name.replace("00002", "00099")))
+    manifest.shards[foreign.name] = manifest.shards.pop(victim.name)
+    (copy / "manifest.json").write_bytes(manifest.to_bytes())
+    kept = {file: file.read_bytes() for file in shards(copy)}
+    with pytest.raises(StoreError, match=r"got shard-00099.*go on with the version of stickslip that began it"):
         run_scene(scene, source, copy, workers=0)
     assert {file: file.read_bytes() for file in shards(copy)} == kept
     assert "not a shard of this scene" in "".join(verify(copy))
@@ -379,19 +349,169 @@ def test_a_directory_of_something_else_is_refused_and_left_alone(scene, source, 
         lambda text: "",
         lambda text: text[: len(text) // 2],
         lambda text: text.replace('"rows"', '"row"', 1),
+        lambda text: text.replace('"rows": 3', '"rows": 2', 1),
+        lambda text: text.replace('"schema_version": 3', '"schema_version": 7'),
         lambda text: text.replace('"shard-00000-', '"../shard-00000-', 1),
-        lambda text: text.replace('"schema_version": 2', '"schema_version": 3'),
         lambda text: "[]",
+        None,
     ],
 )
-def test_a_corrupt_manifest_is_a_clear_error_and_nothing_is_lost(spoil, copy, scene, source):
+def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
+    spoil, copy, scene, source, content, finished, monkeypatch
+):
     manifest = copy / "manifest.json"
-    manifest.write_text(spoil(manifest.read_text()))
+    if spoil is None:
+        manifest.unlink()
+    else:
+        manifest.write_text(spoil(manifest.read_text()))
+    before = listing(copy)
+    words = (
+        r"found no manifest\.json" if spoil is None else r"manifest\.json: expected a manifest, got something damaged"
+    )
+    for look in (status, verify, query.members):
+        with pytest.raises(StoreError, match=words):
+            look(copy)
+    changed = source.replace(b"seed = 7", b"seed = 8")
+    other = parse_scene(changed)
+    with pytest.raises(StoreError):  # of another scene, it is left alone
+        run_scene(other, changed, copy, workers=0)
+    assert listing(copy) == before
+    monkeypatch.setattr("sim.simulate", None)  # nothing is computed
+    run_scene(scene, source, copy, workers=0)
+    assert content(copy) == content(finished)
+    assert verify(copy) == []
+
+
+def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
+    copy, scene, source, content, finished
+):
+    (copy / "manifest.json").unlink()
+    timings = copy / "timings.jsonl"
+    timings.write_bytes(b"\n".join(timings.read_bytes().splitlines()[:3]) + b"\n{")
+    kept = {file: file.stat().st_mtime_ns for file in shards(copy)}
+    run_scene(scene, source, copy, workers=0)
+    assert content(copy) == content(finished)
+    assert sum(file.stat().st_mtime_ns == kept[file] for file in kept) == 3
+
+
+def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, source):
+    manifest = json.loads((copy / "manifest.json").read_text())
+    del manifest["check"]  # which version 2 had not
+    (copy / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 2}))
     before = listing(copy)
     for look in (status, verify, query.members, lambda path: run_scene(scene, source, path, workers=0)):
-        with pytest.raises(StoreError, match=r"manifest\.json: expected a manifest, got something damaged"):
+        with pytest.raises(StoreError, match=r"expected a dataset of schema version 3, got one of version 2; go on"):
             look(copy)
     assert listing(copy) == before
+
+
+def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
+    for room in ("store", "shards", "schedule"):
+        monkeypatch.setattr(f"pipeline.{room}.program", lambda: "9.9.9-0123")
+    complete = content(copy)
+    assert run_scene(scene, source, copy, workers=0).is_complete  # nothing to compute: nothing to mix
+    assert content(copy) == complete
+    shards(copy)[1].unlink()
+    before = listing(copy)
+    with pytest.raises(StoreError, match=r"this version of the program \(9\.9\.9-0123\), got.*--accept-version"):
+        run_scene(scene, source, copy, workers=0)
+    assert listing(copy) == before
+    assert run_scene(scene, source, copy, workers=0, accept_version=True).is_complete
+    assert read_manifest(copy).programs[-1] == "9.9.9-0123"
+    assert {name: text for name, text in content(copy).items() if name != "manifest.json"} == {
+        name: text for name, text in complete.items() if name != "manifest.json"
+    }
+
+
+# ------------------------------------------------------------------------------------------ growth and failures
+
+GROWTH = {
+    "matrices": (b"matrices = 3", b"matrices = 4"),
+    "sizes of the system": (b"n = [5, 3]", b"n = [4, 5, 3]"),
+    "sizes of the change": (b"sizes = [0.05, 0.01]", b"sizes = [0.05, 0.02, 0.01]"),
+    "draws of the change": (b"sizes = [0.05, 0.01]", b"sizes = [0.05, 0.01]\ndraws = 2"),
+    "draws of the ratios": (b"ratio_draws = 2", b"ratio_draws = 3"),
+    "an engine": (b"[perturbation]", b'[[engine]]\nname = "coulomb"\ntol = 1e-6\n\n[perturbation]'),
+    "twins": (b"[perturbation]", b"[twins]\nsizes = [1e-3]\n\n[perturbation]"),
+}
+
+
+def rows(path):
+    return {row["member_id"]: row for table in tables(path) for row in table.to_pylist()}
+
+
+@pytest.mark.parametrize("name", GROWTH)
+def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_path):
+    old, new = GROWTH[name]
+    assert old in source
+    text = source.replace(old, new)
+    grown = parse_scene(text)
+    kept = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in shards(copy)}
+    seen: list[Progress] = []
+    assert run_scene(grown, text, copy, workers=0, on_progress=seen.append).is_complete
+    assert seen[0].n_done == scene.n_members < grown.n_members == seen[-1].n_done
+    assert {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in kept} == kept
+    assert verify(copy) == []
+    run_scene(grown, text, tmp_path / "anew", workers=0)
+    assert rows(copy) == rows(tmp_path / "anew")
+    with pytest.raises(StoreError, match="or restore the scene"):  # it does not shrink
+        run_scene(scene, source, copy, workers=0)
+    shards(copy)[-1].unlink()
+    shards(copy)[0].unlink()
+    assert run_scene(grown, text, copy, workers=0).is_complete
+    assert rows(copy) == rows(tmp_path / "anew")
+
+
+def test_members_are_finished_collapsed_diverged_or_failed_each_once(scene, source, tmp_path, monkeypatch):
+    simulate = sim.simulate
+
+    def fragile(system, *args, **settings):
+        if system.n == 3 and settings["engine"] == "coulomb":
+            raise MemoryError
+        return simulate(system, *args, **settings)
+
+    monkeypatch.setattr("sim.simulate", fragile)
+    found = run_scene(scene, source, tmp_path / "out", workers=0)
+    ids = [row["member_id"] for table in tables(tmp_path / "out") for row in table.to_pylist()]
+    assert sorted(ids) == sorted({member.member_id for member in expand(scene)})
+    assert len(ids) == len(set(ids)) == scene.n_members == sum(found.outcomes.values())
+    assert set(found.outcomes) <= {"finished", "collapsed", "diverged", "failed"}
+    assert found.outcomes["failed"] == 9
+
+
+def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
+    scene, source, tmp_path, finished, content, monkeypatch
+):
+    simulate, calls = sim.simulate, []
+
+    def fragile(system, *args, **settings):
+        calls.append(system.n)
+        if system.n == 5 and settings["engine"] == "coulomb":
+            raise ZeroDivisionError
+        return simulate(system, *args, **settings)
+
+    monkeypatch.setattr("sim.simulate", fragile)
+    out = tmp_path / "out"
+    run_scene(scene, source, out, workers=0)
+    failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
+    for row in failed:
+        assert row["reproduce"] == f"stickslip run scene.toml --only {row['member_id']}"
+        assert run_member(scene, row["member_id"])["reason"] == row["reason"] == "ZeroDivisionError: "
+    with pytest.raises(ValueError, match="expected a member of the scene, such as 'n3-m000"):
+        run_member(scene, "n9")
+    calls.clear()
+    run_scene(scene, source, out, workers=0)
+    assert calls == []  # a failed member is done
+    monkeypatch.setattr("sim.simulate", simulate)
+    touched = {file: file.stat().st_mtime_ns for file in shards(out)}
+    with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
+    seen: list[Progress] = []
+    assert (
+        "failed" not in run_scene(scene, source, out, workers=0, retry_failed=True, on_progress=seen.append).outcomes
+    )
+    assert seen[0].n_done < seen[-1].n_done == scene.n_members
+    assert content(out) == content(finished)
+    assert {file.name for file in touched if file.stat().st_mtime_ns != touched[file]} == with_failed
 
 
 def test_one_writer_at_a_time(copy, scene, source):

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse
 from scipy.linalg import expm
 
-from sim import IntegrationError, System, simulate
+from sim import IntegrationError, System, draw_system, fate, simulate
 
 from .reference import follow
 
@@ -238,13 +238,39 @@ def test_divergence_is_an_outcome_and_the_series_ends_there(engine):
     system = System([[-4.0]], 0.0, 1.0, -0.2)
     run = simulate(system, 3.0, 0.0, 50.0, engine=engine)
     assert run.outcome == "diverged"
-    assert "block 0" in run.reason
-    assert run.t_end < 50
+    assert "grows at the rate 2 " in run.reason
+    seen = simulate(system, 3.0, 0.0, 50.0, engine=engine, stop_early=False)
+    assert "block 0" in seen.reason
+    assert run.t_end < seen.t_end < 50
     assert run.events.t_end == run.t_end
     assert np.isfinite(run.z).all()
     assert np.isfinite(run.w).all()
     with pytest.raises(ValueError, match="times"):
         run.n_stick(run.t_end + 1)
+
+
+def test_the_escape_of_one_block_is_certified_where_friction_can_no_longer_hold_it():
+    """z'' = 4 z - mu lambda: the mode c = 2 z + w grows for ever once |c| > mu / 2; it is first asked for at 30."""
+    system = System([[-4.0]], 0.0, 100.0, -0.2)
+    assert fate.escape(system, np.array([20.0]), np.array([9.0])) == ""  # c = 49
+    assert "1.02 times" in fate.escape(system, np.array([20.0]), np.array([11.0]))  # c = 51
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_certain_to_escape_never_comes_back(seed):
+    """`full` diverges at n = 20 (AUDIT, section 4): followed to 1e6, the certified mode grows all the way."""
+    system = draw_system("full", 20, seed)
+    certain = simulate(system, -0.7, -0.4, 2000.0)
+    assert (certain.outcome, "grows at the rate" in certain.reason) == ("diverged", True)
+    t_far = simulate(system, -0.7, -0.4, 2000.0, stop_early=False).t_end
+    times = np.linspace(certain.t_end, t_far, 200)[:-1]
+    later = simulate(system, -0.7, -0.4, t_far, t_eval=times, stop_early=False).samples
+    rates, modes = np.linalg.eig(system.slip_matrix())
+    size = np.abs(np.linalg.solve(modes, np.hstack([later.z, later.w]).T))
+    held = np.abs(np.linalg.inv(modes)[:, 20:]).sum(axis=1)
+    growing = [j for j in range(40) if rates[j].real > 0 and size[j, 0] * rates[j].real > 1.01 * held[j]]
+    assert growing
+    assert all((np.diff(size[j]) > 0).all() for j in growing)
 
 
 def test_sparse_equals_dense():

@@ -10,19 +10,15 @@ import scipy.sparse
 from sim import System, draw_system, simulate
 from sim.geometry import (
     can_stick,
-    corners,
     drift_exit,
     fold,
     folds,
-    n_strata,
-    n_strata_by_kind,
-    parallelogram,
     stick_interval,
     sticking_lambda,
-    strata,
     two_blocks,
     visibility,
 )
+from sim.strata import corners, n_strata, n_strata_by_kind, parallelogram, strata
 
 EXACT = {"tol": 1e-15, "stop_early": False}
 FIGURE_2 = {"kappa1": 1.1, "kappa2": 1.6, "kappa12": 0.5, "rho": 0.1, "mu": 1.0, "v": -1.0}

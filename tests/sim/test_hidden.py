@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq, fsolve
 
 from sim import IntegrationError, System, simulate
-from sim.hidden import RAMP, Blowup, continuations, follow, run_with_law
+from sim.hidden import RAMP, Blowup, continuations
+from sim.hidden_runs import follow, run_with_law
 from sim.switching import Canopy, Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
 
 PAIR = System([[1.6, -0.5], [-0.5, 2.1]], damping=0.1, belt_speed=-1.0)
@@ -146,6 +147,8 @@ def test_modified_law_at_one_half():
     """AUDIT, hidden dynamics: the figures at G = 0.5 and the state that has it."""
     force = PAIR.holding_force(Z_HALF)
     np.testing.assert_allclose(force, [0.5, -0.5], atol=1e-12)
+    at_half = np.linalg.solve(PAIR.stiffness, [0.5, -0.5] - PAIR.damping * PAIR.belt_speed)
+    np.testing.assert_allclose(at_half, Z_HALF, atol=1e-12)
     first, saddle, _ = Blowup(Modified(), PAIR.friction, sigmoid=RAMP).sticking_modes(force)
     np.testing.assert_allclose(first.eigenvalues, [-0.1339745962, -1.8660254038], atol=1e-10)
     assert saddle.lam[0] == pytest.approx(-0.258652022504152763, abs=1e-12)
@@ -292,17 +295,17 @@ def test_canopy_law_finds_its_modes():
 def test_basins_of_the_modified_law(options):
     """AUDIT, hidden dynamics: (1, 1) -> (0, 0.5), (-1, -1) -> (-0.5, 0); the line lambda2 = -lambda1 separates."""
     blowup, force = Blowup(Modified(), [1.0, 1.0], **options), [0.5, -0.5]
-    np.testing.assert_allclose(blowup.settle(force, [1, 1]).lam, [0, 0.5], atol=1e-9)
-    np.testing.assert_allclose(blowup.settle(force, [-1, -1]).lam, [-0.5, 0], atol=1e-9)
+    np.testing.assert_allclose(blowup.settle(force, [1, 1]).lam, [0, 0.5], atol=1e-10)
+    np.testing.assert_allclose(blowup.settle(force, [-1, -1]).lam, [-0.5, 0], atol=1e-10)
     for x in (-1.0, -0.7, 0.0, 0.4, 1.0):
         on_line = blowup.settle(force, [x, -x])
         assert not on_line.is_stable
-        np.testing.assert_allclose(on_line.lam, [-0.258652022504, 0.258652022504], atol=1e-9)
+        np.testing.assert_allclose(on_line.lam, [-0.258652022504152763, 0.258652022504152763], atol=1e-10)
         for side, mode in ((1, [0, 0.5]), (-1, [-0.5, 0])):
             entry = np.clip(np.array([x, -x]) + 0.01 * side, -1, 1)
             settled = blowup.settle(force, entry)
             assert settled.is_stable
-            np.testing.assert_allclose(settled.lam, mode, atol=1e-9)
+            np.testing.assert_allclose(settled.lam, mode, atol=1e-10)
 
 
 def test_right_hand_side_keeps_the_factors():
@@ -352,7 +355,7 @@ def test_mode_dies_in_a_saddle_node_and_jumps():
     run = follow(PAIR, law, Z_HALF, [-0.5, 0.0], 1.0)
     jump, leave = run.events
     assert (jump.kind, jump.cause, jump.block) == ("jump", "fold", -1)
-    assert jump.t == pytest.approx(0.0047988, abs=5e-8)
+    assert jump.t == pytest.approx(0.0047988, abs=5e-8)  # the digits that the row has
     assert jump.t == pytest.approx(exact[2], abs=1e-10)
     np.testing.assert_allclose(jump.lam_before, exact[:2], atol=1e-5)
     assert jump.lam[1] > 0.5  # on the other mode, which has moved on from (0, 0.5)

@@ -1,14 +1,27 @@
 """The command as a person meets it: what it prints, what it leaves, its exit codes."""
 
+import csv
+import io
 import json
+import os
+import re
+import shutil
+import socket
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
-from pipeline import load_scene
+import workflows
+from pipeline import Progress, load_scene, query
+from pipeline.live import Began
+from pipeline.manifest import read_manifest, read_tasks
 from workflows.cli import main
+from workflows.progress import Watch
 from workflows.scenes import find, shipped
 
 
@@ -61,6 +74,87 @@ def test_query(dataset, capsys):
     assert lines[2].split() == ["sigmoid", "3"]
 
 
+QUESTION = "SELECT member_id, n, tol, n_exits FROM members ORDER BY member_id"
+
+
+def test_an_answer_as_csv(dataset, tmp_path, capsysbinary):
+    assert main(["query", str(dataset), QUESTION, "--format", "csv"]) == 0
+    written = capsysbinary.readouterr().out
+    rows = list(csv.DictReader(io.StringIO(written.decode())))
+    frame = query.members(dataset).sort_values("member_id")
+    assert [row["member_id"] for row in rows] == list(frame["member_id"])
+    assert [int(row["n_exits"]) for row in rows] == list(frame["n_exits"])
+    assert {row["tol"] for row in rows} == {"", "1e-10"}  # null is empty
+    file = tmp_path / "answer.csv"
+    assert main(["query", str(dataset), QUESTION, "--out", str(file)]) == 0
+    assert file.read_bytes() == written
+    other = tmp_path / "other"
+    other.touch()
+    assert file.stat().st_mode == other.stat().st_mode
+
+
+def test_an_answer_as_parquet(dataset, tmp_path, capsysbinary):
+    file = tmp_path / 'it\'s an "answer".parquet'
+    assert main(["query", str(dataset), "SELECT member_id, t, n_stick FROM n_stick", "--out", str(file)]) == 0
+    found = pq.read_table(file)
+    member_id = found["member_id"][0].as_py()
+    t, n_stick = query.n_stick(dataset, member_id)
+    frame = found.to_pandas().query("member_id == @member_id")
+    assert list(frame["t"]) == list(t)
+    assert list(frame["n_stick"]) == list(n_stick)
+    assert main(["query", str(dataset), QUESTION, "--format", "parquet"]) == 0
+    assert pq.read_table(io.BytesIO(capsysbinary.readouterr().out)).num_rows == 6
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
+    assert main(["query", str(dataset), "SELECT range FROM range(1234)"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 + 1000 + 1
+    assert lines[-1] == "... 234 rows more: --format csv has them all"
+    assert main(["query", str(dataset), "SELECT n FROM members WHERE n < 0"]) == 0
+    assert capsys.readouterr().out == "no rows (n)\n"
+
+
+@pytest.mark.parametrize(
+    ("sql", "more", "words"),
+    [
+        ("SELECT list(n) AS ns FROM members", ["--format", "csv"], ["'ns'", "unnest it", "parquet"]),
+        (QUESTION, ["--out", "{dataset}/manifest.json"], ["--out", "outside the dataset"]),
+        (QUESTION, ["--out", "{dataset}/data/new.csv"], ["--out", "outside the dataset"]),
+        (QUESTION, ["--out", "{here}"], ["--out", "directory", "name a file"]),
+        (QUESTION, ["--out", "{here}/none/a.csv"], ["--out", "cannot be written", "name another"]),
+        ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
+    ],
+)
+def test_an_answer_that_cannot_be_written(sql, more, words, dataset, tmp_path, capsys):
+    before = (dataset / "manifest.json").read_bytes()
+    more = [word.format(dataset=dataset, here=tmp_path) for word in more]
+    refused(["query", str(dataset), sql, *more], words, capsys)
+    assert list(tmp_path.iterdir()) == []
+    assert (dataset / "manifest.json").read_bytes() == before
+
+
+def test_an_interrupted_query(dataset, tmp_path):
+    endless = "SELECT sum(a.t * b.range * c.range) FROM n_stick a, range(1000000) b, range(1000000) c"
+    command = [
+        sys.executable,
+        "-m",
+        "workflows.cli",
+        "query",
+        str(dataset),
+        endless,
+        "--out",
+        str(tmp_path / "a.csv"),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(3.0)  # until it asks
+    process.send_signal(2)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "\ninterrupted; no answer was written\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "sql",
     ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "COPY members TO 'stolen.csv'", "not SQL"],
@@ -74,29 +168,115 @@ def test_a_wrong_query_is_refused(dataset, sql, capsys):
     assert (dataset / "manifest.json").read_bytes() == before
 
 
+# what is changed in a small scene; words that the one message must hold: the key, and what helps
 BAD = {
-    "unknown key": ("matrices = 3", "matrixes = 3", "matrixes", "matrices"),
-    "wrong type": ("t_end = 40.0", 't_end = "long"', "run.t_end", "number"),
-    "negative n": ("n = 12", "n = -12", "system.n", "got -12"),
-    "missing table": ("[start]\nz = -0.7\nw = -0.4\n", "", "start", "add [start]"),
-    "not TOML": ("[system]", "[system", "line", ""),
+    "unknown key": ("matrices = 3", "matrixes = 3", ["run.matrixes", "did you mean 'matrices'"]),
+    "key like no other": ("seed = 1", "colour = 1", ["run.colour", "remove it, or use one of"]),
+    "unknown table": ("[record]", "[recrod]", ["recrod", "did you mean 'record'"]),
+    "unknown key of an engine": ('name = "sigmoid"', 'name = "sigmoid"\nepps = 1.0', ["engine[1].epps", "'eps'"]),
+    "key of the other engine": ('name = "coulomb"', 'name = "coulomb"\neps = 0.1', ["engine[0].eps", "remove it"]),
+    "missing table": ("[start]\nz = -0.7\nw = -0.4\n", "", ["start", "add [start]"]),
+    "missing key": ("t_end = 40.0\n", "", ["run.t_end", "add `t_end = 1000.0`"]),
+    "text for a number": ("t_end = 40.0", 't_end = "long"', ["run.t_end", "number", "`t_end = 1000.0`"]),
+    "half a matrix": ("matrices = 3", "matrices = 3.5", ["run.matrices", "integer", "3.5"]),
+    "true for a number": ("t_end = 40.0", "t_end = true", ["run.t_end", "number"]),
+    "number for text": ('"antisymmetric"', "1", ["system.coupling", "string"]),
+    "date for a number": ("t_end = 40.0", "t_end = 2020-01-01", ["run.t_end", "number"]),
+    "value for a table": ("[system]", "record = 3\n[system]", ["TOML", "correct that line"]),
+    "negative n": ("n = 12", "n = -12", ["system.n", "got -12"]),
+    "zero n": ("n = 12", "n = 0", ["system.n", "greater than or equal to 1"]),
+    "huge n": ("n = 12", "n = 1000000000", ["system.n", "100000"]),
+    "empty grid": ("n = 12", "n = []", ["system.n", "at least one value"]),
+    "doubled grid": ("n = 12", "n = [12, 12]", ["system.n", "got 12 more than once", "remove the duplicates"]),
+    "doubled grid of floats": ("dt = [0.5]", "dt = [0.5, 0.50]", ["analysis.dt", "more than once"]),
+    "negative step": ("dt = [0.5]", "dt = [-0.5]", ["analysis.dt", "greater than 0"]),
+    "nan": ("t_end = 40.0", "t_end = nan", ["run.t_end", "finite"]),
+    "infinite": ("z = -0.7", "z = -inf", ["start.z", "finite"]),
+    "no time": ("t_end = 40.0", "t_end = 0.0", ["run.t_end", "greater than 0"]),
+    "no matrices": ("matrices = 3", "matrices = 0", ["run.matrices", "greater than or equal to 1"]),
+    "seed below zero": ("seed = 1", "seed = -1", ["run.seed", "greater than or equal to 0"]),
+    "seed too large": ("seed = 1", "seed = 9223372036854775808", ["run.seed", "less than 9223372036854775808"]),
+    "seed of 5000 digits": ("seed = 1", "seed = " + "9" * 5000, ["TOML", "correct that line"]),
+    "a thousand million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "lower `matrices`"]),
+    "members by ratio draws": (
+        'name = "sigmoid"', 'name = "sigmoid"\nratio = "uniform"\nratio_draws = 1000000000', ["number of draws"],
+    ),
+    "unknown ensemble": ('"antisymmetric"', '"antisymetric"', ["system.coupling", "did you mean 'antisymmetric'"]),
+    "unknown engine": ('name = "coulomb"', 'name = "colomb"', ["engine[0].name", "did you mean 'coulomb'"]),
+    "engine without name": ('name = "coulomb"', "", ["engine[0].name", 'write `name = "coulomb"`']),
+    "one engine twice": ('name = "sigmoid"', 'name = "coulomb"', ["engine[1]", "engine[0]", "remove it"]),
+    "draws of nothing": ('name = "sigmoid"', 'name = "sigmoid"\nratio_draws = 2', ["ratio_draws", "remove"]),
+    "sigmoid too wide": ('name = "sigmoid"', 'name = "sigmoid"\neps = 2.0', ["engine[1].eps", "less than 1"]),
+    "burn-in too long": ("t_burn = 1.0", "t_burn = 40.0", ["analysis.t_burn", "shorten the burn-in"]),
+    "separation of nothing": ("events = true", "separation = 1.0", ["record.separation", "add [perturbation]"]),
+    "doubled key": ("seed = 1", "seed = 1\nseed = 2", ["TOML", "correct that line"]),
+    "doubled table": ("[start]", "[system]\nn = 3\n[start]", ["TOML", "correct that line"]),
+    "not TOML": ("[system]", "[system", ["TOML", "line", "correct that line"]),
+}  # fmt: skip
+
+# whole files that are no scenes
+BAD_FILES = {
+    "empty file": (lambda small: b"", ["system", "add [system]"]),
+    "no text": (lambda small: b"\x00" * 100, ["TOML", "correct that line"]),
+    "NUL in the text": (lambda small: small.replace(b"<scene>", b"\x00"), ["TOML", "correct that line"]),
+    "byte order mark": (lambda small: b"\xef\xbb\xbf" + small, ["byte order mark", "save the file as UTF-8 without"]),
+    "not UTF-8": (lambda small: small.replace(b"small", b"sm\xe4ll"), ["UTF-8", "line 2"]),
+    "UTF-16": (lambda small: small.decode().encode("utf-16"), ["UTF-8", "save the file as UTF-8"]),
+    "JSON": (lambda small: b'{"system": {"n": 12}}', ["TOML", "correct that line"]),
+    "a shard": (lambda small: b"PAR1\x15\x04\x15\xff\xfe", ["UTF-8", "save the file as UTF-8"]),
+    "deep nesting": (lambda small: b"a = " + b"[" * 5000, ["TOML", "correct that line"]),
 }
+
+
+def refused(argv, words, capsys):
+    """The command ends with code 2 and one message that holds these words in one line."""
+    assert main(argv) == 2
+    streams = capsys.readouterr()
+    assert streams.out == ""
+    assert streams.err.startswith("stickslip: ")
+    assert "Traceback" not in streams.err
+    assert any(all(word in line for word in words) for line in streams.err.splitlines()), streams.err
+
+
+def check_bad(content, words, folder, capsys):
+    bad = folder / "bad.toml"
+    bad.write_bytes(content)
+    for more in ([], ["--dry-run"]):
+        refused(["run", str(bad), "--out", str(folder / "out"), *more], words, capsys)
+    assert list(folder.iterdir()) == [bad]
+    assert bad.read_bytes() == content
 
 
 @pytest.mark.parametrize("mistake", BAD)
 def test_a_bad_scene_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, small_scene, tmp_path, capsys):
-    old, new, key, remedy = BAD[mistake]
-    bad = tmp_path / "bad.toml"
-    text = small_scene.read_text()
-    assert old in text
-    bad.write_text(text.replace(old, new))
-    out = tmp_path / "out"
-    assert main(["run", str(bad), "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert key in error
-    assert remedy in error
-    assert "Traceback" not in error
-    assert not out.exists()
+    old, new, words = BAD[mistake]
+    small = small_scene.read_text()
+    assert small.count(old) == 1
+    check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
+
+
+@pytest.mark.parametrize("kind", BAD_FILES)
+def test_a_file_that_is_no_scene_is_refused(kind, small_scene, tmp_path, capsys):
+    content, words = BAD_FILES[kind]
+    check_bad(content(small_scene.read_bytes()), words, tmp_path, capsys)
+
+
+def test_a_directory_where_data_do_not_belong_is_refused(small_scene, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    scene = tmp_path / "scene.toml"
+    scene.write_bytes(small_scene.read_bytes())
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    source = Path(workflows.__file__).parents[1]
+    for out, words in (
+        (source / "pipeline", ["--out", "inside the program", "name another"]),
+        (source / "workflows" / "scenes" / "data", ["--out", "inside the program"]),
+        (tmp_path / "file", ["--out", "got the file", "name another"]),
+        (tmp_path, ["--out", "where the scene file is", "name another"]),
+    ):
+        for more in ([], ["--dry-run"]):
+            refused(["run", str(scene), "--out", str(out), *more], words, capsys)
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+    assert not (source / "workflows" / "scenes" / "data").exists()
 
 
 @pytest.mark.parametrize("argv", [["run", "no-such-scene"], ["run", "missing.toml"], ["status", "nowhere"]])
@@ -114,10 +294,51 @@ def test_workers_are_counted_from_one(workers, small_scene, capsys):
     assert "--workers" in capsys.readouterr().err
 
 
+def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
+    """A lock file as a driver leaves it: this process."""
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    cost = sum(batch.cost for batch, _ in read_tasks(copy, read_manifest(copy)))
+    began = Began(time.time() - 10.0, 2, cost / 3)
+    lines = [f"process {os.getpid()} on {socket.gethostname()}", began.line, "dashboard http://there:1/status", ""]
+    (copy / ".lock").write_text("\n".join(lines))
+    assert main(["status", str(copy)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        rf"^running process {os.getpid()} on .*, 00:1\d, 0.\d+ members/s, 00:00 to go$", said, re.MULTILINE
+    )
+    assert "dask    http://there:1/status\n" in said
+    lines[0] = f"process 4194304 on {socket.gethostname()}"  # no process has this number
+    (copy / ".lock").write_text("\n".join(lines))
+    assert main(["status", str(copy), "--watch"]) == 0  # ends: nobody is at work
+    said = capsys.readouterr().out
+    assert "6 of 6 done: " in said
+    assert "running" not in said
+
+
+def test_progress_in_words(dataset, tmp_path):
+    stream = io.StringIO()
+    with Watch(tmp_path, stream) as watch:
+        for n_done, shards in ((4, 1), (10, 2)):
+            watch(Progress(10, n_done, 0, 2, shards, 5.0, n_done / 2, 2.0, 3.0 * (n_done > 4), None))
+    assert stream.getvalue().splitlines() == [
+        "4 of 10 members are there already",
+        "4/10 members, 1/2 shards, 00:00",
+        "10/10 members, 2/2 shards, 2/s, 00:03, 00:00 to go",
+    ]
+
+
 def test_dry_run_writes_nothing(shipped_scene, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["run", shipped_scene, "--dry-run"]) == 0
-    assert f"{load_scene(find(shipped_scene)).n_members} members" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert re.search(rf": {load_scene(find(shipped_scene)).n_members} members in \d+ shards?, into ", said)
+    time_line = re.search(r"^time +(\d+:\d+|\d+:\d+:\d+) \((\S+) to (\S+)\) on [12] workers?, ", said, re.MULTILINE)
+    low, middle, high = (
+        sum(60**k * int(x) for k, x in enumerate(reversed(time_line[i].split(":")))) for i in (2, 1, 3)
+    )
+    assert low <= middle <= high
+    assert re.search(r"^disk +\S+ MB \(\S+ to \S+\)$", said, re.MULTILINE)
+    assert re.search(r"^pilot +\d+ members, of \d+ kinds", said, re.MULTILINE)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -107,7 +107,7 @@ BAD = {
     "unknown chart": (
         'chart = "speed_accuracy"',
         'chart = "speed"',
-        "chart: expected 'scaling' or 'speed_accuracy'",
+        "chart: expected 'paper' or 'scaling' or 'speed_accuracy'",
         "got 'speed'",
     ),
     "unknown key": ("repeats = 1", "repeat = 1", "repeat: unknown key", "did you mean 'repeats'"),

@@ -1,0 +1,1 @@
+"""What chance alone gives: null models, the map of gamma, and whether exits cluster beyond them."""

@@ -1,0 +1,490 @@
+"""The report's section on long-term robustness: tables, verdicts in words, and the forest of differences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from analysis import words
+from analysis.cascades import window
+from analysis.change import equivalence
+from analysis.change import figures as twin_figures
+from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, holm, share_over_matrices
+from analysis.change.pairs import CONSTANTS, Comparison, Setting, settings
+from analysis.change.robustness import (
+    BAND,
+    QUANTITIES,
+    Result,
+    Summary,
+    compare,
+    period_by_redraw,
+    period_counts,
+    redrawn,
+    summary,
+)
+from analysis.change.survival import fates
+from analysis.groups import generator
+from analysis.section import Column, Data, Section, Table
+from analysis.tables import F, I, S, typed
+
+Rows = list[dict[str, Any]]
+_ENDS = {"collapsed": "total collapse", "silent": "silent, not certified", "diverged": "runaway"}
+_SAME_PATH = 0.5  # below so many times the noise of the window, runs have hardly left each other's path
+
+_SCHEMA = {
+    "setting": S, "n": I, "engine": S, "kind": S, "reading": S, "size": F, "change": S, "quantity": S,
+    "n_matrices": I, "base": F, "changed": F, "difference": F, "low": F, "high": F, "narrow_low": F,
+    "narrow_high": F, "margin": F, "p_equivalent": F, "p_different": F, "p_equivalent_holm": F,
+    "p_different_holm": F, "verdict": S, "matrices_needed": I, "typical": F, "noise": F, "redraw": F,
+    "against_redraw": F, "against_low": F, "against_high": F, "statement": S,
+}  # fmt: skip
+_RUNS = {
+    "setting": S, "change": S, "n_runs": I, "n_matrices": I, "n_compared": I, "n_collapsed": I, "n_diverged": I,
+    "n_silent": I, "n_failed": I, "correlation_time": F, "effective_samples": F, "n_short": I,
+}  # fmt: skip
+_FREQUENCY = {
+    "setting": S, "kind": S, "reading": S, "size": F, "change": S, "event": S, "n_runs": I, "n_matrices": I,
+    "n_events": I, "share": F, "low": F, "high": F, "effective_runs": F, "share_base": F, "share_redraw": F,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """One comparison with its runs' summaries and results by quantity."""
+
+    setting: Setting
+    comparison: Comparison
+    results: list[Result]
+
+
+def robustness_section(
+    data: Data, *, t_burn: float, margins: Mapping[str, float], confidence: float, seed: int = 0
+) -> Section | None:
+    """Long-term robustness: changed runs against their bases by equivalence tests; None without changed members.
+
+    Parameters
+    ----------
+    data : Data
+        `members`, and `series` of the finished ones.
+    t_burn : float
+        Statistics use [t_burn, t_end].
+    margins : mapping of str to float
+        By name of `QUANTITIES` in `analysis.change.robustness`, relative to the base (`distribution`: to the base's
+        standard deviation in time). Only these quantities are judged.
+    confidence : float
+        Of every interval; the tests are made at alpha = 1 - confidence.
+    seed : int
+        Root of the random exchanges that the distributions are compared with.
+
+    Raises
+    ------
+    ValueError
+        If a margin's name is unknown or a margin is not positive.
+    """
+    for name, margin in margins.items():
+        if name not in QUANTITIES:
+            raise ValueError(f"margins: expected names among {', '.join(QUANTITIES)}, got {name!r}")
+        if not margin > 0:
+            raise ValueError(f"margins: expected {name} > 0, got {margin!r}; 0.1 allows 10% of the base")
+    some = [setting for setting in settings(data.members) if setting.comparisons]
+    if not some or not margins:
+        return None
+    alpha = 1 - confidence
+    fate = fates(data)
+    tests: Rows = []
+    runs_rows: Rows = []
+    frequencies: Rows = []
+    statements: list[str] = []
+    panels = []
+    for setting in some:
+        runs = _summaries(data, setting, t_burn)
+        judged = [
+            _Judged(
+                setting,
+                comparison,
+                [
+                    compare(comparison, runs, name, margin, confidence, _rng(seed, comparison))
+                    for name, margin in margins.items()
+                ],
+            )
+            for comparison in setting.comparisons
+        ]
+        rows = _test_rows(judged, alpha)
+        tests += rows + _redraw_rows(setting, runs, margins, alpha)
+        counts = [_frequency_rows(one, runs, fate, setting, confidence) for one in setting.comparisons]
+        frequencies += [row for part in counts for row in part]
+        runs_rows += _runs_rows(data, setting, runs, fate, t_burn)
+        statements += _statements(setting, rows, [row for part in counts for row in part], confidence)
+        shown = [row for row in rows if row["difference"] is not None]
+        if shown:
+            panels.append((setting.label, shown))
+    return Section(
+        title="Long-term robustness",
+        question="Do runs with changed constants, stiffness ratios or start keep the statistics of their base?",
+        statements=tuple(f"{text}." for text in statements),
+        method=_method(t_burn, margins, confidence),
+        tables=_tables(tests, runs_rows, frequencies),
+        pictures=(twin_figures.forest(panels),) if panels else (),
+        assumptions=_assumptions(tests, runs_rows),
+    )
+
+
+def _rng(seed: int, comparison: Comparison) -> np.random.Generator:
+    return generator(seed, f"{comparison.setting}: {comparison.change}")
+
+
+def _summaries(data: Data, setting: Setting, t_burn: float) -> dict[str, Summary]:
+    """Of the runs that reached t_end and still change after t_burn."""
+    wanted = {pair.base for c in setting.comparisons for pair in c.pairs} | set(setting.bases.values())
+    wanted |= {pair.changed for c in setting.comparisons for pair in c.pairs}
+    finished = data.members[(data.members["outcome"] == "finished") & data.members["member_id"].isin(wanted)]
+    found = {}
+    for member_id, t_end in zip(finished["member_id"], finished["t_end"], strict=True):
+        one = summary(window(*data.series[member_id], t_burn, float(t_end)), int(setting.key["n"]))
+        if one is not None:
+            found[str(member_id)] = one
+    return found
+
+
+def _identity(setting: Setting, comparison: Comparison) -> dict[str, Any]:
+    change = comparison.change
+    return {
+        "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "kind": change.kind,
+        "reading": change.reading, "size": change.size or None, "change": str(change),
+    }  # fmt: skip
+
+
+def _test_rows(judged: Sequence[_Judged], alpha: float) -> Rows:
+    """One row a comparison and quantity; Holm's rule over all rows of the setting, each kind of test by itself."""
+    rows = []
+    for one in judged:
+        untested = [result for result in one.results if result.test is None]
+        # one row with the reason where no quantity can be compared
+        results = untested[:1] if len(untested) == len(one.results) else one.results
+        rows += [_identity(one.setting, one.comparison) | _result_row(result, alpha) for result in results]
+    tested = [row for row in rows if row["p_equivalent"] is not None]
+    for name in ("p_equivalent", "p_different"):
+        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
+            row[f"{name}_holm"] = float(adjusted)
+    for row in tested:
+        row["verdict"] = equivalence.verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
+        spread = row["error"] * np.sqrt(row["n_matrices"])
+        if row["verdict"] == OPEN:
+            row["matrices_needed"] = equivalence.matrices_needed(spread, row["margin"], alpha / len(tested))
+        row["statement"] = _verdict_words(row)
+    return rows
+
+
+def _result_row(result: Result, alpha: float) -> dict[str, Any]:
+    names: tuple[str, ...] = ("quantity", "n_matrices", "base", "changed", "typical", "noise", "redraw")
+    names += ("against_redraw", "against_low", "against_high")
+    row: dict[str, Any] = {name: getattr(result, name) for name in names}
+    if result.test is None:
+        return row | {
+            "difference": None, "p_equivalent": None, "p_different": None, "verdict": OPEN,
+            "statement": f"not enough data: {result.reason}",
+        }  # fmt: skip
+    return row | _test_row(result.test, alpha)
+
+
+def _test_row(test: equivalence.Compared, alpha: float) -> dict[str, Any]:
+    (low, high), (narrow_low, narrow_high) = test.interval(1 - alpha), test.interval(1 - 2 * alpha)
+    return {
+        "difference": test.difference, "error": test.error, "low": low, "high": high, "narrow_low": narrow_low,
+        "narrow_high": narrow_high, "margin": test.margin, "p_equivalent": test.p_equivalent,
+        "p_different": test.p_different,
+    }  # fmt: skip
+
+
+def _redraw_rows(setting: Setting, runs: Mapping[str, Summary], margins: Mapping[str, float], alpha: float) -> Rows:
+    """The unpaired test on every second matrix against the others: what it says when everything is redrawn."""
+    bases = [runs[base] for base in setting.bases.values() if base in runs]
+    rows = []
+    for name, margin in margins.items():
+        test = redrawn(bases, name, margin)
+        if test is None:
+            continue
+        row = {
+            "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "kind": "redraw",
+            "change": "all matrices redrawn", "quantity": name, "n_matrices": len(bases), **_test_row(test, alpha),
+        }  # fmt: skip
+        row["verdict"] = equivalence.verdict(test.p_equivalent, test.p_different, alpha)
+        row["statement"] = _verdict_words(row)
+        rows.append(row)
+    return rows
+
+
+def _verdict_words(row: Mapping[str, Any]) -> str:
+    value = f"{_signed(row['difference'])} ({_signed(row['low'])} to {_signed(row['high'])})"
+    margin = words.percent(row["margin"])
+    if row["verdict"] == EQUIVALENT:
+        apart = not row["low"] <= 0 <= row["high"]
+        return f"equivalent within {margin}: {value}" + (", a difference within the margin" if apart else "")
+    if row["verdict"] == DIFFERENT:
+        beyond = row["low"] > row["margin"] or row["high"] < -row["margin"]
+        return f"different: {value}, " + (
+            f"beyond the margin of {margin}" if beyond else f"whether by more than {margin} is open"
+        )
+    needed = row.get("matrices_needed")
+    if needed is not None and needed > row["n_matrices"]:
+        more = f"; about {needed} matrices would be needed"
+    elif needed is not None:
+        more = "; the estimate itself stands near the margin"
+    else:
+        more = ""
+    return f"not enough data: {value} against a margin of {margin}{more}"
+
+
+def _signed(value: float) -> str:
+    return f"{100 * value:+.2g}%" if abs(value) < 1 else f"{100 * value:+.0f}%"
+
+
+def _runs_rows(
+    data: Data, setting: Setting, runs: Mapping[str, Summary], fate: Mapping[str, str], t_burn: float
+) -> Rows:
+    span = dict(zip(data.members["member_id"], data.members["t_end"] - t_burn, strict=True))
+    groups = [("none", list(setting.bases.values()), len(setting.bases))]
+    groups += [(str(c.change), [p.changed for p in c.pairs], c.n_matrices) for c in setting.comparisons]
+    rows = []
+    for change, ids, n_matrices in groups:
+        taus = {member: runs[member].whole[5] for member in ids if member in runs}
+        found = [fate[member] for member in ids]
+        rows.append(
+            {
+                "setting": setting.label, "change": change, "n_runs": len(ids), "n_matrices": n_matrices,
+                "n_compared": len(taus), **{f"n_{name}": found.count(name) for name in
+                                            ("collapsed", "diverged", "silent", "failed")},
+                "correlation_time": float(np.mean(list(taus.values()))) if taus else None,
+                "effective_samples": sum(float(span[m]) / (2 * tau) for m, tau in taus.items()) if taus else None,
+                "n_short": sum(runs[member].is_short for member in taus),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _frequency_rows(
+    comparison: Comparison, runs: Mapping[str, Summary], fate: Mapping[str, str], setting: Setting, confidence: float
+) -> Rows:
+    """How often changed runs show a period near 20, or end in each fate; beside the bases and a redraw."""
+    identity = _identity(setting, comparison)
+    bases = [runs[base] for base in setting.bases.values() if base in runs]
+    rows = []
+    counts = period_counts(comparison, runs)
+    if len(counts):
+        rows.append(
+            identity | _share_row("period near 20", counts, confidence) | {"share_redraw": period_by_redraw(bases)}
+        )
+    for name, event in _ENDS.items():
+        by_matrix: dict[int, np.ndarray] = {}
+        for pair in comparison.pairs:
+            if fate[pair.changed] != "failed":
+                hit = np.array([fate[pair.changed] == name, 1.0])
+                by_matrix[pair.matrix] = by_matrix.get(pair.matrix, np.zeros(2)) + hit
+        if by_matrix:
+            of_base = [fate[base] == name for base in setting.bases.values() if fate[base] != "failed"]
+            rows.append(
+                identity
+                | _share_row(event, np.array(list(by_matrix.values())), confidence)
+                | {"share_base": float(np.mean(of_base)) if of_base else None}
+            )
+    return rows
+
+
+def _share_row(event: str, counts: np.ndarray, confidence: float) -> dict[str, Any]:
+    share, low, high, trials = share_over_matrices(counts, confidence)
+    return {
+        "event": event, "n_runs": int(counts[:, 1].sum()), "n_matrices": len(counts),
+        "n_events": int(counts[:, 0].sum()), "share": share, "low": low, "high": high, "effective_runs": trials,
+    }  # fmt: skip
+
+
+def _statements(setting: Setting, rows: Rows, frequencies: Rows, confidence: float) -> list[str]:
+    """Verdicts by kind of change, what they mean beside a redraw, and the paper's two observations as frequencies."""
+    found = []
+    for (kind, reading), group in groupby(rows, key=lambda row: (row["kind"], row["reading"])):
+        some = list(group)
+        name = _kind_words(kind, reading)
+        if all(row["difference"] is None for row in some):
+            found.append(f"{setting.label}, {name}: {_nothing(some, frequencies)}")
+            continue
+        found.append(f"{setting.label}, {name}: {_verdicts(some)}")
+        found += _yardstick(setting, name, some)
+    for event, size in (("period near 20", 0.05), ("total collapse", 0.10)):
+        of_event = [row for row in frequencies if row["kind"] == CONSTANTS and row["event"] == event]
+        at = [row for row in of_event if row["size"] == size]
+        if at:
+            found.append(f"{setting.label}: {_frequency_words(event, size, at, confidence)}")
+    return found
+
+
+def _kind_words(kind: str, reading: str | None) -> str:
+    names = {"start": "start displaced", "ratios": "stiffness ratios redrawn", "constants": "constants changed"}
+    return names[kind] + (f" ({reading})" if reading else "")
+
+
+def _nothing(rows: Rows, frequencies: Rows) -> str:
+    same = [row for row in frequencies if row["kind"] == rows[0]["kind"] and row["reading"] == rows[0]["reading"]]
+    ends = {event: sum(row["n_events"] for row in same if row["event"] == event) for event in _ENDS.values()}
+    n_runs = sum(row["n_runs"] for row in same if row["event"] == "runaway")
+    text = ", ".join(f"{count} in {event}" for event, count in ends.items() if count)
+    return f"nothing to compare after t_burn: of {n_runs} changed runs {text or 'none'} ended early or went quiet"
+
+
+def _verdicts(rows: Rows) -> str:
+    """For each quantity the sizes by verdict."""
+    parts = []
+    for quantity in dict.fromkeys(row["quantity"] for row in rows):
+        some = [row for row in rows if row["quantity"] == quantity]
+        if len(some) == 1 and some[0]["size"] is None:
+            parts.append(f"{QUANTITIES[quantity]} {some[0]['statement']}")
+            continue
+        by_verdict = []
+        for verdict in (EQUIVALENT, DIFFERENT, OPEN):
+            sizes = [row["size"] for row in some if row["verdict"] == verdict]
+            if sizes:
+                at = "every size" if len(sizes) == len(some) else "sizes " + ", ".join(f"{size:g}" for size in sizes)
+                by_verdict.append(f"{verdict} at {at}")
+        parts.append(f"{QUANTITIES[quantity]} {', '.join(by_verdict)}")
+    return "; ".join(parts)
+
+
+def _yardstick(setting: Setting, name: str, rows: Rows) -> list[str]:
+    """What the change does to mean n_stick, beside a fresh matrix and the length of the window."""
+    some = [row for row in rows if row["quantity"] == "mean" and row["against_redraw"] is not None]
+    if not some:
+        return []
+    still = [row for row in some if row["typical"] < _SAME_PATH * row["noise"]]
+    gone = [row for row in some if row not in still]
+    parts = []
+    if still:
+        sizes = ", ".join(f"{row['size']:g}" for row in still if row["size"] is not None)
+        at = f"at size {sizes} " if sizes else ""
+        parts.append(
+            f"{at}the runs still follow the path of their base, so sameness there says nothing of robustness"
+        )
+    if gone:
+        first = gone[0]
+        at = "" if first["size"] is None else f" at size {first['size']:g}"
+        text = (
+            f"mean n_stick of one matrix moves{at} by {words.percent(first['typical'])}, "
+            f"{words.number(first['against_redraw'], 2)} "
+            f"({words.interval(first['against_low'], first['against_high'])}) "
+            f"of what a fresh matrix does, where the length of the window alone gives {words.percent(first['noise'])}"
+        )
+        if first["against_low"] <= 1 <= first["against_high"]:
+            text += ": it is not shown that the change does less than a complete redraw would"
+        elif first["typical"] <= 1.2 * first["noise"]:
+            text += ": no more than two stretches of one run differ"
+        parts.append(text)
+    return [f"{setting.label}, {name}: " + "; ".join(parts)]
+
+
+def _frequency_words(event: str, size: float, rows: Rows, confidence: float) -> str:
+    by_reading = []
+    for row in rows:
+        beside = row.get("share_redraw") if event == "period near 20" else row.get("share_base")
+        text = f"{row['n_events']} of {row['n_runs']} runs ({row['reading']}; {_shares(row)})"
+        if beside is not None:
+            who = "two different matrices" if event == "period near 20" else "the bases"
+            text += f" where {who} give {words.percent(beside)}"
+        by_reading.append(text)
+    claim = {"period near 20": "period-20 oscillations", "total collapse": "total collapse"}[event]
+    return f"{claim} at {words.percent(size)}, as frequencies ({words.percent(confidence)} intervals): " + "; ".join(
+        by_reading
+    )
+
+
+def _shares(row: Mapping[str, Any]) -> str:
+    high = words.percent(row["high"])
+    return f"{words.percent(row['low'])} to {high}" if row["low"] else f"at most {high}"
+
+
+def _method(t_burn: float, margins: Mapping[str, float], confidence: float) -> str:
+    declared = ", ".join(f"{QUANTITIES[name]} {words.percent(margin)}" for name, margin in margins.items())
+    alpha = words.percent(1 - confidence)
+    return (
+        f"Each quantity is taken on t >= {t_burn:g} and set against the base of the same matrix: two one-sided t "
+        f"tests at {alpha}, jackknife errors over matrices, margins declared beforehand ({declared}; the "
+        "distribution's in "
+        "standard deviations of n_stick in time; it is tested by random exchanges of changed and base). "
+        "Equivalent: the tests reject both margins, be there a difference "
+        "within them or none. Different: not equivalent, and the test of no difference rejects. Not enough data: "
+        "neither. Both kinds of p-value are adjusted by Holm's rule over all changes and quantities of one setting; "
+        "the intervals are not. Matrices needed: for power 0.8 at no difference and the strictest step of that rule. "
+        "Noise: how two runs of one matrix would differ by the length of the window alone, from the halves of each "
+        "run; where oscillations outlast a half it is too low. Redraw: how two different matrices differ. A period "
+        f"near 20: the share of the variance in periods {BAND[0]:g} to {BAND[1]:g} is over twice the base's. Several "
+        "draws of one matrix are averaged, and count in a frequency for as many runs as their scatter over matrices "
+        "allows."
+    )
+
+
+def _assumptions(tests: Rows, runs_rows: Rows) -> tuple[str, ...]:
+    left = sum(row["n_runs"] - row["n_compared"] for row in runs_rows)
+    total = sum(row["n_runs"] for row in runs_rows)
+    short = sum(row["n_short"] for row in runs_rows)
+    compared = sum(row["n_compared"] for row in runs_rows)
+    found = [
+        "Only runs that reach t_end in motion are compared: "
+        + (f"{left} of {total} are left out, and sameness of the others does not cover them." if left else "all do.")
+    ]
+    if compared:
+        found.append(
+            f"The window should be long against the correlation time: in {short} of {compared} runs it holds fewer "
+            "than "
+            "20 of them. The tests rest on the scatter over matrices, not on these times."
+        )
+    control = [row for row in tests if row["kind"] == "redraw"]
+    if control:
+        same = sum(row["verdict"] == EQUIVALENT for row in control)
+        found.append(
+            f"Control: with all matrices redrawn (every second against the others, unpaired) {same} of "
+            f"{len(control)} "
+            "quantities are called equivalent at these margins."
+        )
+    return tuple(found)
+
+
+def _tables(tests: Rows, runs_rows: Rows, frequencies: Rows) -> tuple[Table, ...]:
+    percent = words.percent
+    return (
+        Table(
+            "robustness",
+            "Changed runs against their bases. Differences are relative to the base.",
+            typed(_SCHEMA, tests),
+            (
+                Column("setting", "setting"), Column("change", "change"), Column("quantity", "quantity"),
+                Column("matrices", "n_matrices"), Column("base", "base"),
+                Column("difference", "difference", show=_signed),
+                Column("typical", "typical", show=percent), Column("noise", "noise", show=percent),
+                Column("redraw", "redraw", show=percent), Column("typical / redraw", "against_redraw", 2),
+                Column("verdict", "statement"),
+            ),
+        ),
+        Table(
+            "robustness_frequency",
+            "How often changed runs show the paper's observations, and each fate.",
+            typed(_FREQUENCY, frequencies),
+            (
+                Column("setting", "setting"), Column("change", "change"), Column("event", "event"),
+                Column("of runs", "n_runs"), Column("events", "n_events"), Column("share", "share", show=percent),
+                Column("low", "low", show=percent), Column("high", "high", show=percent),
+                Column("bases", "share_base", show=percent), Column("redraw", "share_redraw", show=percent),
+            ),
+        ),
+        Table(
+            "robustness_runs",
+            "Runs behind the comparison, and how many independent samples in time they hold: T / (2 tau) each.",
+            typed(_RUNS, runs_rows),
+            (
+                Column("setting", "setting"), Column("change", "change"), Column("runs", "n_runs"),
+                Column("compared", "n_compared"), Column("collapsed", "n_collapsed"), Column("silent", "n_silent"),
+                Column("run away", "n_diverged"), Column("correlation time", "correlation_time"),
+                Column("effective samples", "effective_samples"),
+            ),
+        ),
+    )  # fmt: skip

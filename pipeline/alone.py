@@ -1,0 +1,68 @@
+"""Members that may kill their process, run where that hurts nobody: in a process of their own."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.members import Batch, Member
+from pipeline.shards import Recording, Result, as_result, failed_row, row
+
+
+def compute_alone(batch: Batch, recording: Recording) -> Result:
+    """As `shards.compute`, in a process that tells of each member as it ends.
+
+    When it dies, the member it was at is run again, alone; if that process dies too, the member's row says so.
+    """
+    start = time.perf_counter()
+    rows: list[dict[str, Any]] = []
+    is_suspected = False
+    while len(rows) < len(batch.members):
+        rest = batch.members[len(rows) :]
+        group = rest[:1] if is_suspected else rest
+        found, end = _rows_of_a_process(group, recording)
+        rows += found
+        if is_suspected and not found:
+            rows.append(failed_row(group[0], f"its worker died ({end})"))
+        is_suspected = not is_suspected and len(found) < len(group)
+    return as_result(batch, recording, rows, start)
+
+
+def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple[list[dict[str, Any]], str]:
+    """The rows of the members that were run before the process ended, and how it ended."""
+    with subprocess.Popen(
+        [sys.executable, "-c", "from pipeline.alone import serve; serve()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,  # Ctrl-C is the driver's to answer
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        rows = []
+        try:
+            pickle.dump((tuple(members), recording), process.stdin)
+            process.stdin.close()
+            for _ in members:
+                rows.append(pickle.load(process.stdout))
+        except (BrokenPipeError, EOFError, pickle.UnpicklingError):  # it is dead, perhaps in the middle of a row
+            pass
+    code = process.returncode
+    return rows, f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+def serve() -> None:
+    """Run the members that come in, and write the row of each at once."""
+    answer = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever a library prints is no row
+    members, recording = pickle.load(sys.stdin.buffer)
+    for member in members:
+        pickle.dump(row(member, recording), answer)
+        answer.flush()

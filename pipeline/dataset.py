@@ -1,0 +1,72 @@
+"""Opening a dataset to read: the shards that the manifest lists, and the words for what cannot be read or asked."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.dataset as ds
+
+from pipeline.manifest import DATA, StoreError, dataset_scene, read_manifest
+from pipeline.shards import Recording
+
+# pandas' plain numbers have no null but NaN; these do, and keep integers integers
+NULLABLE = {
+    pa.int32(): pd.Int32Dtype(),
+    pa.int64(): pd.Int64Dtype(),
+    pa.float64(): pd.Float64Dtype(),
+    pa.bool_(): pd.BooleanDtype(),
+}
+
+
+class QueryError(ValueError):
+    """The question cannot be answered. The message says what was expected and what came."""
+
+
+def dataset(path: str | Path, shards: Sequence[str] | None = None) -> ds.Dataset:
+    """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
+
+    Raises
+    ------
+    StoreError
+        If there is no readable dataset at `path`.
+    """
+    path = Path(path)
+    names = sorted(read_manifest(path).shards) if shards is None else shards
+    schema = Recording.of(dataset_scene(path)).schema
+    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    with reading(path):
+        return ds.dataset(
+            [str(path / DATA / name) for name in names],
+            schema=schema,
+            format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
+        )
+
+
+@contextlib.contextmanager
+def reading(path: str | Path) -> Iterator[None]:
+    """Turn what a damaged or missing shard raises into words that say what to do."""
+    try:
+        yield
+    except OSError as error:  # a file that is gone, or a page whose checksum is wrong
+        raise StoreError(
+            f"{path}: a shard cannot be read ({error}); run the scene again to compute it anew"
+        ) from error
+
+
+def frame(table: pa.Table) -> pd.DataFrame:
+    """A table as a data frame: a column that holds nulls has a nullable type (NA, never NaN), others a plain one."""
+    plain = [name for name in table.column_names if table[name].null_count == 0]
+    nullable = table.to_pandas(types_mapper=NULLABLE.get)
+    types = {name: table.schema.field(name).type for name in plain}
+    return nullable.astype({name: kind.to_pandas_dtype() for name, kind in types.items() if kind in NULLABLE})
+
+
+def near(word: str, known: Sequence[str]) -> str:
+    """What `word` may have been meant for, as the end of a message."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(known[:10])}"

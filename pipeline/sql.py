@@ -1,0 +1,174 @@
+"""SQL over a dataset, by DuckDB: one question at a time, and nothing but the dataset within its reach."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from pipeline.dataset import QueryError, dataset, frame, reading
+from pipeline.manifest import dataset_scene
+from pipeline.shards import scalars
+
+#: Rows that an answer is handed over in.
+_ROWS = 100_000
+
+# EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
+_READ = {"SELECT", "EXPLAIN", "MULTI"}
+
+# Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
+# Row by row of the dataset: no sorting, whatever its size.
+_CASCADES = """
+WITH turns AS (
+    SELECT member_id, t, n_stick,
+        [k for k in range(2, len(n_stick)) if n_stick[k - 1] < n_stick[k] and n_stick[k] > n_stick[k + 1]] AS tops,
+        [k for k in range(2, len(n_stick)) if n_stick[k - 1] > n_stick[k] and n_stick[k] < n_stick[k + 1]] AS feet
+    FROM shards
+), whole AS (
+    SELECT member_id, t, n_stick, tops, [k for k in feet if k > tops[1]] AS feet FROM turns
+), paired AS (
+    SELECT member_id, t, n_stick, tops[:len(feet)] AS tops, feet FROM whole
+)
+SELECT member_id,
+    unnest(list_select(t, [k + 1 for k in tops])) AS start,
+    unnest(list_select(t, feet)) AS stop,
+    unnest(list_select(n_stick, tops)) - unnest(list_select(n_stick, feet)) AS size,
+    unnest(list_select(t, tops)) AS rise_before,
+    unnest(list_select(t, [k + 1 for k in feet])) AS rise_after
+FROM paired
+"""
+
+
+def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
+    """The views of a dataset, each as the SELECT from its shards; `step` is the scene's ``record.separation``."""
+    found = {
+        "members": f"SELECT {', '.join(scalars(schema))} FROM shards",
+        "n_stick": "SELECT member_id, unnest(t) AS t, unnest(n_stick) AS n_stick FROM shards",
+        "cascades": _CASCADES,
+    }
+    if "event_t" in schema.names:
+        found["events"] = (
+            "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
+            " FROM shards"
+        )
+    if "separation" in schema.names:
+        found["separation"] = (
+            f"SELECT member_id, {step!r}::DOUBLE * unnest(range(len(separation))) AS t,"
+            " unnest(separation) AS distance FROM shards"
+        )
+    if "by_threshold" in schema.names:
+        found["thresholds"] = (
+            "WITH runs AS (SELECT member_id, unnest(by_threshold) AS run FROM shards)"
+            " SELECT member_id, run.threshold AS threshold, unnest(run.t) AS t, unnest(run.n_stick) AS n_stick"
+            " FROM runs"
+        )
+    return found
+
+
+def sql(path: str | Path, query: str) -> pd.DataFrame:
+    """Answer a question in SQL as a data frame; see `answer`."""
+    with answer(path, query) as batches:
+        return frame(batches.read_all())
+
+
+@contextlib.contextmanager
+def answer(path: str | Path, query: str) -> Iterator[pa.RecordBatchReader]:
+    """Answer a question in SQL (DuckDB), without access to anything but the dataset, some rows at a time.
+
+    Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
+    (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
+    n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
+    scene records them, `events` (member_id, t, block, mode), `separation` (member_id, t, distance) and `thresholds`
+    (member_id, threshold, t, n_stick).
+
+    Raises
+    ------
+    QueryError
+        If DuckDB is not installed, or refuses the query.
+    StoreError
+        If there is no readable dataset.
+    KeyboardInterrupt
+        If the user ends a query that takes too long.
+    """
+    try:
+        import duckdb
+    except ImportError as error:
+        raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
+    source = dataset(path)
+    selections = views(source.schema, dataset_scene(Path(path)).record.separation)
+    with duckdb.connect(":memory:") as connection:
+        connection.register("shards", source)
+        for name, selection in selections.items():
+            connection.execute(f"CREATE VIEW {name} AS {selection}")
+        # from here on no files, no network, no variables of this process, and no way back
+        for setting in (
+            "temp_directory = ''",
+            "python_enable_replacements = false",
+            "enable_external_access = false",
+            "lock_configuration = true",
+        ):
+            connection.execute(f"SET {setting}")
+        with _explained(duckdb, list(selections)), reading(path):
+            _check(connection.extract_statements(query))
+            # in another thread, so that this one hears an interrupt and can hand it on, whatever DuckDB is doing
+            with ThreadPoolExecutor(1) as aside:
+                batches = _heard(aside, connection, lambda: _reader(connection.sql(query)))
+                # the first rows come here: what is wrong with a query shows before anything is handed over
+                first = _heard(aside, connection, lambda: next(iter(batches), None))
+
+                def rest() -> Iterator[pa.RecordBatch]:
+                    batch = first
+                    while batch is not None:
+                        yield batch
+                        batch = _heard(aside, connection, lambda: next(iter(batches), None))
+
+                yield pa.RecordBatchReader.from_batches(batches.schema, rest())
+
+
+def _heard(aside: Executor, connection: Any, work: Callable[[], Any]) -> Any:
+    """What `work` returns; an interrupt of the user ends it."""
+    future = aside.submit(work)
+    try:
+        return future.result()
+    except KeyboardInterrupt:
+        while not future.done():
+            connection.interrupt()  # again, if it came before the query had begun
+            wait([future], timeout=0.1)
+        raise
+
+
+def _reader(relation: Any) -> pa.RecordBatchReader:
+    if relation is None:
+        raise QueryError("query: expected a statement that returns rows, got one that returns none")
+    # the name changed on the way from DuckDB 1 to 2
+    read = getattr(relation, "to_arrow_reader", None) or relation.fetch_record_batch
+    return read(_ROWS)
+
+
+def _check(statements: list[Any]) -> None:
+    if not statements:
+        raise QueryError("query: expected a SELECT, got nothing; try SELECT * FROM members")
+    kinds = [statement.type.name for statement in statements]
+    if len(kinds) > 1:
+        raise QueryError(f"query: expected one SELECT, got {len(kinds)} statements; ask them one by one")
+    if kinds[0] not in _READ:
+        raise QueryError(
+            f"query: expected a SELECT, got {kinds[0]}: a dataset is read, never changed, and an answer goes to a "
+            f"file by --out"
+        )
+
+
+@contextlib.contextmanager
+def _explained(duckdb: Any, names: list[str]) -> Iterator[None]:
+    """Turn the database's refusals into ours."""
+    try:
+        yield
+    except (duckdb.Error, pa.ArrowException) as error:
+        unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
+        words = f"; a query reads the views {', '.join(names)}, and nothing else" if unknown else ""
+        raise QueryError(f"query: {str(error).strip()}{words}") from error

@@ -1,0 +1,258 @@
+"""Processes that die: the driver, its workers, the scheduler."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline import expand, store
+from tests.faults.registry import fault
+from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, until, wait
+
+
+@fault(quick=5, full=200, timeout=600)
+def driver_killed_at_random(world: World, count: int) -> int:
+    """SIGKILL at a random moment, five at most for one run, which is then resumed."""
+    done, out = 0, world.directory / "out"
+    while done < count:
+        shutil.rmtree(out, ignore_errors=True)
+        for _ in range(world.random.randint(1, 5)):
+            child = world.start(lambda: world.run(out))
+            time.sleep(world.random.uniform(0.0, world.seconds))
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+            done += wait(child) == -signal.SIGKILL  # or it was quicker
+            if done == count:
+                break
+        world.resume(out)
+    return done
+
+
+#: What a commit is made of, as the driver calls it.
+_STEPS = ("open", "fsync", "replace", "write", "close", "unlink", "truncate")
+
+
+def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
+    """From now on the process dies before or after its `moment`-th call of the system; `calls` counts them."""
+
+    def of(operation: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            calls[0] += 1
+            dies = calls[0] == moment
+            if dies and is_before:
+                os.kill(os.getpid(), signal.SIGKILL)
+            found = operation(*args, **kwargs)
+            if dies:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return found
+
+        return call
+
+    for name in _STEPS:
+        setattr(os, name, of(getattr(os, name)))
+    store.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
+
+
+def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
+    """An `open` whose files are written in two halves: a process may die between."""
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        stream = opened(*args, **kwargs)
+        write = stream.write
+
+        class Torn:
+            def __enter__(self) -> Any:
+                return self
+
+            def __exit__(self, *error: object) -> None:
+                stream.close()
+
+            def write(self, content: bytes) -> None:
+                write(content[: len(content) // 2])
+                stream.flush()
+                os.write(os.open(os.devnull, os.O_WRONLY), b"")  # a call, to die in
+                write(content[len(content) // 2 :])
+
+            flush, fileno = stream.flush, stream.fileno
+
+        return Torn()
+
+    return call
+
+
+@fault(quick=6, full=10_000, timeout=1200)
+def driver_killed_at_each_step(world: World, count: int) -> int:
+    """Dead before and after each call of the system that a run makes; the full count is all of them."""
+    tally = world.directory / "tally"
+
+    def counted() -> None:
+        calls = [0]
+        _deadly(0, True, calls)
+        world.run(world.directory / "counted")
+        tally.write_text(json.dumps(calls[0]))
+
+    assert world.fork(counted) == 0
+    world.check(world.directory / "counted")
+    moments = [(k + 1, is_before) for k in range(json.loads(tally.read_text())) for is_before in (True, False)]
+    if count < len(moments):
+        moments = world.random.sample(moments, count)
+    else:  # the first commits, the last and the beginning in full; those between are like each other
+        moments = [moment for moment in moments if moment[0] <= 160 or moment[0] > len(moments) // 2 - 40]
+    for moment, is_before in moments:
+        out = world.directory / "out"
+        shutil.rmtree(out, ignore_errors=True)
+
+        def killed(moment: int = moment, is_before: bool = is_before, out: Path = out) -> None:
+            _deadly(moment, is_before, [0])
+            world.run(out)
+
+        assert world.fork(killed) == -signal.SIGKILL
+        world.resume(out)
+    return len(moments)
+
+
+@fault(quick=1, full=6, timeout=400)
+def workers_killed_by_a_member(world: World, count: int) -> int:
+    """Exit, signal, segfault: the member gets a row that says so, its neighbours theirs; then it is tried again."""
+    ends = [("segfault", "signal SIGSEGV"), ("exit", "exit code 3"), ("kill", "signal SIGKILL")]
+    names = [member.member_id for member in expand(world.scene)]
+    for k in range(count):
+        how, words = ends[k % len(ends)]
+        out = world.directory / f"{how}{k}"
+        victims = world.random.sample(names, 1 + k // len(ends))
+        arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "1" if k < len(ends) else "2"]
+        code, _, err = end_of(world.command(*arguments, victims=dict.fromkeys(victims, how)), 120)
+        assert code == 1, err
+        assert f"failed  {len(victims)}: its worker died ({words})" in err, err
+        assert "--retry-failed" in err
+        assert f"stickslip run {out / 'scene.toml'} --only {min(victims, key=names.index)}" in err
+        world.check_no_strays(out)
+        code, _, err = end_of(world.command(*arguments, "--retry-failed"), 120)
+        assert code == 0, err
+        world.check(out)
+    return count
+
+
+@fault(quick=1, full=6, timeout=400)
+def workers_killed_from_outside(world: World, count: int) -> int:
+    """A worker gets a signal in the middle of its work: nobody is blamed, nothing is missing."""
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        number = [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV][k % 3]
+        process = world.command("run", str(world.scene_file), "--out", str(out), "--workers", "2", sleep=0.15)
+        until(lambda out=out: (out / "data").exists() and any((out / "data").glob("shard-*")))
+        for _ in range(1 + k // 3):
+            workers = children(process.pid)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(world.random.choice(workers), number)
+            time.sleep(0.5)
+        code, _, err = end_of(process, 120)
+        assert code == 0, err
+        world.check(out)
+    return count
+
+
+@fault(quick=0, full=2, timeout=400)
+def scheduler_lost(world: World, count: int) -> int:
+    """A cluster whose scheduler is killed: one clear message, what is done is kept, and another goes on."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{INJECT}{os.pathsep}{ROOT}",
+        "STICKSLIP_FAULTS": json.dumps({"target_cost": TARGET_COST, "sleep": 0.15}),
+    }
+
+    def started(what: str, file: Path, *options: str) -> subprocess.Popen:
+        return subprocess.Popen(
+            [sys.executable, "-c", f"from distributed.cli import dask_{what}; dask_{what}.main()",
+             "--scheduler-file", str(file), "--no-dashboard", *options],
+            env=environment, cwd=world.directory, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def cluster(k: int) -> tuple[str, list[subprocess.Popen]]:
+        file = world.directory / f"scheduler{k}.json"
+        processes = [started("scheduler", file, "--port", "0")]
+        until(file.exists)
+        time.sleep(0.2)  # for it to be written
+        processes.append(started("worker", file, "--nthreads", "1"))
+        return json.loads(file.read_text())["address"], processes
+
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        address, processes = cluster(2 * k)
+        driver = world.command("run", str(world.scene_file), "--out", str(out), "--scheduler", address)
+        try:
+            until(lambda out=out: (out / "data").exists() and len(list((out / "data").glob("shard-*"))) > 1)
+            processes[0].kill()
+            code, _, err = end_of(driver, 120)
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
+        assert code == 1, err
+        assert "expected the scheduler to stay until the end, lost it" in err, err
+        assert "Traceback" not in err, err
+        world.check_no_strays(out)
+        address, processes = cluster(2 * k + 1)
+        try:
+            code, _, err = end_of(
+                world.command("run", str(world.scene_file), "--out", str(out), "--scheduler", address), 120
+            )
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
+        assert code == 0, err
+        world.check(out)
+    return count
+
+
+def _signalled(world: World, count: int, number: signal.Signals, times: int) -> int:
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "2"]
+        process = world.command(*arguments, sleep=0.3)
+        until(lambda out=out: (out / "manifest.json").exists())
+        time.sleep(world.random.uniform(0.0, 4.0))
+        os.killpg(process.pid, number)  # as a terminal does: to the workers too
+        if times == 2:
+            time.sleep(world.random.uniform(0.0, 0.3))
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, number)
+        began = time.monotonic()
+        code, _, err = end_of(process, 30)
+        taken = time.monotonic() - began
+        assert taken < (10.0 if times == 1 else 2.0), f"it took {taken:.1f} s"
+        assert code == 128 + number, (code, err)
+        assert f"Go on with:\n  stickslip {' '.join(arguments)}\n" in err, err
+        assert "Traceback" not in err, err
+        world.check_no_strays(out)
+        world.resume(out)
+    return count
+
+
+@fault(quick=1, full=10, timeout=400)
+def interrupted_once(world: World, count: int) -> int:
+    """SIGINT ends a run within ten seconds, in order."""
+    return _signalled(world, count, signal.SIGINT, 1)
+
+
+@fault(quick=1, full=10, timeout=400)
+def interrupted_twice(world: World, count: int) -> int:
+    """A second SIGINT ends it at once."""
+    return _signalled(world, count, signal.SIGINT, 2)
+
+
+@fault(quick=0, full=10, timeout=400)
+def terminated(world: World, count: int) -> int:
+    """SIGTERM, as SIGINT."""
+    return _signalled(world, count, signal.SIGTERM, 1)

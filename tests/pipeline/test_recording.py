@@ -1,0 +1,178 @@
+"""What a scene may keep beside n_stick, of changed runs and of unchanged ones."""
+
+import math
+
+import numpy as np
+import pytest
+
+import sim
+from pipeline import SceneError, expand, parse_scene, run_scene, shards, verify
+from pipeline.query import all_events, by_threshold, events, members, separations, series
+
+SOURCE = b"""\
+[system]
+coupling = "antisymmetric"
+n = 4
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 11.0
+matrices = 2
+seed = 5
+[[engine]]
+name = "coulomb"
+[[engine]]
+name = "sigmoid"
+ratio = "uniform"
+thresholds = [2.0, 0.5]
+[perturbation]
+sizes = [0.01, 0.05]
+readings = ["relative", "scale"]
+[twins]
+sizes = [1e-6, 1e-3]
+[record]
+events = true
+separation = 2.5
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return parse_scene(SOURCE)
+
+
+@pytest.fixture(scope="module")
+def kept(scene, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "out"
+    run_scene(scene, SOURCE, path, workers=0)
+    return path
+
+
+def test_every_change_is_a_member_once(scene):
+    found = expand(scene)
+    assert len(found) == scene.n_members == 2 * (1 + 4 + 2) * 2
+    assert len({member.member_id for member in found}) == len(found)
+    names = [member.member_id.split("-")[2] for member in found[:14:2]]
+    assert names == ["coulomb", "r0.01", "r0.05", "p0.01", "p0.05", "t1e", "t0.001"]
+
+
+def test_an_engine_may_leave_changes_out():
+    text = SOURCE.replace(b'name = "coulomb"', b'name = "coulomb"\nreadings = []').replace(
+        b'name = "sigmoid"', b'name = "sigmoid"\ntwins = false\nreadings = "scale"'
+    )
+    scene = parse_scene(text)
+    found = expand(scene)
+    assert len(found) == scene.n_members == 2 * ((1 + 2) + (1 + 2))
+    assert {m.engine for m in found if m.twin_size is not None} == {"coulomb"}
+    assert {(m.engine, m.perturbation_reading) for m in found if m.perturbation_reading} == {("sigmoid", "scale")}
+
+
+def test_the_base_undoes_one_change(scene):
+    by_name = {member.member_id: member for member in expand(scene)}
+    plain = by_name["n4-m000-coulomb-1e-10"]
+    assert plain.base is None
+    for name in ("n4-m000-r0.05-d0-coulomb-1e-10", "n4-m000-t1e-6-coulomb-1e-10"):
+        base = by_name[name].base
+        assert base.start() == plain.start()
+        np.testing.assert_array_equal(base.system().stiffness, plain.system().stiffness)
+    drawn = by_name["n4-m000-sigmoid-0.03-u0-1e-8-1e-8"].base
+    assert (drawn.ratios(), drawn.base) == (1.0, None)
+    both = by_name["n4-m000-t1e-6-sigmoid-0.03-u0-1e-8-1e-8"]
+    np.testing.assert_array_equal(both.base.ratios(), both.ratios())
+
+
+def test_twins_start_as_far_off_as_said_all_the_same_way(scene):
+    starts = {m.twin_size: np.array(m.start()) for m in expand(scene) if m.engine == "coulomb" and m.matrix == 1}
+    away = {size: starts[size] - np.array([[-0.7], [-0.4]]) for size in (1e-6, 1e-3)}
+    for size, moved in away.items():
+        assert math.sqrt((moved**2).sum(axis=0).mean()) == pytest.approx(size, rel=1e-9)
+    np.testing.assert_allclose(away[1e-3], 1e3 * away[1e-6], rtol=1e-9)
+
+
+def test_the_separation_is_that_of_two_runs(scene, kept):
+    found = {member_id: (t, distance) for member_id, t, distance in separations(kept)}
+    changed = [member for member in expand(scene) if member.base is not None]
+    assert list(found) == [member.member_id for member in changed]
+    for member in changed:
+        t, distance = found[member.member_id]
+        np.testing.assert_array_equal(t, 2.5 * np.arange(5))
+        one, other = member.simulate(t).samples, member.base.simulate(t).samples
+        assert len(one) == len(other) == 5
+        for k in range(5):
+            gaps = np.concatenate([one.z[k] - other.z[k], one.w[k] - other.w[k]])
+            assert distance[k] == pytest.approx(np.linalg.norm(gaps) / 2.0, rel=1e-12)  # sqrt(n) = 2
+    assert found["n4-m000-t0.001-coulomb-1e-10"][1][0] == pytest.approx(1e-3, rel=1e-9)
+    assert found["n4-m000-p0.05-d0-coulomb-1e-10"][1][0] == 0.0
+
+
+def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
+    """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
+    shards._states.cache_clear()
+    simulate, made = sim.simulate, []
+    monkeypatch.setattr("sim.simulate", lambda *args, **settings: made.append(args) or simulate(*args, **settings))
+    for member in expand(scene):
+        shards.row(member, shards.Recording.of(scene))
+    assert len(made) == scene.n_members + 2 * 3
+
+
+def test_thresholds_are_those_of_the_sigmoid_runs(scene, kept):
+    found = {(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(kept)}
+    sigmoid = [member for member in expand(scene) if member.engine == "sigmoid"]
+    assert set(found) == {(member.member_id, c) for member in sigmoid for c in (0.5, 2.0)}
+    member = sigmoid[3]
+    for c, run_series in member.simulate().by_threshold.items():
+        for one, other in zip(found[member.member_id, c], run_series.change_points(), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_all_events_are_those_of_each(kept):
+    found = dict(all_events(kept))
+    assert list(found) == [member_id for member_id, *_ in series(kept)]
+    for member_id, one in list(found.items())[:3]:
+        other = events(kept, member_id)
+        assert isinstance(one, sim.EventSeries)
+        np.testing.assert_array_equal(one.t, other.t)
+        assert (one.t_start, one.t_end) == (other.t_start, other.t_end)
+
+
+def test_the_members_table_names_the_change(kept):
+    frame = members(kept).set_index("member_id")
+    row = frame.loc["n4-m001-r0.05-d0-coulomb-1e-10"]
+    assert (row["perturbation_reading"], row["perturbation_size"]) == ("relative", 0.05)
+    assert frame["twin_size"].notna().sum() == 8
+    assert verify(kept) == []
+
+
+def test_what_is_not_asked_for_is_not_there(tmp_path):
+    text = SOURCE.decode().replace("events = true\nseparation = 2.5", "").replace("thresholds = [2.0, 0.5]", "")
+    scene = parse_scene(text.encode())
+    run_scene(scene, text.encode(), tmp_path / "out", workers=0)
+    assert [list(read(tmp_path / "out")) for read in (all_events, separations, by_threshold)] == [[], [], []]
+
+
+def test_separation_needs_a_change():
+    text = SOURCE.decode().replace('ratio = "uniform"', 'ratio = "one"')
+    start, end = text.index("[perturbation]"), text.index("[record]")
+    with pytest.raises(SceneError, match=r"record.separation: expected a scene with changed runs.*\[twins\]"):
+        parse_scene((text[:start] + text[end:]).encode())
+
+
+def test_the_purpose_can_be_said(scene):
+    assert scene.purpose == "paths"
+    said = parse_scene(SOURCE.replace(b"seed = 5", b'seed = 5\npurpose = "statistics"'))
+    assert {engine.picked_for for engine in said.engines} == {"statistics"}
+
+
+def test_the_growth_rate_is_that_of_the_member_s_own_system(tmp_path):
+    text = SOURCE.replace(b"events = true", b"growth_rate = true")
+    run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
+    rates = members(tmp_path / "out").set_index("member_id")["growth_rate"]
+    for member in expand(parse_scene(text))[::3]:
+        system = member.system()
+        # lambda^2 + R lambda + K as the quadratic problem of one matrix polynomial, by its own linearisation
+        blocks = np.block([[-np.diag(system.damping), -system.stiffness], [np.eye(4), np.zeros((4, 4))]])
+        assert rates[member.member_id] == pytest.approx(np.linalg.eigvals(blocks).real.max(), rel=1e-9)

@@ -1,0 +1,65 @@
+"""Kept kernels: what was saved comes back, or nothing does."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from sim.compile import _KernelFiles, cache_directory, kernel
+
+
+@pytest.fixture
+def files(tmp_path):
+    return _KernelFiles(tmp_path, "a")
+
+
+def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):
+    files.save(("float64", "x86"), {"code": b"1"})
+    files.save(("int64", "x86"), {"code": b"2"})
+    again = _KernelFiles(tmp_path, "a")
+    assert again.load(("float64", "x86")) == {"code": b"1"}
+    assert again.load(("int64", "x86")) == {"code": b"2"}
+    assert again.load(("int64", "arm")) is None
+    assert _KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
+    files.flush()
+    assert again.load(("int64", "x86")) is None
+
+
+def test_whatever_is_damaged_is_not_loaded(files, tmp_path):
+    files.save("key", list(range(50)))
+    file = next(tmp_path.iterdir())
+    whole = file.read_bytes()
+    for size in range(len(whole)):
+        file.write_bytes(whole[:size])
+        assert files.load("key") is None
+    for place in range(len(whole)):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert files.load("key") is None
+    files.save("key", "healed")
+    assert files.load("key") == "healed"
+
+
+def test_nothing_half_written_stays(files, tmp_path, monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        files.save("key", 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kernel_that_cannot_be_kept_is_used_without(monkeypatch):
+    def full(self, key, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_KernelFiles, "save", full)
+
+    @kernel
+    def double(x):
+        return 2 * x
+
+    with pytest.warns(UserWarning, match=r"compiled anew in every process.*No space left.*NUMBA_CACHE_DIR"):
+        assert double(3) == 6
+    assert not list(cache_directory().glob("test_compile*"))

@@ -1,0 +1,405 @@
+"""A full damping matrix C = diag(R) + N under the sigmoid engine, and the readings of a perturbation.
+
+z'' + C z' + K z + mu tanh((z' - v) / delta) = 0
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import scipy.sparse
+from scipy.integrate import solve_ivp
+
+from sim import (
+    COUPLINGS,
+    READINGS,
+    System,
+    draw_system,
+    geometry,
+    hidden,
+    hidden_runs,
+    perturb_system,
+    simulate,
+    strata,
+)
+from sim.switching import Coulomb
+
+FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
+
+
+def draw(seed, cross=1.0, n_max=6):
+    """A system with entries of N of size `cross`, and a start; some blocks without friction, one without damping."""
+    rng = np.random.default_rng([seed, 19])
+    n = int(rng.integers(2, n_max + 1))
+    k = rng.normal(size=(n, n))
+    k = (k - k.T) / 2 + np.diag(np.abs(np.diag(k)))
+    c = cross * rng.normal(size=(n, n))
+    np.fill_diagonal(c, np.append(rng.uniform(0.5, 3.0, n - 1), 0.0))
+    return System(k, c, rng.choice([0.0, 0.5, 1.0], n), -0.3), rng.normal(size=n), rng.normal(size=n), rng
+
+
+def full(system):
+    """C."""
+    n = system.n
+    return np.diag(system.damping) + (np.zeros((n, n)) if system.cross_damping is None else system.cross_damping)
+
+
+def by_scipy(system, z0, w0, delta, t_end, method, tol, **settings):
+    """Dense output of an implicit, or explicit, method of SciPy."""
+    n, c = system.n, full(system)
+
+    def rate(_, y):
+        z, w = y[:n], y[n:]
+        pull = system.friction * np.tanh((w - system.belt_speed) / delta)
+        return np.concatenate((w, -c @ w - system.stiffness @ z - pull))
+
+    start = np.concatenate((z0, w0))
+    return solve_ivp(rate, (0.0, t_end), start, method=method, rtol=tol, atol=tol, dense_output=True, **settings).sol
+
+
+# the system
+
+
+def test_the_diagonal_and_the_rest_of_a_damping_matrix():
+    c = np.array([[1.0, 0.5], [-0.25, 2.0]])
+    system = System(np.eye(2), c)
+    np.testing.assert_array_equal(system.damping, [1.0, 2.0])
+    np.testing.assert_array_equal(system.cross_damping, [[0.0, 0.5], [-0.25, 0.0]])
+    assert c[0, 0] == 1.0
+    for array in (system.damping, system.cross_damping):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 3.0
+    assert "C full" in repr(system)
+    assert System(np.eye(2), np.diag([1.0, 2.0])).cross_damping is None
+    assert System([[1.0]], [[0.5]]).damping.tolist() == [0.5]
+
+
+def test_force_and_all_slip_motion():
+    system, z, w, _ = draw(1)
+    force = system.damping * system.belt_speed + system.stiffness @ z + (full(system) - np.diag(system.damping)) @ w
+    np.testing.assert_allclose(system.holding_force(z, w), force, rtol=1e-14)
+    slip = np.ones(system.n)
+    moved = system.slip_matrix() @ np.concatenate((z, w))
+    np.testing.assert_allclose(moved, np.concatenate((w, -full(system) @ w - system.stiffness @ z)), rtol=1e-13)
+    np.testing.assert_allclose(system.stiffness @ system.rest_state(slip), -system.friction, atol=1e-12)
+    with pytest.raises(ValueError, match="w: expected the velocities"):
+        system.holding_force(z)
+
+
+@pytest.mark.parametrize(
+    ("damping", "error", "message"),
+    [
+        (np.ones((2, 3)), ValueError, r"damping: expected a matrix of shape \(3, 3\), got shape \(2, 3\)"),
+        (np.full((3, 3), np.nan), ValueError, "damping: expected finite entries"),
+        (np.ones((3, 3, 3)), ValueError, "damping: expected a number or an array"),
+        (scipy.sparse.eye_array(3), TypeError, "damping: expected a number, 3 numbers or a dense matrix"),
+        ([[1.0], [1.0, 2.0]], TypeError, "damping: expected a number"),
+    ],
+)
+def test_dampings_that_cannot_be_are_refused(damping, error, message):
+    with pytest.raises(error, match=message):
+        System(np.eye(3), damping)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s: simulate(s, 0.0, 0.0, 1.0),
+        lambda s: geometry.fold(s, 0, 1),
+        lambda s: list(geometry.folds(s)),
+        lambda s: geometry.sticking_lambda(s, [0.0, 0.0]),
+        lambda s: geometry.can_stick(s, [0.0, 0.0]),
+        lambda s: geometry.drift_exit(s, 0.0),
+        lambda s: geometry.visibility(s, 0.0, 0.0, 0),
+        lambda s: strata.strata(s, 1),
+        lambda s: strata.n_strata_by_kind(s, 1),
+        lambda s: strata.corners(s),
+        lambda s: strata.parallelogram(s),
+        lambda s: strata.Stratum(s, (0, 1), (0,), (1,)),
+        lambda s: hidden.continuations(s, Coulomb(), 0.0, 0.0),
+        lambda s: hidden_runs.run_with_law(s, Coulomb(), 0.0, 0.0, 1.0),
+        lambda s: hidden_runs.follow(s, Coulomb(), 0.0, 0.0, 1.0),
+    ],
+)
+def test_what_is_written_for_a_diagonal_says_so(call):
+    system = System([[1.0, 0.2], [-0.2, 1.0]], [[1.0, 0.0], [0.125, 1.0]])
+    with pytest.raises(ValueError, match=r"system: expected a diagonal .* got 0.125 at row 1, column 0; .*'sigmoid'"):
+        call(system)
+
+
+# the engine
+
+
+@pytest.mark.parametrize("ratios", ["equal", "random"])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_error_follows_the_tolerance(seed, ratios):
+    """Radau IIA at 1e-11; N weaker than R, as strong, and five times as strong."""
+    cross = [0.1, 1.0, 5.0][seed % 3]
+    system, z0, w0, rng = draw(seed, cross)
+    eps = [0.1, 0.01, 1e-3][seed // 2]
+    ratio = np.ones(system.n) if ratios == "equal" else 1.0 - rng.random(system.n)
+    t_end = 3.0 if cross == 5.0 else 5.0
+    y = by_scipy(system, z0, w0, eps * ratio, t_end, "Radau", 1e-11)(t_end)
+    scale = max(1.0, np.abs(y).max())
+    errors = []
+    for tol in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
+        run = simulate(
+            system, z0, w0, t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol, stop_early=False
+        )
+        assert run.t_end == t_end
+        errors.append(np.abs(np.concatenate((run.z, run.w)) - y).max() / (tol * scale))
+    # a single one now and then passes 50: one in 200, with N or without
+    assert np.median(errors) < 30
+    assert errors[-1] < 50
+
+
+def test_twenty_blocks_against_an_explicit_method():
+    """The reading "damping matrix" at 10%: DOP853 at 1e-11, and the state on the way."""
+    base = draw_system("antisymmetric", 20, 3)
+    system = perturb_system(base, "antisymmetric", 0.1, 1, reading="damping matrix")
+    times = np.linspace(0.0, 25.0, 26)
+    y = by_scipy(system, np.full(20, -0.7), np.full(20, -0.4), 0.03, 25.0, "DOP853", 1e-11)(times)
+    run = simulate(system, -0.7, -0.4, 25.0, t_eval=times, eps=0.03, **FINE)
+    np.testing.assert_allclose(run.samples.z, y[:20].T, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(run.samples.w, y[20:].T, rtol=0, atol=2e-6)  # cubics between steps
+    np.testing.assert_allclose(run.z, y[:20, -1], rtol=0, atol=1e-8)
+
+
+@lru_cache
+def smooth():
+    """Two blocks whose layer is as wide as their motion, by DOP853 at 1e-13; N of the size of K and above R."""
+    system = System([[4.0, 1.0], [-1.0, 9.0]], [[0.1, 1.0], [-0.7, 0.1]], [0.5, 0.3], -0.3)
+    z0, w0 = np.array([1.0, -1.0]), np.array([0.5, 0.2])
+    return system, z0, w0, by_scipy(system, z0, w0, 2.0, 10.0, "DOP853", 1e-13, max_step=0.02)
+
+
+def test_order_four():
+    system, z0, w0, reference = smooth()
+    steps, errors = [], []
+    for tol in (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10):
+        run = simulate(
+            system, z0, w0, 10.0, engine="sigmoid", eps=2.0, rtol=tol, atol=tol, stick="threshold", threshold=0.05,
+            stop_early=False,
+        )  # fmt: skip
+        steps.append(run.stats.n_steps)
+        errors.append(np.abs(np.concatenate((run.z, run.w)) - reference(10.0)).max())
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    print("steps", steps, "errors", errors, "order", order)
+    assert 3.7 < order < 4.5
+
+
+def test_entries_and_exits_see_the_force_with_its_cross_damping():
+    """F = R v + K z + N w and |w - v| on a fine grid of the reference: what sticks there is what the run says."""
+    eps = 0.03
+    n_events = 0
+    for seed in (0, 1, 3):
+        system, z0, w0, _ = draw(seed, 0.3)
+        sol = by_scipy(system, z0, w0, eps, 6.0, "Radau", 1e-11)
+        run = simulate(system, z0, w0, 6.0, eps=eps, **FINE)
+        times = np.linspace(0.0, 6.0, 2001)
+        z, w = sol(times)[: system.n], sol(times)[system.n :]
+        drag = (system.damping * system.belt_speed)[:, None]
+        force = drag + system.stiffness @ z + system.cross_damping @ w
+        near = np.abs(w - system.belt_speed) < eps * np.log(1 / eps)
+        held = near & (np.abs(force) < system.friction[:, None]) & (system.friction[:, None] > 0)
+        n_events += len(run.events)
+        late = 0
+        for k, t in enumerate(times):
+            away = np.abs(run.events.t - t).min(initial=1.0) > 1e-5
+            late += away and not np.array_equal(run.events.mode_at(t) == 0, held[:, k])
+        assert late == 0
+    assert n_events > 20
+
+
+def test_a_diagonal_matrix_is_the_vector():
+    """To the bit, statistics included."""
+    system = draw_system("antisymmetric", 30, 4)
+    same = System(system.stiffness, np.diag(system.damping))
+    runs = [simulate(s, -0.7, -0.4, 60.0, engine="sigmoid", t_eval=[1.0, 30.0]) for s in (system, same)]
+    for name in ("z", "w", "stats", "outcome"):
+        np.testing.assert_array_equal(*(getattr(run, name) for run in runs))
+    for name in ("t", "block", "mode"):
+        np.testing.assert_array_equal(*(getattr(run.events, name) for run in runs))
+    np.testing.assert_array_equal(runs[0].samples.w, runs[1].samples.w)
+
+
+def test_a_vanishing_cross_damping_is_none():
+    system, z0, w0, _ = draw(2)
+    diagonal = System(system.stiffness, system.damping, system.friction, system.belt_speed)
+    tiny = System(system.stiffness, np.diag(system.damping) + 1e-13 * system.cross_damping, system.friction, -0.3)
+    a, b = (simulate(s, z0, w0, 6.0, eps=0.01, **FINE) for s in (diagonal, tiny))
+    assert tiny.cross_damping is not None
+    np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_renumbered_blocks_give_the_renumbered_run(kind):
+    system, z0, w0, rng = draw(3, 0.3)
+    order = rng.permutation(system.n)
+    pick = np.ix_(order, order)
+    stiffness = system.stiffness[pick] if kind == "dense" else scipy.sparse.csc_array(system.stiffness[pick])
+    other = System(stiffness, full(system)[pick], system.friction[order], system.belt_speed)
+    a = simulate(system, z0, w0, 6.0, eps=0.01, **FINE)
+    b = simulate(other, z0[order], w0[order], 6.0, eps=0.01, **FINE)
+    np.testing.assert_allclose(b.z, a.z[order], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(b.w, a.w[order], rtol=0, atol=1e-8)
+    assert len(a.events) > 3
+    np.testing.assert_array_equal(order[b.events.block], a.events.block)
+    np.testing.assert_array_equal(b.events.mode, a.events.mode)
+    np.testing.assert_allclose(b.events.t, a.events.t, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_energy_balance(seed):
+    """w^2 / 2 + z K z / 2 changes by -w C w - mu w tanh(...); only the symmetric part of N works. K symmetric."""
+    system, z0, w0, _ = draw(seed, 0.7)
+    k, c = (system.stiffness + system.stiffness.T) / 2, full(system)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    starts, width = np.linspace(0.0, 4.0, 400, endpoint=False), 4.0 / 400
+    times = (starts[:, None] + 0.5 * width * (1 + nodes)).ravel()
+    for matrix in (c, c - c.T + np.diag(system.damping)):
+        run = simulate(
+            System(k, matrix, system.friction, system.belt_speed), z0, w0, 4.0, t_eval=times, eps=0.3, **FINE
+        )
+        w = run.samples.w
+        loss = np.einsum("ti,ij,tj->t", w, c if matrix is c else np.diag(system.damping), w)
+        loss += (system.friction * w * np.tanh((w - system.belt_speed) / 0.3)).sum(axis=1)
+        work = -0.5 * width * float(loss @ np.tile(weights, 400))
+        change = 0.5 * (run.w @ run.w + run.z @ k @ run.z) - 0.5 * (w0 @ w0 + z0 @ k @ z0)
+        assert change == pytest.approx(work, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("stick", [{}, {"stick": "threshold", "threshold": 3.0}], ids=["manifold", "threshold"])
+def test_nothing_happens_after_a_certified_collapse(stick):
+    n_collapsed = 0
+    for seed in range(80):
+        rng = np.random.default_rng([seed, 23])
+        n = int(rng.integers(2, 6))
+        k = 0.5 * rng.normal(size=(n, n))
+        k = (k - k.T) / 2 + np.diag(rng.uniform(0.2, 1.5, n))
+        c = 0.5 * rng.normal(size=(n, n))
+        np.fill_diagonal(c, rng.uniform(0.2, 3.0, n))
+        system = System(k, c, rng.uniform(0.2, 1.0, n), rng.choice([-0.5, -0.2, 0.3]))
+        start = rng.normal(size=(2, n))
+        law = {"engine": "sigmoid", "eps": 0.02, "rtol": 1e-7, "atol": 1e-7, **stick}
+        run = simulate(system, *start, 150.0, **law)
+        if run.outcome != "collapsed":
+            continue
+        n_collapsed += 1
+        whole = simulate(system, *start, 150.0, stop_early=False, **law)
+        np.testing.assert_array_equal(whole.events.t, run.events.t)
+        np.testing.assert_array_equal(whole.events.mode, run.events.mode)
+        assert whole.outcome == "finished"
+        assert run.n_stick(150.0) == 0
+    assert n_collapsed > 30
+
+
+def test_growth_by_cross_damping_alone_is_seen():
+    """Blocks that feed each other: R = 0.5 on the diagonal, -1 off it, so that one mode of w grows with rate 1/2."""
+    system = System(1e-3 * np.eye(2), [[0.5, -1.0], [-1.0, 0.5]], 0.1)
+    run = simulate(system, 0.0, [2.0, 2.0], 200.0, engine="sigmoid")
+    assert run.outcome == "diverged"
+
+
+# the readings
+
+
+def rows(system):
+    """Every constant of the system in one row."""
+    return np.concatenate((np.ravel(full(system)), np.ravel(system.stiffness)))
+
+
+@pytest.mark.parametrize("coupling", [name for name in COUPLINGS if name != "springs"])
+def test_what_scale_drew_before_it_draws_still(coupling):
+    """The formula: R + dR, K + S(dU), dR and dU from one generator in this order; to the bit."""
+    base = draw_system(coupling, 9, 5)
+    rng = np.random.default_rng(7)
+    dr, du = rng.uniform(-0.05 * 3.5, 0.05 * 3.5, 9), rng.uniform(-0.05 * 0.2, 0.05 * 0.2, (9, 9))
+    if coupling == "antisymmetric_triangle":
+        du = np.triu(du) - np.triu(du, 1).T
+    elif coupling != "full":
+        skew = -1.0 if coupling in ("antisymmetric", "signed_diagonal") else 1.0
+        du = np.where(np.eye(9, dtype=bool), du, (du + skew * du.T) / 2)
+    for settings in ({}, {"reading": "scale"}):
+        moved = perturb_system(base, coupling, 0.05, 7, **settings)
+        np.testing.assert_array_equal(moved.damping, base.damping + dr)
+        np.testing.assert_array_equal(moved.stiffness, base.stiffness + du)
+    noisy = perturb_system(base, coupling, 0.05, 7, reading="damping matrix")
+    np.testing.assert_array_equal(noisy.damping, moved.damping)
+    np.testing.assert_array_equal(noisy.stiffness, moved.stiffness)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "reading"),
+    [(c, r) for c in COUPLINGS for r in READINGS if c != "springs" or r == "relative"],
+)
+def test_one_draw_goes_one_way(coupling, reading):
+    base = draw_system(coupling, 8, 5)
+
+    def way(size, seed=1):
+        return (rows(perturb_system(base, coupling, size, seed, reading=reading)) - rows(base)) / size
+
+    np.testing.assert_allclose(way(0.01), way(0.5), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(way(0.1), way(0.1))
+    assert np.abs(way(0.1) - way(0.1, seed=2)).max() > 0.1
+    np.testing.assert_array_equal(rows(perturb_system(base, coupling, 0.0, 1, reading=reading)), rows(base))
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_relative_keeps_structure_signs_and_zeros(coupling):
+    drawn = draw_system(coupling, 60, 5)
+    holed = drawn.stiffness * ~np.isin(np.add.outer(np.arange(60), np.arange(60)), (20, 77))
+    if coupling == "springs":  # no spring there; the one to the ground stays
+        holed[np.diag_indices(60)] += drawn.stiffness.sum(axis=1) - holed.sum(axis=1)
+    base = System(holed, drawn.damping)
+    moved = perturb_system(base, coupling, 0.3, 11, reading="relative")
+    assert moved.cross_damping is None
+    k, off = moved.stiffness, ~np.eye(60, dtype=bool)
+    np.testing.assert_array_equal((k == 0)[off], (holed == 0)[off])
+    factors = [moved.damping / base.damping]
+    if coupling == "full":
+        factors += [k[holed != 0] / holed[holed != 0]]
+        assert not np.allclose(k[0, 1] / holed[0, 1], k[1, 0] / holed[1, 0])
+    else:
+        sign = 1.0 if coupling in ("symmetric", "springs") else -1.0
+        np.testing.assert_array_equal(k[off], sign * k.T[off])
+        kept = np.triu(holed != 0, 1)
+        factors += [k[kept] / holed[kept]]
+        if coupling == "springs":
+            factors += [k.sum(axis=1) / holed.sum(axis=1)]
+            assert np.linalg.eigvalsh(k).min() > 0
+        else:
+            kept = np.diag(np.diag(holed) != 0)
+            factors += [k[kept] / holed[kept]]
+    together = np.concatenate(factors)
+    assert np.abs(together - 1.0).max() <= 0.3 + 1e-9
+    for part in factors:  # uniform in 1 -+ 0.3: standard deviation 0.3 / sqrt 3
+        assert abs(part.mean() - 1.0) < 5 * 0.3 / np.sqrt(3 * len(part))
+        assert part.std() == pytest.approx(0.3 / np.sqrt(3), rel=0.25)
+
+
+def test_noise_off_the_diagonal_of_the_damping():
+    base = draw_system("antisymmetric", 100, 5)
+    noise = perturb_system(base, "antisymmetric", 0.1, 3, reading="damping matrix", rho=2.0).cross_damping
+    off = noise[~np.eye(100, dtype=bool)]
+    assert (np.diag(noise) == 0).all()
+    assert 0.199 < np.abs(off).max() <= 0.2
+    assert off.std() == pytest.approx(0.2 / np.sqrt(3), rel=0.02)
+    assert abs(np.corrcoef(noise[np.triu_indices(100, 1)], noise.T[np.triu_indices(100, 1)])[0, 1]) < 0.06
+
+
+def test_perturbations_that_cannot_be_are_refused():
+    base = draw_system("antisymmetric", 4, 0)
+    with pytest.raises(ValueError, match="reading: expected one of scale, relative, damping matrix, got 'absolute'"):
+        perturb_system(base, "antisymmetric", 0.1, 0, reading="absolute")
+    with pytest.raises(ValueError, match="size: expected less than 1 for reading='relative', got 1"):
+        perturb_system(base, "antisymmetric", 1.0, 0, reading="relative")
+    for reading in ("scale", "damping matrix"):
+        with pytest.raises(ValueError, match="`springs` would make some springs negative; use reading='relative'"):
+            perturb_system(draw_system("springs", 4, 0), "springs", 0.1, 0, reading=reading)
+    noisy = perturb_system(base, "antisymmetric", 0.1, 0, reading="damping matrix")
+    with pytest.raises(ValueError, match="system: expected a diagonal damping, as drawn"):
+        perturb_system(noisy, "antisymmetric", 0.1, 0)
+    with pytest.raises(ValueError, match="size: expected a number >= 0, got -1"):
+        perturb_system(base, "antisymmetric", -1, 0)

@@ -1,0 +1,182 @@
+"""The guide to queries: each of its ten questions is asked of a small dataset, and the answers make sense."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.cascades import spans, window
+from pipeline import parse_scene, query, run_scene
+
+GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()
+SECTIONS = re.findall(r"^## (\d+)\. (.*?)\n(.*?)(?=^## |\Z)", GUIDE, flags=re.DOTALL | re.MULTILINE)
+SOURCE = b"""\
+[system]
+coupling = "antisymmetric"
+n = [12, 60]
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 40.0
+matrices = 4
+seed = 3
+[[engine]]
+name = "coulomb"
+[[engine]]
+name = "sigmoid"
+thresholds = [0.25, 1.0, 4.0]
+[perturbation]
+sizes = [0.01, 0.1]
+[twins]
+sizes = [1e-6]
+[record]
+events = true
+separation = 5.0
+[analysis]
+t_burn = 10.0
+dt = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    path = tmp_path_factory.mktemp("guide") / "out"
+    run_scene(parse_scene(SOURCE), SOURCE, path, workers=0)
+    return path
+
+
+def block(number: int, language: str) -> str:
+    text = SECTIONS[number - 1][2]
+    return re.search(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)[1]
+
+
+@pytest.fixture(scope="module")
+def ask(kept):
+    return lambda number: query.sql(kept, block(number, "sql"))
+
+
+@pytest.fixture(scope="module")
+def run(kept):
+    def answer(number):
+        names: dict[str, object] = {}
+        exec(compile(block(number, "python").replace("runs/mine", str(kept)), f"question {number}", "exec"), names)
+        return names["answer"]
+
+    return answer
+
+
+def unchanged(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame[(frame["perturbation_size"] == 0) & frame["twin_size"].isna()]
+
+
+def test_there_are_ten_questions_each_with_its_query():
+    assert [int(number) for number, *_ in SECTIONS] == list(range(1, 11))
+    assert all(question.endswith("?") and "```sql\n" in text for _, question, text in SECTIONS)
+
+
+def test_the_views_of_the_guide_are_those_of_the_dataset(kept):
+    listed = re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", GUIDE, flags=re.MULTILINE)
+    views = set(query.sql(kept, "SHOW TABLES")["name"]) - {"shards"}
+    assert {name for name, _ in listed} == views
+    for name, columns in listed[1:]:
+        assert re.findall(r"`(\w+)`", columns) == list(query.sql(kept, f"DESCRIBE {name}")["column_name"])
+
+
+def test_1_outcomes(ask, run, kept):
+    found = ask(1)
+    assert found["members"].sum() == len(query.members(kept)) == run(1).sum()
+    counted = found.set_index(["n", "engine", "outcome"])["members"]
+    assert counted.to_dict() == run(1).to_dict()
+
+
+def test_2_early_ends(ask, kept):
+    found = ask(2)
+    frame = query.members(kept)
+    assert len(found) == (frame["outcome"] != "finished").sum()
+    assert found["t_stop"].is_monotonic_increasing
+    assert found["reason"].notna().all()
+
+
+def test_3_means(ask, run, kept):
+    found, other = ask(3).set_index(["n", "engine"]), run(3)
+    np.testing.assert_allclose(found["mean_n_stick"], other["mean"], rtol=1e-12)
+    np.testing.assert_allclose(found["standard_error"], other["sem"], rtol=1e-9)
+    assert (found["matrices"] == 4).all()
+    for (n, _), row in found.iterrows():
+        assert 0 <= row["mean_n_stick"] <= n
+
+
+def test_4_cascades_are_those_of_the_report(ask, kept):
+    """The definition `events` of the analysis, in the same window."""
+    ends = query.members(kept).set_index("member_id")["t_end"]
+    engines = query.members(kept).set_index("member_id")["engine"]
+    want: dict[tuple[str, int], int] = {}
+    for member_id, t, n_stick in query.series(kept):
+        for size in spans(window(t, n_stick, 10.0, ends[member_id])).size:
+            key = engines[member_id], int(size)
+            want[key] = want.get(key, 0) + 1
+    found = ask(4)
+    assert found.set_index(["engine", "size"])["cascades"].to_dict() == dict(sorted(want.items()))
+    np.testing.assert_allclose(found.groupby("engine")["share"].sum(), 1.0)
+
+
+def test_the_view_cascades_is_the_analysis_from_first_to_last(kept):
+    ends = query.members(kept).set_index("member_id")["t_end"]
+    found = query.sql(kept, "SELECT * FROM cascades")
+    assert len(found) > 50
+    for member_id, t, n_stick in query.series(kept):
+        want = spans(window(t, n_stick, 0.0, ends[member_id]))
+        rows = found[found["member_id"] == member_id]
+        np.testing.assert_array_equal(rows["start"], want.start)
+        np.testing.assert_array_equal(rows["stop"], want.stop)
+        np.testing.assert_array_equal(rows["size"], want.size)
+
+
+def test_5_largest(ask, kept):
+    found = ask(5)
+    assert found["size"].is_monotonic_decreasing
+    assert found["size"][0] == query.sql(kept, "SELECT max(size) AS m FROM cascades")["m"][0] <= 60
+    assert (found["duration"] >= 0).all()
+
+
+def test_6_at_one_time(ask, run):
+    assert ask(6).set_index("member_id")["n_stick"].to_dict() == run(6)
+
+
+def test_7_blocks(ask, kept):
+    found = ask(7)
+    frame = unchanged(query.members(kept, filters=[("n", "=", 12), ("matrix", "=", 0), ("engine", "=", "coulomb")]))
+    everyone = query.members(kept, filters=[("n", "=", 12), ("matrix", "=", 0), ("engine", "=", "coulomb")])
+    assert len(frame) == 1
+    # a block that sticks from t = 0 on has no entry: its first exit is not among the events' pairs
+    assert found["exits"].sum() <= everyone["n_exits"].sum()
+    assert found["exits"].is_monotonic_decreasing
+    assert set(found["block"]) <= set(range(12))
+
+
+def test_8_twins(ask, run):
+    found = ask(8)
+    np.testing.assert_allclose(found[found["t"] == 0]["growth"], 1.0, rtol=1e-6)
+    assert set(found["t"]) == {0.0, 10.0, 20.0, 30.0}
+    growth = np.array([np.log(factors[2]) for name, factors in run(8).items() if "coulomb" in name])
+    assert np.exp(growth.mean()) == pytest.approx(
+        found[(found["t"] == 10) & (found["engine"] == "coulomb")]["growth"].iloc[0], rel=1e-9
+    )
+
+
+def test_9_changed_constants(ask):
+    found = ask(9)
+    assert set(found["perturbation_size"]) == {0.01, 0.1}
+    assert (found["pairs"] == 8).all()
+    assert found["exits_ratio"].between(0.3, 3.0).all()
+
+
+def test_10_thresholds(ask):
+    found = ask(10)
+    assert list(found["threshold"]) == [0.25, 1.0, 4.0]
+    assert found["mean_n_stick"].is_monotonic_increasing  # who is within a little is within more

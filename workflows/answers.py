@@ -1,0 +1,112 @@
+"""An answer of the dataset, as a person or another program wants it: a table to read, CSV, Parquet."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Literal, cast
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from pipeline import QueryError
+from pipeline.dataset import frame
+
+Form = Literal["table", "csv", "parquet"]
+
+#: Rows of a table that a person may want to read.
+_SHOWN = 1000
+
+
+def form_of(asked: Form | None, out: Path | None) -> Form:
+    """The form asked for, or else the one that the name of the file says."""
+    if asked is not None:
+        return asked
+    ending = out.suffix.removeprefix(".") if out is not None else ""
+    return cast(Form, ending) if ending in ("csv", "parquet") else "table"
+
+
+def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Path) -> None:
+    """Write an answer to a file, which appears when it is whole, or to the standard output.
+
+    Raises
+    ------
+    QueryError
+        If the file cannot be written or is part of the dataset, or the form cannot hold the answer.
+    """
+    if form == "csv":
+        _flat(batches.schema)
+    if out is not None:
+        with _whole(out, dataset) as stream:
+            _write(batches, form, stream)
+    elif form == "parquet" and sys.stdout.isatty():
+        raise QueryError("--format: parquet is not for reading; name a file by --out, or send it to a program by |")
+    else:
+        _write(batches, form, sys.stdout.buffer)
+
+
+def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
+    if form == "table":
+        stream.write(_table(batches).encode())
+    elif form == "csv":
+        with pa.csv.CSVWriter(stream, batches.schema) as writer:
+            for batch in batches:
+                writer.write_batch(batch)
+    else:
+        with pq.ParquetWriter(stream, batches.schema, compression="zstd", write_page_checksum=True) as file:
+            for batch in batches:
+                file.write_batch(batch)
+    stream.flush()
+
+
+def _table(batches: pa.RecordBatchReader) -> str:
+    """The first rows, aligned; a last line says how many there are more."""
+    kept: list[pa.RecordBatch] = []
+    n_rows = 0
+    for batch in batches:
+        if n_rows < _SHOWN:
+            kept.append(batch.slice(0, _SHOWN - n_rows))
+        n_rows += batch.num_rows
+    table = pa.Table.from_batches(kept, batches.schema)
+    if not n_rows:
+        return f"no rows ({', '.join(batches.schema.names)})\n"
+    more = f"... {n_rows - _SHOWN} rows more: --format csv has them all\n" if n_rows > _SHOWN else ""
+    return frame(table).to_string(index=False, na_rep="") + "\n" + more
+
+
+def _flat(schema: pa.Schema) -> None:
+    for column in schema:
+        if pa.types.is_nested(column.type):
+            raise QueryError(
+                f"--format: expected plain columns for csv, got {column.name!r}, which holds {column.type}; unnest "
+                f"it in the query, or ask for parquet"
+            )
+
+
+@contextlib.contextmanager
+def _whole(out: Path, dataset: Path) -> Iterator[BinaryIO]:
+    """A stream to a file beside `out`, which takes its name at the end, or goes if there is none."""
+    if out.resolve().is_relative_to(dataset.resolve()):
+        raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; name another")
+    if out.is_dir():
+        raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{out.name}-", dir=out.absolute().parent)
+        try:
+            with open(descriptor, "wb") as stream:
+                yield stream
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(name, 0o666 & ~mask)  # as any other new file
+            os.replace(name, out)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise
+    except OSError as error:
+        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); name another place") from error

@@ -1,0 +1,237 @@
+"""Figures 3 to 5: n_stick(t) of random systems, under either law, perturbed, and over long times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+import sim
+from analysis import cascades, fits
+from analysis.chance.nulls import NullTally, random_order
+from pipeline.members import MATRIX
+from workflows.charts.paper_scene import LAWS, Law, PaperScene
+
+Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
+
+#: A run whose n_stick is 0 at the end is silent if it last changed before this share of the time.
+SILENT_SHARE = 0.75
+#: Blocks stick "at first" up to this time: the rush of entries is over, few have let go.
+EARLY = 5.0
+#: Two runs of figure 4 are apart once n_stick differs by this much on average over so much time, sampled this often:
+#: an event that comes a little later is no more than that.
+_APART_BLOCKS, _APART_WINDOW, _APART_DT = 1.0, 1.0, 0.05
+#: Random orders drawn for each run by the null model of the cascades.
+_RESAMPLES = 40
+
+
+@dataclass(frozen=True)
+class Trace:
+    """n_stick(t) as drawn in one panel of figure 3, 4 or 5: n_stick[k] holds on [t[k], t[k+1])."""
+
+    figure: int
+    panel: str
+    n: int
+    label: str
+    t: list[float]
+    n_stick: list[int]
+    t_stop: float
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One run of figure 3: a row of the table `figure3`.
+
+    `n_first` is the most blocks that stick up to t = `EARLY`, first at `t_first`; `t_all_slip` is when none sticks
+    for the first time after it, null if never; `t_last` the last event, null if there is none; `mean` that of the
+    second half of the time, null for a run that diverged.
+    """
+
+    n: int
+    matrix: int
+    law: Law
+    fate: Fate
+    n_events: int
+    n_first: int
+    t_first: float
+    t_all_slip: float | None
+    t_last: float | None
+    n_stick_end: int
+    mean: float | None
+
+
+@dataclass(frozen=True)
+class Change:
+    """One perturbed run of figure 4 beside the unperturbed: a row of the table `figure4`.
+
+    `t_apart` is when n_stick is first apart (`apart_from`), null if it never is; means are those of the second half
+    of the time.
+    """
+
+    panel: str
+    n: int
+    label: str
+    size: float | None
+    fate: Fate
+    t_apart: float | None
+    mean: float | None
+    mean_unperturbed: float | None
+
+
+@dataclass(frozen=True)
+class Cascades:
+    """The exponential law by one definition: a row of the table `cascades`; null, with a reason, where there is none.
+
+    `gamma` over all matrices with its interval; `gamma0` under random order.
+    """
+
+    law: Law
+    definition: str
+    dt: float | None
+    n_matrices: int
+    n_cascades: int
+    gamma: float | None
+    low: float | None
+    high: float | None
+    gamma0: float | None
+    reason: str | None
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Figure 5 (ii): how many cascades there are of each size from 1, of one run by one definition."""
+
+    label: str
+    definition: str
+    counts: list[int]
+
+
+def fate(outcome: str, t: np.ndarray, n_stick: np.ndarray, t_end: float) -> Fate:
+    """What became of a run, from its outcome and the change points of n_stick."""
+    if outcome in ("diverged", "failed"):
+        return "diverged" if outcome == "diverged" else "failed"
+    if outcome == "collapsed":
+        return "certified"
+    return "silent" if n_stick[-1] == 0 and t[-1] < SILENT_SHARE * t_end else "sustained"
+
+
+def _mean(run: sim.Run, t_end: float) -> float | None:
+    """Time mean of n_stick over the second half; None for a run that diverged."""
+    if run.outcome == "diverged":
+        return None
+    return cascades.window(*run.events.change_points(), 0.5 * t_end, t_end).time_mean()
+
+
+def draw(run: sim.Run, n: int, matrix: int, law: Law, t_end: float) -> Draw:
+    """The row of one run."""
+    t, n_stick = run.events.change_points()
+    first = int(np.argmax(np.where(t <= EARLY, n_stick, -1)))
+    slips = np.flatnonzero(n_stick[first:] == 0)
+    events = run.events.t
+    return Draw(
+        n, matrix, law, fate(run.outcome, t, n_stick, t_end), len(events), int(n_stick[first]), float(t[first]),
+        float(t[first + slips[0]]) if len(slips) and n_stick[first] else None,
+        float(events[-1]) if len(events) else None, int(n_stick[-1]), _mean(run, t_end),
+    )  # fmt: skip
+
+
+def trace(run: sim.Run, figure: int, panel: str, label: str, t_shown: float) -> Trace:
+    """What is drawn of a run."""
+    t, n_stick = run.events.change_points()
+    seen = t <= t_shown
+    stop = min(t_shown, run.events.t_end)
+    return Trace(figure, panel, run.events.n, label, t[seen].tolist(), n_stick[seen].tolist(), stop)
+
+
+def sensitivity(scene: PaperScene) -> Iterator[tuple[Trace, Change | None]]:
+    """Figure 4, panel by panel; each begins with the unperturbed run, which is no change."""
+    last = scene.sensitivity_n[-1]
+    smallest = scene.sizes[0]
+    ratio_panels = [(n, f"({'ivx'[:1] * (k + 1)}) n = {n}, r redrawn") for k, n in enumerate(scene.sensitivity_n)]
+    bases = {n: scene.run(scene.system(n, 0), scene.t_end, "sigmoid") for n in scene.sensitivity_n}
+
+    def changed(panel: str, n: int, label: str, size: float | None, run: sim.Run) -> tuple[Trace, Change]:
+        base = bases[n]
+        t, n_stick = run.events.change_points()
+        row = Change(
+            panel, n, label, size, fate(run.outcome, t, n_stick, scene.t_end), apart_from(run, base),
+            _mean(run, scene.t_end), _mean(base, scene.t_end),
+        )  # fmt: skip
+        return trace(run, 4, panel, label, scene.t_shown), row
+
+    def base_of(panel: str, n: int) -> tuple[Trace, None]:
+        return trace(bases[n], 4, panel, "unperturbed", scene.t_shown), None
+
+    for n, panel in ratio_panels:
+        yield base_of(panel, n)
+        for draw in range(scene.sets):
+            run = scene.run(scene.system(n, 0), scene.t_end, "sigmoid", ratio=scene.ratios(n, draw))
+            yield changed(panel, n, f"r, draw {draw}", None, run)
+    panels = {
+        f"(iii) n = {last}, constants moved by {100 * smallest:g} %": [
+            (smallest, draw) for draw in range(scene.sets)
+        ],
+        f"(iv) n = {last}, constants moved by more": [(size, 0) for size in scene.sizes],
+    }
+    for panel, moves in panels.items():
+        yield base_of(panel, last)
+        for size, draw in moves:
+            run = scene.run(scene.perturbed(last, size, draw), scene.t_end, "sigmoid")
+            yield changed(panel, last, f"{100 * size:g} %, draw {draw}", size, run)
+
+
+def apart_from(run: sim.Run, base: sim.Run) -> float | None:
+    """When n_stick of two runs first differs by a block or more on average over a unit of time; None if never."""
+    end = min(run.events.t_end, base.events.t_end)
+    times = np.arange(0.0, end, _APART_DT)
+    width = round(_APART_WINDOW / _APART_DT)
+    total = np.cumsum(np.abs(run.n_stick(times) - base.n_stick(times)))
+    apart = np.flatnonzero(total[width:] - total[:-width] >= _APART_BLOCKS * width)
+    return float(times[width + apart[0]]) if len(apart) else None
+
+
+def long_runs(scene: PaperScene, law: Law) -> tuple[list[Cascades], list[Trace], list[Sizes]]:
+    """Figure 5 under one law: gamma by every definition, the runs that are drawn, and their cascades by size."""
+    laws = cascades.laws(scene.dt)
+    sums: dict[cascades.Law, list[tuple[int, int]]] = {one: [] for one in laws}
+    chance: dict[cascades.Law, NullTally] = {}
+    shown: list[Trace] = []
+    sizes: list[Sizes] = []
+    rng = np.random.default_rng(scene.key(MATRIX, scene.long_n))
+    for matrix in range(scene.long_matrices):
+        run = scene.run(scene.system(scene.long_n, matrix), scene.long_t_end, law, "statistics")
+        if matrix < scene.sets and law == LAWS[0]:
+            shown.append(trace(run, 5, f"(i) matrix {matrix}", law, scene.long_t_end))
+        if run.outcome == "diverged":
+            continue
+        window = cascades.window(*run.events.change_points(), scene.t_burn, scene.long_t_end)
+        for one in laws:
+            found = cascades.sizes(window, one)
+            sums[one].append((int(found.sum()), len(found)))
+            if matrix < scene.sets and law == LAWS[0] and one in (cascades.Law("events"), laws_by_samples(scene)):
+                sizes.append(Sizes(f"matrix {matrix}", str(one), np.bincount(found)[1:].tolist()))
+        for one, tally in random_order(window, scene.dt, _RESAMPLES, rng).items():
+            chance[one] = tally if one not in chance else chance[one].__iadd__(tally)
+    return [_law(law, one, np.array(sums[one]), chance.get(one)) for one in laws], shown, sizes
+
+
+def laws_by_samples(scene: PaperScene) -> cascades.Law:
+    """The paper's own definition: successive increments of time in which n_stick decreases, at the longest step."""
+    return cascades.Law("length", scene.dt[-1])
+
+
+def _law(law: Law, one: cascades.Law, sums: np.ndarray, chance: NullTally | None) -> Cascades:
+    found = fits.over_matrices(fits.gamma, sums, 0.95)
+    gamma0 = None
+    reason = found.reason
+    if chance is not None:
+        try:
+            gamma0, _ = chance.rate()
+        except fits.Undefined as undefined:
+            reason = reason or f"chance: {undefined}"
+    return Cascades(
+        law, one.definition, one.dt, len(sums), int(sums[:, 1].sum()) if len(sums) else 0, found.value, found.low,
+        found.high, gamma0, reason or None,
+    )  # fmt: skip
