@@ -24,7 +24,7 @@ from analysis.change.sensitivity_section import sensitivity_section
 from analysis.change.survival import survival_section
 from analysis.groups import Group, check, fill, groups
 from analysis.law.section import law_section
-from analysis.section import Data, Section, Series
+from analysis.section import LABELS, Data, Section, Series
 from analysis.settings import AnalysisSettings
 from analysis.tables import (
     burn_in_table,
@@ -38,6 +38,7 @@ from analysis.tables import (
 )
 
 N_DRAWS = 3  # draws shown of n_stick(t), as in figure 5 of the paper
+LONG = 14  # rows of a table that a reader has to ask for
 SIZES_SHOWN = 12  # rows of the size table on the page; all are in the Parquet file
 
 
@@ -166,6 +167,10 @@ def build(
         has_changes=bool(changed.any()),
         paper=paper,
         paper_gamma=words.PAPER_GAMMA,
+        sampled={
+            group.label: words.sentence(words.sampled_sentence([row for row in law if row["group"] == group.label]))
+            for group in found
+        },
         luck=words.many_rows(sum(row["difference_low"] is not None for row in law), settings.confidence),
         chance=words.chance_check(law),
         law=law,
@@ -178,9 +183,10 @@ def build(
         distributions=_distributions(found, rows["sizes"], settings),
         provenance=provenance,
     )
-    headline = [title] + [f"{label}: {line}" for label, lines in answer.items() for line in lines] + [paper]
-    headline += [line for section in answered for line in section.statements]
-    return Report(html, tables, headline)
+    first = [line for section in answered if section.of_changes for line in section.lead]
+    cascades = [f"{label}: {line}" for label, lines in answer.items() for line in lines]
+    others = [line for section in answered if not section.of_changes for line in section.lead]
+    return Report(html, tables, [title, *(first or [*cascades, paper, *others])])
 
 
 def _rendered(section: Section) -> dict[str, Any]:
@@ -189,14 +195,20 @@ def _rendered(section: Section) -> dict[str, Any]:
     for table in section.tables:
         rows = records(table.frame)
         if table.columns and rows:
-            numeric = [column.is_number(rows) for column in table.columns]
-            cells = [[column.text(row) for column in table.columns] for row in rows[: table.max_rows]]
+            label = table.columns[0].key if table.columns[0].key in LABELS else None
+            columns = table.columns[1:] if label else table.columns
+            set_right = [(column, column.is_number(rows)) for column in columns]
+            cells = [
+                (row[label] if label else None, [(column.text(row), is_number) for column, is_number in set_right])
+                for row in rows[: table.max_rows]
+            ]
             shown.append(
                 {
                     "caption": table.caption,
                     "name": table.name,
-                    "heads": list(zip([column.heading for column in table.columns], numeric, strict=True)),
-                    "rows": [list(zip(row, numeric, strict=True)) for row in cells],
+                    "heads": [(column.heading, is_number) for column, is_number in set_right],
+                    "rows": cells,
+                    "is_long": len(cells) > LONG,
                     "n_more": max(len(rows) - table.max_rows, 0),
                 }
             )
@@ -204,6 +216,8 @@ def _rendered(section: Section) -> dict[str, Any]:
         "title": section.title,
         "question": section.question,
         "statements": section.statements,
+        "lead": section.lead,
+        "of_changes": section.of_changes,
         "method": section.method,
         "assumptions": section.assumptions,
         "pictures": [(embedded(picture.figure), picture) for picture in section.pictures],
@@ -218,13 +232,12 @@ def _answer(label: str, rows: Mapping[str, list[dict]], settings: AnalysisSettin
     (mean,) = (row for row in rows["n_stick"] if row["group"] == label)
     (group,) = (row for row in rows["groups"] if row["group"] == label)
     (events,) = (row for row in law if row["definition"] == "events")
-    lines = [words.events_sentence(events, settings.confidence)]
-    if events["gamma"] is not None:
-        lines.append(words.sampled_sentence(law))
+    about_runs = words.left_out(outcomes, group["quiet"])
+    if events["gamma"] is None:
+        return [words.sentence(f"{words.events_sentence(events, settings.confidence)}; {about_runs}")]
     if mean["mean"] is not None:
-        lines.append(words.mean_n_stick(mean))
-    lines.append(words.left_out(outcomes, group["quiet"]))
-    return [words.sentence(line) for line in lines]
+        about_runs = f"{words.mean_n_stick(mean)}; {about_runs}"
+    return [words.sentence(words.events_sentence(events, settings.confidence)), words.sentence(about_runs)]
 
 
 def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings) -> dict[str, str] | None:

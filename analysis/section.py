@@ -53,6 +53,12 @@ class Data:
     thresholds: Mapping[tuple[str, float], ChangePoints] = field(default_factory=dict)
 
 
+#: Columns of what a scene declares: shown as they were written.
+DECLARED = ("dt", "tau", "threshold", "size")
+#: Columns whose rows belong together: shown as a line above them.
+LABELS = ("group", "setting")
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a table as the page shows it.
@@ -76,6 +82,8 @@ class Column:
             return "–"
         if self.show is not None:
             return self.show(value)
+        if self.key in DECLARED:
+            return f"{value:g}"
         if isinstance(value, bool):
             return "yes" if value else "no"
         return words.number(value, self.digits) if isinstance(value, float) else str(value)
@@ -119,9 +127,13 @@ class Section:
     ----------
     title, question : str
     statements : tuple of str
-        Sentences made from the numbers, the most important first; it goes to the head of the page and the terminal.
+        Sentences made from the numbers, the most important first.
+    lead : tuple of str
+        Those of them that answer the question: they go to the head of the page and to the terminal.
     method : str
         How, in two or three sentences.
+    of_changes : bool
+        Whether it is about changed copies of runs.
     assumptions : tuple of str
         What is assumed, and how a check of it came out on these data.
     """
@@ -129,7 +141,9 @@ class Section:
     title: str
     question: str
     statements: tuple[str, ...]
+    lead: tuple[str, ...]
     method: str
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     assumptions: tuple[str, ...] = ()
+    of_changes: bool = False

@@ -15,9 +15,12 @@ Row = Mapping[str, Any]
 def group_label(key: Row, rivals: Sequence[Row]) -> str:
     """Name of a group: n, engine, how it decides what sticks, and whatever sets it apart from the others."""
     parts = [f"n = {key['n']}", str(key["engine"])]
-    always = ("eps", "stick", "threshold")
+    always = ("eps", "threshold")
     for name in key:
         if name in ("n", "engine", "perturbation_size") or key[name] is None:
+            continue
+        if name == "stick" and key[name] != "manifold":
+            parts.append(f"stick = {key[name]}")
             continue
         values = {rival[name] for rival in rivals if rival["engine"] == key["engine"]}
         if name in always or len(values) > 1:

@@ -215,5 +215,5 @@ def _bare(found: dict[str, Any]) -> dict[str, Any]:
 def _bytes(kinds: list[_Kind], recording: Recording, n_shards: int) -> Interval:
     head = len(encode([_bare(row(replace(kinds[0].members[0], t_end=1e-3), recording))], recording.schema))
     rows = sum(len(kind.members) * float(np.mean(kind.bytes)) for kind in kinds)
-    low, middle, high = (n_shards * head + rows * factor for factor in (0.7, 1.0, 1.4))
+    low, middle, high = (n_shards * head + rows * factor for factor in (0.45, 1.0, 1.4))  # short lists share pages
     return low, middle, high

@@ -120,6 +120,11 @@ class Commit(BaseModel):
     pid: int
 
 
+def checked_line(values: dict[str, object]) -> str:
+    """JSON with sorted keys and a digest of itself."""
+    return json_line(values | {"check": hashlib.sha256(json_line(values).encode()).hexdigest()[:16]})
+
+
 def read_commits(file: Path) -> Iterator[Commit]:
     """The commits in the order they came in; lines that are damaged are left out, as is a file that is not there."""
     try:
@@ -127,8 +132,11 @@ def read_commits(file: Path) -> Iterator[Commit]:
     except OSError:
         return
     for line in lines:
-        with contextlib.suppress(ValidationError):
-            yield Commit.model_validate_json(line)
+        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+            values = json.loads(line)
+            check = values.pop("check", None)
+            if checked_line(values) == json_line(values | {"check": check}):
+                yield Commit.model_validate(values)
 
 
 class DamagedManifest(StoreError):

@@ -290,7 +290,7 @@ class AnalysisTable(StrictTable):
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
     dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
     map_dt: PositiveNumbers | None = Field(
-        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.03, 3.0]]
+        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.1]]
     )
     tau: PositiveNumbers = Field(
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs and clusters of exits", examples=[[0.05]]

@@ -18,7 +18,7 @@ from pathlib import Path
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm import CommClosedError
-from distributed.utils import LoopRunner
+from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from pipeline.alone import compute_alone
 from pipeline.audit import Status, status
@@ -237,11 +237,12 @@ def _submit(
             running.add(future)
         if running.is_empty():
             return lost
-        _until(running.has_ready, client, scheduler)
+        watch = _Watch(client, scheduler)
+        _until(running.has_ready, watch)
         future = next(running)
         task = task_of.pop(future)
         try:
-            result = future.result()
+            result = _fetch(future, watch)
         except KilledWorker:
             lost.append(task)
         else:
@@ -249,25 +250,44 @@ def _submit(
         future.release()  # a held result is computed again when its worker dies
 
 
-def _until(is_so: Callable[[], bool], client: Client, scheduler: str | None) -> None:
-    """Wait; give up if for `LOST_TIMEOUT` there is no scheduler, or no worker here. A cluster may grow some."""
-    looked = alive = time.monotonic()
-    while not is_so():
-        time.sleep(0.005)
+class _Watch:
+    """Patience while waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
+
+    def __init__(self, client: Client, scheduler: str | None) -> None:
+        self._client, self._scheduler = client, scheduler
+        self._looked = self._alive = time.monotonic()
+
+    def look(self) -> None:
+        """Give up if it is time to; a cluster at an address may be without workers for as long as it likes."""
         now = time.monotonic()
-        if now - looked < 1.0:
-            continue
-        looked = now
-        is_connected = client.status == "running"
-        if is_connected and (scheduler is not None or client.nthreads()):
-            alive = now
-        elif now - alive > LOST_TIMEOUT:
+        if now - self._looked < 1.0:
+            return
+        self._looked = now
+        is_connected = self._client.status == "running"
+        if is_connected and (self._scheduler is not None or self._client.nthreads()):
+            self._alive = now
+        elif now - self._alive > LOST_TIMEOUT:
             if not is_connected:
                 raise CommClosedError
             raise ScheduleError(
                 f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then run the "
                 f"same scene again: the shards that are done are kept"
             )
+
+
+def _until(is_so: Callable[[], bool], watch: _Watch) -> None:
+    while not is_so():
+        time.sleep(0.005)
+        watch.look()
+
+
+def _fetch(future: Future, watch: _Watch) -> Result:
+    """The result of a future that is done; dask computes it again if its worker has died since."""
+    while True:
+        try:
+            return future.result(timeout=LOST_TIMEOUT / 2)
+        except TimeoutError:
+            watch.look()
 
 
 def _compile_once(client: Client, todo: list[Task]) -> None:
@@ -277,7 +297,7 @@ def _compile_once(client: Client, todo: list[Task]) -> None:
         for member in batch.members:
             kinds.setdefault((member.engine, member.coupling, member.ratio, bool(member.thresholds)), member)
     futures = [client.submit(_warm, member, pure=False) for member in kinds.values()]
-    _until(lambda: all(future.done() for future in futures), client, None)
+    _until(lambda: all(future.done() for future in futures), _Watch(client, None))
 
 
 def _warm(member: Member) -> None:
@@ -295,7 +315,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
                 f"scheduler: expected the address of a running dask scheduler, got {scheduler!r} ({error}); "
                 f"start one with `dask scheduler`, or leave the address out to run on this machine"
             ) from error
-        with client:
+        with silence_logging_cmgr(logging.CRITICAL), client:  # what matters reaches the caller as an error
             yield client
         return
     with _one_thread(), contextlib.ExitStack() as opened:
@@ -305,6 +325,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
             cluster = _local_cluster(workers, loop)
             client = Client(cluster, set_as_default=False)
             opened.callback(_close, client, cluster)
+            opened.push(lambda kind, error, trace: _kill(cluster) if kind is not None else None)
         yield client
 
 
@@ -312,6 +333,14 @@ def _close(client: Client, cluster: LocalCluster) -> None:
     with unbroken():
         client.close()
         cluster.close()
+
+
+def _kill(cluster: LocalCluster) -> None:
+    """End the workers in the middle of what nobody waits for any more: asked to, they take seconds."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
+            os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _deaf_loop() -> LoopRunner:

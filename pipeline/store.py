@@ -26,7 +26,7 @@ from pipeline.manifest import (
     Manifest,
     Shard,
     StoreError,
-    json_line,
+    checked_line,
     read_commits,
     read_manifest,
 )
@@ -223,7 +223,7 @@ class Store:
                     f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; go on with that, "
                     f"choose another directory, or mix them by --accept-version"
                 )
-            manifest.programs.append(program())
+            manifest.programs = [*(manifest.programs if manifest.shards else []), program()]
         if self._lost:
             log.warning("%s: lost; made again from %s", self.path / MANIFEST, TIMINGS)
         self._held.enter_context(last_act(self._sweep))
@@ -273,7 +273,7 @@ class Store:
         with unbroken(), _explained(self.path):
             try:
                 _replace(self.data / result.name, result.shard)
-                _write(self._timings, (json_line(record) + "\n").encode())
+                _write(self._timings, (checked_line(record) + "\n").encode())
                 self._manifest.shards[result.name] = shard
                 _replace(self.path / MANIFEST, self._manifest.to_bytes())
             except BaseException:

@@ -79,7 +79,7 @@ def clear_cache() -> None:
 
 
 class _KernelFiles:
-    """Compiled kernels on disk, each in a file named by its key; what `numba.core.caching.Cache` asks of its files."""
+    """Compiled kernels on disk, each in a file named by its key; what numba asks of the files of its caches."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self._directory, self._name = directory, name

@@ -169,6 +169,7 @@ def clustering_section(
     taus, lengths = sorted(taus), sorted(lengths)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in SCHEMAS}
     statements: list[str] = []
+    lead: list[str] = []
     tails: list[Tail] = []
     checks: list[str] = []
     for group in shown:
@@ -189,7 +190,9 @@ def clustering_section(
         said = [verdict(first, shares, confidence)]
         if any(row["is_beyond_chance"] is not None for row in first):
             said += [_other_taus(first, confidence), _fano_sentence(made["fano"]), _spans_sentence(made["spans"])]
-        statements += [f"{group.label}: {words.sentence(text)}" for text in said]
+        said = [f"{group.label}: {words.sentence(text)}" for text in said]
+        statements += said
+        lead += said[:1] if len(said) > 1 else []
         tails += _tails(group.label, one)
         if one.null == INDEPENDENT:
             checks.append(
@@ -206,6 +209,7 @@ def clustering_section(
         title="Do exits cluster beyond chance?",
         question="Does one block letting go make others let go, more than blocks that ignore each other would show?",
         statements=tuple(statements),
+        lead=tuple(lead),
         method=(
             "Pairs of exits within tau of each other and Fano factors of counts, against what is expected (in closed "
             "form) if each block's own series is turned in time by a random amount, so that coupling alone is "

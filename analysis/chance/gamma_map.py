@@ -222,6 +222,7 @@ def map_section(
         title="gamma by definition, step and threshold",
         question="How much of gamma is the definition of a cascade, and how much would chance give?",
         statements=tuple(_statements(rows, [group.label for group in shown])),
+        lead=(),
         method=(
             "gamma = -log(1 - 1/mean size) by each definition, on the recorded series after t_burn, with intervals "
             "over matrices. Chance: independent Poisson exits and entries at the observed rates, sampled the same "

@@ -153,7 +153,10 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     share, z2 = successes / trials, z * z / trials
     centre = (share + z2 / 2) / (1 + z2)
     half = z / (1 + z2) * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials))
-    return max(float(centre - half), 0.0), min(float(centre + half), 1.0)
+    # exact at the ends, where rounding would leave some 1e-17
+    low = float(centre - half) if successes > 0 else 0.0
+    high = float(centre + half) if successes < trials else 1.0
+    return max(low, 0.0), min(high, 1.0)
 
 
 def share_over_matrices(counts: np.ndarray, confidence: float) -> tuple[float, float, float, float]:

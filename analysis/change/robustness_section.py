@@ -14,7 +14,7 @@ from analysis.cascades import window
 from analysis.change import equivalence
 from analysis.change import figures as twin_figures
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, holm, share_over_matrices
-from analysis.change.pairs import CONSTANTS, Comparison, Setting, settings
+from analysis.change.pairs import CONSTANTS, START, Comparison, Setting, settings
 from analysis.change.robustness import (
     BAND,
     QUANTITIES,
@@ -99,6 +99,7 @@ def robustness_section(
     runs_rows: Rows = []
     frequencies: Rows = []
     statements: list[str] = []
+    lead: list[str] = []
     panels = []
     for setting in some:
         runs = _summaries(data, setting, t_burn)
@@ -118,7 +119,9 @@ def robustness_section(
         counts = [_frequency_rows(one, runs, fate, setting, confidence) for one in setting.comparisons]
         frequencies += [row for part in counts for row in part]
         runs_rows += _runs_rows(data, setting, runs, fate, t_burn)
-        statements += _statements(setting, rows, [row for part in counts for row in part], confidence)
+        answers, notes = _statements(setting, rows, [row for part in counts for row in part], confidence)
+        lead += answers
+        statements += answers + notes
         shown = [row for row in rows if row["difference"] is not None]
         if shown:
             panels.append((setting.label, shown))
@@ -126,9 +129,11 @@ def robustness_section(
         title="Long-term robustness",
         question="Do runs with changed constants, stiffness ratios or start keep the statistics of their base?",
         statements=tuple(f"{text}." for text in statements),
+        lead=tuple(f"{text}." for text in lead),
         method=_method(t_burn, margins, confidence),
         tables=_tables(tests, runs_rows, frequencies),
         pictures=(twin_figures.forest(panels),) if panels else (),
+        of_changes=True,
         assumptions=_assumptions(tests, runs_rows),
     )
 
@@ -302,22 +307,42 @@ def _share_row(event: str, counts: np.ndarray, confidence: float) -> dict[str, A
     }  # fmt: skip
 
 
-def _statements(setting: Setting, rows: Rows, frequencies: Rows, confidence: float) -> list[str]:
-    """Verdicts by kind of change, what they mean beside a redraw, and the paper's two observations as frequencies."""
-    found = []
+def _statements(setting: Setting, rows: Rows, frequencies: Rows, confidence: float) -> tuple[list[str], list[str]]:
+    """Verdicts by kind of change, what they mean beside a redraw, and the paper's two observations as frequencies.
+
+    Of changes of the constants and ratios, which the paper made, these are answers; the rest are notes.
+    """
+    found: list[str] = []
+    notes: list[str] = []
     for (kind, reading), group in groupby(rows, key=lambda row: (row["kind"], row["reading"])):
         some = list(group)
         name = _kind_words(kind, reading)
         if all(row["difference"] is None for row in some):
-            found.append(f"{setting.label}, {name}: {_nothing(some, frequencies)}")
+            notes.append(f"{setting.label}, {name}: {_nothing(some, frequencies)}")
             continue
-        found.append(f"{setting.label}, {name}: {_verdicts(some)}")
-        found += _yardstick(setting, name, some)
+        said = found if kind != START else notes
+        said.append(f"{setting.label}, {name}: {_verdicts(some)}")
+        said += _yardstick(setting, name, some)
+    found += _runaways(setting, frequencies)
     for event, size in (("period near 20", 0.05), ("total collapse", 0.10)):
         of_event = [row for row in frequencies if row["kind"] == CONSTANTS and row["event"] == event]
         at = [row for row in of_event if row["size"] == size]
         if at:
-            found.append(f"{setting.label}: {_frequency_words(event, size, at, confidence)}")
+            said = found if any(row["difference"] is not None for row in rows) else notes
+            said.append(f"{setting.label}: {_frequency_words(event, size, at, confidence)}")
+    return found, notes
+
+
+def _runaways(setting: Setting, frequencies: Rows) -> list[str]:
+    """Which changes made runs escape to infinity, where that is more than the bases do."""
+    found = []
+    some = [row for row in frequencies if row["event"] == "runaway" and row["share"] > (row["share_base"] or 0.0)]
+    for (kind, reading), group in groupby(some, key=lambda row: (row["kind"], row["reading"])):
+        parts = [f"at {words.percent(row['size'])} {row['n_events']} of {row['n_runs']}" for row in group]
+        found.append(
+            f"{setting.label}, {_kind_words(kind, reading)}: runs escape to infinity, which counts as no collapse:"
+            f" {', '.join(parts)}"
+        )
     return found
 
 
@@ -335,21 +360,26 @@ def _nothing(rows: Rows, frequencies: Rows) -> str:
 
 
 def _verdicts(rows: Rows) -> str:
-    """For each quantity the sizes by verdict."""
-    parts = []
+    """The quantities by what was found of them, and at which sizes; quantities found alike stand together."""
+    alike: dict[str, list[str]] = {}
     for quantity in dict.fromkeys(row["quantity"] for row in rows):
         some = [row for row in rows if row["quantity"] == quantity]
         if len(some) == 1 and some[0]["size"] is None:
-            parts.append(f"{QUANTITIES[quantity]} {some[0]['statement']}")
+            alike.setdefault(some[0]["statement"], []).append(QUANTITIES[quantity])
             continue
         by_verdict = []
         for verdict in (EQUIVALENT, DIFFERENT, OPEN):
             sizes = [row["size"] for row in some if row["verdict"] == verdict]
             if sizes:
-                at = "every size" if len(sizes) == len(some) else "sizes " + ", ".join(f"{size:g}" for size in sizes)
-                by_verdict.append(f"{verdict} at {at}")
-        parts.append(f"{QUANTITIES[quantity]} {', '.join(by_verdict)}")
-    return "; ".join(parts)
+                is_share = some[0]["kind"] == CONSTANTS
+                listed = ", ".join(words.percent(size) if is_share else f"{size:g}" for size in sizes)
+                by_verdict.append(f"{verdict} at {'every size' if len(sizes) == len(some) else listed}")
+        alike.setdefault("; ".join(by_verdict), []).append(QUANTITIES[quantity])
+    return ". ".join(f"{_capital(found)}: {', '.join(names)}" for found, names in alike.items())
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _yardstick(setting: Setting, name: str, rows: Rows) -> list[str]:

@@ -93,6 +93,7 @@ def sensitivity_section(
     parting: Rows = []
     horizons: Rows = []
     statements: list[str] = []
+    lead: list[str] = []
     panels = []
     for setting in some:
         paths = _paths(data, setting, outcome, t_burn)
@@ -104,16 +105,20 @@ def sensitivity_section(
         rates += own_rates
         parting += own_parting
         horizons += own_horizons
-        statements += _statements(setting, own_growth, own_parting, own_horizons, (t_burn, level, confidence))
+        answers, notes = _statements(setting, own_growth, own_parting, own_horizons, (t_burn, level, confidence))
+        lead += answers
+        statements += answers + notes
         panels.append((setting.label, _distances(data, setting, outcome), differences, paths.late if paths else None))
     statements = _across(growths) + statements
     return Section(
         title="Short-term sensitivity",
         question="How fast do runs with a changed start, changed constants or stiffness ratios leave their base?",
         statements=tuple(f"{text}." for text in statements),
+        lead=tuple(f"{text}." for text in lead),
         method=_method(t_burn, level, confidence),
         tables=_tables(growths, rates, parting, horizons),
         pictures=(twin_figures.parting(panels),),
+        of_changes=True,
         assumptions=_assumptions(growths),
     )
 
@@ -344,26 +349,25 @@ def _within(row: Mapping[str, Any]) -> str:
 
 def _statements(
     setting: Setting, growths: Rows, parting: Rows, horizons: Rows, declared: tuple[float, float, float]
-) -> list[str]:
+) -> tuple[list[str], list[str]]:
+    """Answers to the question, and what a reader of them should know."""
     t_burn, level, confidence = declared
-    found = []
+    answers: list[str] = []
+    notes: list[str] = []
     order = _order(setting, parting, horizons, t_burn, level)
     if order:
-        found.append(order)
+        answers.append(order)
     fitted = [row for row in growths if row["rate"] is not None]
     if fitted:
-        found.append(f"{setting.label}: {_rate_words(fitted[0], confidence)}")
-        found += _cause(setting, fitted)
+        answers.append(f"{setting.label}: {_rate_words(fitted[0], confidence)}")
+        notes += _cause(setting, fitted)
     elif growths:
-        found.append(f"{setting.label}: no growth rate of displaced starts: {growths[0]['reason']}")
+        notes.append(f"{setting.label}: no growth rate of displaced starts: {growths[0]['reason']}")
     n_runaway = sum(row["n_runaway"] for row in horizons)
     if n_runaway:
-        found.append(
-            f"{setting.label}: {words.count(n_runaway, 'pair')} in which a run ran away or failed are kept apart "
-            "from "
-            "all of this"
-        )
-    return found
+        pairs = words.count(n_runaway, "pair")
+        notes.append(f"{setting.label}: {pairs} in which a run ran away or failed are kept apart from all of this")
+    return answers, notes
 
 
 def _rate_words(row: Mapping[str, Any], confidence: float) -> str:

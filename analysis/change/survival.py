@@ -170,6 +170,7 @@ def survival_section(data: Data, *, confidence: float) -> Section:
         title="Collapse and escape",
         question="How long does stick-slip sustain itself, and how does it end?",
         statements=tuple(f"{text}." for text in _statements(rows, confidence)),
+        lead=tuple(f"{text}." for text in _statements(rows, confidence)),
         method=(
             "A run has collapsed when it is certified that no block sticks again; motion then ended at its last "
             "exit. "

@@ -136,6 +136,7 @@ def law_section(found: Sequence[Group], *, confidence: float = 0.95, k_min: int 
         title="The law of the sizes",
         question="Are the sizes of cascades exponential, and does another law describe them better?",
         statements=tuple(line for one in events for line in _statements(one, confidence)),
+        lead=tuple(_statements(one, confidence)[0] for one in events if one.gamma.value is not None),
         method=(
             f"Likelihood of P(size = k) ~ exp(-gamma k), k = {k_min} to n, with intervals from leaving out matrices. "
             "The fit is tested by the largest gap between observed and fitted distribution function in units of its "

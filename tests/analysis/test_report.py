@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,15 @@ import pytest
 
 from analysis import AnalysisSettings, Data, build
 from analysis.fits import LN2
+
+DRAWN = ("too_little_data", "same_bytes", "needs_nothing")
+
+
+@pytest.fixture(autouse=True)
+def undrawn(request, monkeypatch):
+    """Half of a report's time is drawing, which a few tests look at and the others leave out."""
+    if not any(name in request.node.name for name in DRAWN):
+        monkeypatch.setattr("analysis.report.embedded", lambda figure: "data:image/svg+xml;base64,")
 
 
 def report_of(data, settings, title="Planted", about="Planted series.", provenance=None):
@@ -133,11 +143,10 @@ def test_perturbed_members_are_pooled_with_nothing(planted, settings):
     twins = members.assign(member_id=members["member_id"] + "-p", perturbation_size=0.05)
     for twin in twins["member_id"]:
         series[twin] = series[twin.removesuffix("-p")]
-    report = report_of((pd.concat([members, twins]), series), settings)
+    report = report_of((pd.concat([members, twins]), series), replace(settings, margins={"mean": 0.1}))
     alone = report_of((members, series), settings)
     pd.testing.assert_frame_equal(report.tables["law"], alone.tables["law"])
-    parted = report.tables["short_term"]
-    assert parted["n_matrices"].tolist() == [5]
+    assert set(report.tables["robustness"]["n_matrices"]) == {5}
 
 
 def test_groups_are_named_by_what_sets_them_apart(planted, settings):

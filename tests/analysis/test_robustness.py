@@ -154,7 +154,7 @@ def test_same_law_is_equivalent_and_another_is_different(planted):
     assert rows.loc["mean", "verdict"] == DIFFERENT
     assert rows.loc["distribution", "verdict"] == DIFFERENT
     assert rows.loc["mean", "difference"] == pytest.approx(6 / 32, abs=0.03)
-    assert "different at every size" in " ".join(other.statements)
+    assert "Different at every size" in " ".join(other.statements)
     assert "different at" not in " ".join(same.statements)
 
 

@@ -106,8 +106,6 @@ def driver_killed_at_each_step(world: World, count: int) -> int:
     moments = [(k + 1, is_before) for k in range(json.loads(tally.read_text())) for is_before in (True, False)]
     if count < len(moments):
         moments = world.random.sample(moments, count)
-    else:  # the first commits, the last and the beginning in full; those between are like each other
-        moments = [moment for moment in moments if moment[0] <= 160 or moment[0] > len(moments) // 2 - 40]
     for moment, is_before in moments:
         out = world.directory / "out"
         shutil.rmtree(out, ignore_errors=True)
@@ -156,6 +154,24 @@ def workers_killed_from_outside(world: World, count: int) -> int:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(world.random.choice(workers), number)
             time.sleep(0.5)
+        code, _, err = end_of(process, 120)
+        assert code == 0, err
+        world.check(out)
+    return count
+
+
+@fault(quick=0, full=2, timeout=300)
+def worker_killed_again_as_it_comes_back(world: World, count: int) -> int:
+    """Again 15 seconds after the first time, when dask looks whether it has come back."""
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        process = world.command("run", str(world.scene_file), "--out", str(out), "--workers", "1", sleep=1.5)
+        until(lambda out=out: (out / "data").exists() and any((out / "data").glob("shard-*")))
+        os.kill(children(process.pid)[0], signal.SIGKILL)
+        again = time.monotonic() + 14.9
+        until(lambda process=process: bool(children(process.pid)))
+        time.sleep(max(0.0, again - time.monotonic()))
+        os.kill(children(process.pid)[0], signal.SIGKILL)
         code, _, err = end_of(process, 120)
         assert code == 0, err
         world.check(out)
@@ -229,10 +245,12 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, number)
         began = time.monotonic()
-        code, _, err = end_of(process, 30)
+        process.wait(30)
         taken = time.monotonic() - began
+        code, _, err = end_of(process, 30)  # whose pipes its orphans hold a little longer
         assert taken < (10.0 if times == 1 else 2.0), f"it took {taken:.1f} s"
-        assert code == 128 + number, (code, err)
+        # by the signal itself, which a shell shows as the same number, if Python was all but gone
+        assert code in (128 + number, -number)[:times], (code, err)
         assert f"Go on with:\n  stickslip {' '.join(arguments)}\n" in err, err
         assert "Traceback" not in err, err
         world.check_no_strays(out)

@@ -189,9 +189,19 @@ def test_a_refusal_says_what_may_be_asked(finished):
             query.sql(finished, text)
 
 
-@pytest.mark.parametrize("text", ["EXPLAIN SELECT * FROM members", "DESCRIBE n_stick", "SHOW TABLES", "VALUES (1)",
-                                  "FROM members", "WITH a AS (SELECT 1) SELECT * FROM a;  -- and a comment",
-                                  "PIVOT members ON engine USING count(*) GROUP BY n", "SUMMARIZE members"])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "EXPLAIN SELECT * FROM members",
+        "DESCRIBE n_stick",
+        "SUMMARIZE members",
+        "SHOW TABLES",
+        "VALUES (1)",
+        "FROM members",
+        "WITH a AS (SELECT 1) SELECT * FROM a;  -- and a comment",
+        "PIVOT members ON engine USING count(*) GROUP BY n",
+    ],
+)
 def test_all_that_reads_is_allowed(text, finished):
     assert len(query.sql(finished, text))
 

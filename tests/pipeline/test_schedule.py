@@ -8,7 +8,8 @@ import signal
 import pytest
 from distributed import LocalCluster
 
-from pipeline import Progress, ScheduleError, expand, run_scene, schedule, verify
+from pipeline import Progress, ScheduleError, batches, expand, run_scene, schedule, status, verify
+from pipeline.shards import Recording
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -84,3 +85,38 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
     assert not (tmp_path / "out" / ".lock").exists()
     run_scene(scene, source, tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == content(finished)
+
+
+def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.schedule.program", lambda: "9.9.9-0123")
+    with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
+        run_scene(scene, source, tmp_path / "out", workers=0)
+    assert status(tmp_path / "out").n_done == 0
+
+
+def test_a_run_without_workers_gives_up(monkeypatch):
+    monkeypatch.setattr("pipeline.schedule.LOST_TIMEOUT", 0.5)
+    with schedule._client(1, None) as client:
+        client.cluster.scale(0)
+        with pytest.raises(ScheduleError, match="expected workers, got none for"):
+            schedule._until(lambda: False, schedule._Watch(client, None))
+
+
+def test_each_kernel_is_compiled_once(scene, monkeypatch):
+    """One warm-up for each engine and law of the ratios, whatever the number of members."""
+    seen = []
+
+    class Client:
+        status = "running"
+
+        def submit(self, work, member, pure):
+            seen.append((member.engine, member.ratio))
+            work(member)
+            return self
+
+        def done(self):
+            return True
+
+    recording = Recording.of(scene)
+    schedule._compile_once(Client(), [(batch, recording) for batch in batches(expand(scene), scene.hash)])
+    assert sorted(seen, key=str) == [("coulomb", None), ("sigmoid", "uniform")]

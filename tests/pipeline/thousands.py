@@ -62,10 +62,11 @@ def run(path: Path, workers: int) -> None:
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
     print(f"{status.n_members} members, {status.n_shards} shards, {workers} workers: {wall:.1f} s")
-    print(f"computing {computing:.1f} s of workers; to the first commit {seen[1][0]:.1f} s, from it to the last "
-          f"{seen[-1][0] - seen[1][0]:.1f} s, end {wall - seen[-1][0]:.1f} s")  # fmt: skip
-    print(f"driver at start, middle, end: {seen[0][1]:.0f}, {seen[len(seen) // 2][1]:.0f}, {seen[-1][1]:.0f} MB, peak "
-          f"{own:.0f} MB; largest worker {children:.0f} MB")  # fmt: skip
+    print(f"computing {computing:.1f} s of workers")
+    first, last = seen[1][0], seen[-1][0]
+    print(f"to the first commit {first:.1f} s, on to the last {last - first:.1f} s, end {wall - last:.1f} s")
+    memory = ", ".join(f"{seen[k][1]:.0f}" for k in (0, len(seen) // 2, -1))
+    print(f"driver at start, middle, end: {memory} MB, peak {own:.0f} MB; largest worker {children:.0f} MB")
     files = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     print(f"{status.n_bytes / status.n_members:.0f} bytes a member in shards, {files / status.n_members:.0f} in all")
 

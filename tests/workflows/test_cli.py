@@ -342,6 +342,20 @@ def test_dry_run_writes_nothing(shipped_scene, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_one_member_is_run_and_nothing_written(dataset, small_scene, tmp_path, monkeypatch, capsys):
+    row = query.members(dataset, columns=["member_id", "outcome", "n_events"]).iloc[1]
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(small_scene), "--only", row.member_id]) == 0
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.strip().split("\n"))
+    assert (shown["member_id"], shown["outcome"], int(shown["n_events"])) == tuple(row)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr("sim.simulate", None)
+    assert main(["run", str(small_scene), "--only", row.member_id]) == 1
+    assert "reason             TypeError: 'NoneType' object is not callable" in capsys.readouterr().out
+    assert main(["run", str(small_scene), "--only", "n7"]) == 2
+    assert "--only: member_id: expected a member of the scene, such as 'n12-m000-coulomb" in capsys.readouterr().err
+
+
 def test_scenes_lists_all_that_ship(capsys):
     assert main(["scenes"]) == 0
     lines = capsys.readouterr().out.strip().split("\n")
