@@ -206,22 +206,28 @@ def _matrix_means(group: Group) -> np.ndarray:
     return group.means / group.means[:, 4:] if len(group.means) else group.means
 
 
+def drift(group: Group, confidence: float) -> Estimate:
+    """Mean n_stick in the second half of the window after t_burn minus the first, paired over matrices."""
+    means = _matrix_means(group)
+    return over_matrices(ratio, np.column_stack([means[:, 2] - means[:, 1], means[:, 4]]), confidence)
+
+
 def burn_in_table(found: list[Group], settings: AnalysisSettings) -> pd.DataFrame:
     """Mean n_stick in the first and second half of the window after t_burn, paired over matrices."""
     rows = []
     for group in found:
         means = _matrix_means(group)
-        drift = over_matrices(ratio, np.column_stack([means[:, 2] - means[:, 1], means[:, 4]]), settings.confidence)
+        moved = drift(group, settings.confidence)
         rows.append(
             {
                 "group": group.label,
                 "n_matrices": len(means),
                 "mean_first_half": float(means[:, 1].mean()) if len(means) else None,
                 "mean_second_half": float(means[:, 2].mean()) if len(means) else None,
-                "difference": drift.value,
-                "low": drift.low,
-                "high": drift.high,
-                "statement": words.burn_in(drift),
+                "difference": moved.value,
+                "low": moved.low,
+                "high": moved.high,
+                "statement": words.burn_in(moved),
             }
         )
     return frame("burn_in", rows)

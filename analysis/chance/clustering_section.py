@@ -24,7 +24,7 @@ from analysis.chance.clustering_tables import (
 )
 from analysis.groups import Group
 from analysis.section import Column, Data, Picture, Row, Section, Table
-from analysis.tables import records
+from analysis.tables import drift, records
 
 #: Label, and at each x: the share of lengths above x means, observed, by chance, and of an exponential.
 Tail = tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -187,8 +187,15 @@ def clustering_section(
         for name, some in made.items():
             rows[name] += some
         first = [row for row in made["pairs"] if row["null"] == one.null]
-        said = [verdict(first, shares, confidence)]
-        if any(row["is_beyond_chance"] is not None for row in first):
+        moved = drift(group, confidence)
+        if moved.low is not None and moved.high is not None and not moved.low <= 0 <= moved.high:
+            said = [
+                f"whether exits cluster is not judged: n_stick drifts by {words.signed(moved.value or 0.0)} after "
+                f"t_burn = {t_burn:g}, and a rate that changes for all blocks shows as pairs too"
+            ]
+        else:
+            said = [verdict(first, shares, confidence)]
+        if len(first) and any(row["is_beyond_chance"] is not None for row in first):
             said += [_other_taus(first, confidence), _fano_sentence(made["fano"]), _spans_sentence(made["spans"])]
         said = [f"{group.label}: {words.sentence(text)}" for text in said]
         statements += said

@@ -149,6 +149,10 @@ def _misses_zero(one: Estimate) -> bool | None:
     return None if one.low is None or one.high is None else not one.low <= 0 <= one.high
 
 
+#: An excess over fewer expected pairs than this, all matrices together, is not judged.
+FEW_PAIRS = 20
+
+
 def pairs_rows(found: Gathered, taus: Sequence[float], confidence: float) -> list[dict[str, Any]]:
     """Excess of pairs over each null; against the first also the share of triggered exits that would give it."""
     if not found.rows:
@@ -160,6 +164,8 @@ def pairs_rows(found: Gathered, taus: Sequence[float], confidence: float) -> lis
     for null, expected in nulls.items():
         for k, tau in enumerate(taus):
             one = over_matrices(excess, np.column_stack([observed[:, k, 0], expected[:, k]]), confidence)
+            if expected[:, k].sum() < FEW_PAIRS:
+                one = Estimate(one.value, reason=f"fewer than {FEW_PAIRS} pairs expected by chance")
             alike, seen = _shares(found, k, one, confidence) if null == found.null else (None, None)
             rows.append(
                 {

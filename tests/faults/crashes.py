@@ -141,7 +141,7 @@ def workers_killed_by_a_member(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=1, full=6, timeout=400)
+@fault(quick=0, full=6, timeout=400)
 def workers_killed_from_outside(world: World, count: int) -> int:
     """A worker gets a signal in the middle of its work: nobody is blamed, nothing is missing."""
     for k in range(count):
@@ -264,7 +264,7 @@ def interrupted_once(world: World, count: int) -> int:
     return _signalled(world, count, signal.SIGINT, 1)
 
 
-@fault(quick=1, full=10, timeout=400)
+@fault(quick=0, full=10, timeout=400)
 def interrupted_twice(world: World, count: int) -> int:
     """A second SIGINT ends it at once."""
     return _signalled(world, count, signal.SIGINT, 2)

@@ -67,7 +67,7 @@ def damaged_manifest(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=2, full=40, timeout=300)
+@fault(quick=0, full=40, timeout=300)
 def damaged_manifest_and_record(world: World, count: int) -> int:
     """Manifest and record both damaged: what neither confirms is computed again."""
     ways = (*_WAYS, _remove)
@@ -79,7 +79,7 @@ def damaged_manifest_and_record(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=2, full=40, timeout=300)
+@fault(quick=0, full=40, timeout=300)
 def damaged_scene_and_record(world: World, count: int) -> int:
     """The copy of the scene and the record damaged: written again."""
     ways = (*_WAYS, _remove)
