@@ -291,7 +291,7 @@ def _fetch(future: Future, watch: _Watch) -> Result:
 
 
 def _compile_once(client: Client, todo: list[Task]) -> None:
-    """Let one worker a kernel compile it for all, before all need it: a minute each on a cold cache."""
+    """Let one worker a kernel compile it for all, before all need it: seconds each on a cold cache."""
     kinds: dict[object, Member] = {}
     for batch, _ in todo:
         for member in batch.members:
