@@ -57,7 +57,7 @@ class Kind:
 
 #: The module of each kind, which holds it as KIND: loaded when it is asked for.
 _KINDS = {
-    "paper": "workflows.charts.paper_page",
+    "paper": "workflows.charts.paper.page",
     "scaling": "workflows.charts.scaling_page",
     "speed_accuracy": "workflows.charts.speed_page",
     "stability": "workflows.charts.stability_page",

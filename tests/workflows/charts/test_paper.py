@@ -12,9 +12,10 @@ import pytest
 from analysis import paper_figures
 from sim import EventSeries, simulate
 from workflows import charts
-from workflows.charts import paper_blocks, paper_claim_words, paper_claims, paper_hidden, paper_runs, paper_words
-from workflows.charts.paper import Measured, measure
-from workflows.charts.paper_page import build
+from workflows.charts.paper import blocks, claim_words, claims, hidden, runs
+from workflows.charts.paper import words as figure_words
+from workflows.charts.paper.measure import Measured, measure
+from workflows.charts.paper.page import build
 from workflows.cli import main
 from workflows.scenes import chart_of, shipped
 
@@ -163,7 +164,7 @@ def test_exits_of_figure_2(measured):
 def test_eq_8_as_printed_is_no_corner(measured):
     """AUDIT, misprints, (8): wrong for either sign, by more than the whole width of the region at s = +1."""
     for one in measured.parallelograms:
-        off = [np.abs(paper_words.printed_corner(a, b) - (x, y)).max() for a, b, x, y, *_ in one.corners]
+        off = [np.abs(figure_words.printed_corner(a, b) - (x, y)).max() for a, b, x, y, *_ in one.corners]
         assert min(off) > 1.5
 
 
@@ -210,14 +211,14 @@ def test_the_future_that_slips_is_the_exact_engines(measured):
     """Where it slips Coulomb's friction acts: from just beyond the belt, the closed form is the engine's run."""
     (one,) = measured.undetermined
     slip = one.futures[1]
-    run = simulate(paper_blocks.single(one.v), one.z, one.v, slip.t[-1], tol=1e-12, stop_early=False)
+    run = simulate(blocks.single(one.v), one.z, one.v, slip.t[-1], tol=1e-12, stop_early=False)
     assert run.z[0] == pytest.approx(slip.z[-1], abs=1e-8)
 
 
 def test_runs_around_a_double_exit_stay_close(measured):
-    assert len(measured.uniqueness) == paper_claims.DIRECTIONS
+    assert len(measured.uniqueness) == claims.DIRECTIONS
     assert all(pair.n_events >= 2 for pair in measured.uniqueness)  # both blocks leave
-    assert max(pair.apart for pair in measured.uniqueness) < 3 * paper_claims.APART
+    assert max(pair.apart for pair in measured.uniqueness) < 3 * claims.APART
 
 
 def test_no_single_block_sticks_again(measured):
@@ -255,7 +256,7 @@ def events(t, block, mode, initial, t_end):
     ],
 )
 def test_fates(outcome, t_last, n_last, expected):
-    assert paper_runs.fate(outcome, np.array([0.0, t_last]), np.array([5, n_last]), 100.0) == expected
+    assert runs.fate(outcome, np.array([0.0, t_last]), np.array([5, n_last]), 100.0) == expected
 
 
 def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
@@ -269,8 +270,8 @@ def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
             return self.events.n_stick(times)
 
     base = Planted([2.0, 4.0])
-    assert paper_runs.apart_from(Planted([2.5, 4.0]), base) is None
-    assert paper_runs.apart_from(Planted([2.0]), base) == pytest.approx(5.0, abs=0.1)
+    assert runs.apart_from(Planted([2.5, 4.0]), base) is None
+    assert runs.apart_from(Planted([2.0]), base) == pytest.approx(5.0, abs=0.1)
 
 
 def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
@@ -288,83 +289,83 @@ def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
 
 
 def draw(**changes):
-    row = paper_runs.Draw(20, 0, "coulomb", "certified", 40, 6, 0.5, 25.0, 60.0, 0, 0.0)
+    row = runs.Draw(20, 0, "coulomb", "certified", 40, 6, 0.5, 25.0, 60.0, 0, 0.0)
     return replace(row, **changes)
 
 
 def test_words_of_figure_3_follow_the_draws():
-    words = paper_words.figure3_words([draw(), draw(n_first=9, t_last=80.0), draw(fate="silent", t_last=70.0)], 20)
+    words = figure_words.figure3_words([draw(), draw(n_first=9, t_last=80.0), draw(fate="silent", t_last=70.0)], 20)
     assert words.startswith("6 to 9 blocks stick at first")
     assert "3 of 3 (44 to 100%) end with n_stick = 0, 2 of them by certificate" in words
     assert "last event at t = 60 to 80 (median 70)" in words
-    words = paper_words.figure3_words([draw(fate="sustained", mean=31.5), draw(fate="diverged", mean=None)], 20)
+    words = figure_words.figure3_words([draw(fate="sustained", mean=31.5), draw(fate="diverged", mean=None)], 20)
     assert "0 of 2 (0 to 66%) end with n_stick = 0; 1 keep on, with 31.5 blocks" in words
     assert "certificate" not in words
     assert "1 diverged" in words
 
 
 def survival(**changes):
-    row = paper_claims.Survival(100, 20, 7, 3, 10, 0, 0, 7, 0, 0)
+    row = claims.Survival(100, 20, 7, 3, 10, 0, 0, 7, 0, 0)
     return replace(row, **changes)
 
 
 def test_words_of_the_survival_curve_keep_fates_apart():
-    words = paper_claim_words.survival_words([survival()], 2000.0)
+    words = claim_words.survival_words([survival()], 2000.0)
     assert "7 at rest by certificate, 3 silent without one, 10 sustained, 0 diverged" in words
     assert "3 have an unstable all-slip state" in words
     assert "none of the linearly stable draws still move." in words
-    words = paper_claim_words.survival_words([survival(stable_moving=1, failed=2)], 2000.0)
+    words = claim_words.survival_words([survival(stable_moving=1, failed=2)], 2000.0)
     assert "1 of the linearly stable draws still moves." in words
     assert "2 failed" in words
 
 
 def test_a_false_alarm_is_said(measured):
-    rows = [paper_claims.Certified(5, k, "collapsed", 10.0, 30.0 + k, 0) for k in range(3)]
+    rows = [claims.Certified(5, k, "collapsed", 10.0, 30.0 + k, 0) for k in range(3)]
     planted = replace(measured, certificate=rows)
-    words = paper_claim_words.certificate_words(planted)
+    words = claim_words.certificate_words(planted)
     assert "none of them had a further event" in words
     assert "21 units of time after the last event in the median, 22 at most" in words
     planted = replace(measured, certificate=[*rows, replace(rows[0], n_after=2)])
-    assert "1 of them had a further event" in paper_claim_words.certificate_words(planted)
-    assert paper_claim_words.lateness(planted)[0]["alarms"] == 1
+    assert "1 of them had a further event" in claim_words.certificate_words(planted)
+    assert claim_words.lateness(planted)[0]["alarms"] == 1
     uncertified = [replace(rows[0], outcome="finished", t_certified=None, n_after=None)]
-    assert paper_claim_words.certificate_words(replace(measured, certificate=uncertified)) == (
+    assert claim_words.certificate_words(replace(measured, certificate=uncertified)) == (
         "Certificate: none of 1 runs was certified."
     )
 
 
 def test_claims_that_fail_are_said(scene, measured):
     apart = replace(measured, uniqueness=[replace(measured.uniqueness[0], apart=1e-3)])
-    again = replace(apart, one_block=[paper_claims.OneBlock(8, 6, 2)])
-    words = paper_claim_words.claim_words(scene, again)
+    again = replace(apart, one_block=[claims.OneBlock(8, 6, 2)])
+    words = claim_words.claim_words(scene, again)
     assert "come apart: at most 0.001 apart" in words[0]
     assert "sticks again in 2." in words[1]
-    good = paper_claim_words.claim_words(scene, measured)
+    good = claim_words.claim_words(scene, measured)
     assert "stay together" in good[0]
     assert "never sticks again: no cycle" in good[1]
 
 
 def cascade(**changes):
-    row = paper_runs.Cascades("coulomb", "events", None, 10, 9000, 0.7, 0.69, 0.71, 0.695, None)
+    row = runs.Cascades("coulomb", "events", None, 10, 9000, 0.7, 0.69, 0.71, 0.695, None)
     return replace(row, **changes)
 
 
 def test_words_of_the_law_give_all_definitions_and_pick_none():
     rows = [cascade(), cascade(definition="length", dt=1.0, gamma=0.9, low=0.7, high=1.1)]
-    (words,) = paper_words.law_words(rows)
+    (words,) = figure_words.law_words(rows)
     assert "γ = 0.7 to 0.9 over 2 definitions of size; the paper's 0.74 lies in the interval of 1" in words
     assert "0.900 at dt = 1" in words
     assert "random order gives 0.695, within the interval" in words
-    (words,) = paper_words.law_words([cascade(gamma0=0.6)])
+    (words,) = figure_words.law_words([cascade(gamma0=0.6)])
     assert "lies in the interval of none" in words
     assert "random order gives 0.600, outside the interval" in words
-    (words,) = paper_words.law_words([cascade(gamma=None, low=None, high=None, gamma0=None, reason="too few")])
+    (words,) = figure_words.law_words([cascade(gamma=None, low=None, high=None, gamma0=None, reason="too few")])
     assert "no cascades to fit" in words
 
 
 def test_words_of_figure_4_say_what_collapsed():
-    row = paper_runs.Change("(iv)", 200, "10 %, draw 0", 0.1, "sustained", 2.0, 30.0, 31.0)
-    (words,) = paper_words.change_words([row, replace(row, t_apart=None, label="1 %", fate="certified", mean=0.0)])
+    row = runs.Change("(iv)", 200, "10 %, draw 0", 0.1, "sustained", 2.0, 30.0, 31.0)
+    (words,) = figure_words.change_words([row, replace(row, t_apart=None, label="1 %", fate="certified", mean=0.0)])
     assert "1 of 2 come apart from the unperturbed run, at t = 2" in words
     assert "0 to 30 beside 31" in words
     assert "none sticks at the end: 1 %" in words
@@ -372,25 +373,25 @@ def test_words_of_figure_4_say_what_collapsed():
 
 def test_words_of_an_open_future_name_each_and_pick_none(measured):
     (found,) = measured.undetermined
-    words = paper_words.future_words(found)
+    words = figure_words.future_words(found)
     assert "there are 2 forward solutions: it sticks on until t = 0.5" in words
     assert "or it slips at once to the right, and never sticks again" in words
     assert "none is picked here" in words
     assert "the same state has 1;" in words
-    determined = paper_words.future_words(replace(found, futures=found.futures[:1]))
+    determined = figure_words.future_words(replace(found, futures=found.futures[:1]))
     assert "there is 1 forward solution: it sticks on" in determined
     assert "none is picked" not in determined
 
 
 def test_words_of_the_slow_runs_name_a_jump_only_where_there_is_one(measured):
-    words = paper_words.slow_words(measured.slow_runs)
+    words = figure_words.slow_words(measured.slow_runs)
     assert "at t = 0.0047988 the mode meets the saddle and is gone: a jump" in words
     assert "this one ends by a jump" in words
-    assert "jump" not in paper_words.slow_words(measured.slow_runs[:1])
+    assert "jump" not in figure_words.slow_words(measured.slow_runs[:1])
 
 
 def test_minus_signs():
-    assert paper_words.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
+    assert figure_words.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
         "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, -}"
     )
 
@@ -420,7 +421,7 @@ def labelled(figure):
     ],
 )  # fmt: skip
 def test_each_drawing_has_its_panels(number, panels, scene, measured):
-    make = getattr(paper_words, f"figure{number}")
+    make = getattr(figure_words, f"figure{number}")
     drawing = make(scene, measured) if number in (3, 4, 5) else make(measured)
     assert [ax.get_title(loc="left") for ax in labelled(drawing.figure)] == panels
     titles = [ax.get_title(loc="left") for figure, _ in drawing.beside for ax in labelled(figure)]
@@ -432,7 +433,7 @@ def test_each_drawing_has_its_panels(number, panels, scene, measured):
 
 
 def test_curves_of_one_drawing_differ_in_colour(scene, measured):
-    drawing = paper_words.figure4(scene, measured)
+    drawing = figure_words.figure4(scene, measured)
     for ax in drawing.figure.axes:
         colours = [line.get_color() for line in ax.lines]
         assert len(set(colours)) == len(colours) == 3
@@ -440,7 +441,7 @@ def test_curves_of_one_drawing_differ_in_colour(scene, measured):
 
 def test_the_survival_curve_shows_shares_with_intervals():
     rows = [survival(n=n, sustained=moving, certified=20 - moving, silent=0) for n, moving in ((20, 0), (200, 20))]
-    shares = {name: paper_claim_words.shares(rows, name) for name in ("moving", "stable", "diverged")}
+    shares = {name: claim_words.shares(rows, name) for name in ("moving", "stable", "diverged")}
     assert [share.value for share in shares["moving"]] == [0.0, 1.0]
     assert shares["moving"][0].high == pytest.approx(0.161, abs=1e-3)  # Wilson, 0 of 20
     (ax,) = paper_figures.survival(*shares.values(), 2000.0).axes
@@ -455,7 +456,7 @@ def test_measured_values_cross_as_json(measured):
     restored = Measured.restore(json.loads(crossed))
     assert json.dumps(asdict(restored)) == crossed
     assert restored.survival == measured.survival
-    assert [type(one) for one in restored.undetermined[0].futures] == [paper_hidden.Future] * 2
+    assert [type(one) for one in restored.undetermined[0].futures] == [hidden.Future] * 2
 
 
 def test_the_same_numbers_give_the_same_page(scene, measured):

@@ -10,10 +10,11 @@ from jinja2 import Environment
 
 from analysis import Report, paper_figures
 from analysis.report import embedded, page_environment
-from workflows.charts import Kind, paper_claim_words, paper_words
-from workflows.charts.paper import Measured, measure
-from workflows.charts.paper_claims import Survival
-from workflows.charts.paper_scene import LAWS, PaperScene
+from workflows.charts import Kind
+from workflows.charts.paper import claim_words, words
+from workflows.charts.paper.claims import Survival
+from workflows.charts.paper.measure import Measured, measure
+from workflows.charts.paper.scene import LAWS, PaperScene
 
 
 def build(scene: PaperScene, measured: Measured) -> Report:
@@ -29,36 +30,34 @@ def build(scene: PaperScene, measured: Measured) -> Report:
         What `workflows.charts.paper.measure` found for that scene.
     """
     drawings = {
-        1: lambda: paper_words.figure1(measured),
-        2: lambda: paper_words.figure2(measured),
-        3: lambda: paper_words.figure3(scene, measured),
-        4: lambda: paper_words.figure4(scene, measured),
-        5: lambda: paper_words.figure5(scene, measured),
-        6: lambda: paper_words.figure6(measured),
+        1: lambda: words.figure1(measured),
+        2: lambda: words.figure2(measured),
+        3: lambda: words.figure3(scene, measured),
+        4: lambda: words.figure4(scene, measured),
+        5: lambda: words.figure5(scene, measured),
+        6: lambda: words.figure6(measured),
     }
     drawn = [drawings[number]() for number in scene.figures]
     answer = {f"Figure {one.number}, {one.title}": _lines(scene, measured, one) for one in drawn}
     if scene.claims:
-        answer["Claims"] = paper_claim_words.claim_words(scene, measured)
-    answer = {title: [paper_words.minus(line) for line in lines] for title, lines in answer.items()}
+        answer["Claims"] = claim_words.claim_words(scene, measured)
+    answer = {title: [words.minus(line) for line in lines] for title, lines in answer.items()}
     survival, curve = measured.survival, None
     if survival:
-        moving, stable, diverged = (
-            paper_claim_words.shares(survival, name) for name in ("moving", "stable", "diverged")
-        )
+        moving, stable, diverged = (claim_words.shares(survival, name) for name in ("moving", "stable", "diverged"))
         curve = embedded(paper_figures.survival(moving, stable, diverged, scene.survival_t_end))
     draws = product(scene.n, LAWS) if measured.figure3 else ()
     html = _environment().get_template("paper.html").render(
         scene=scene,
         answer=answer,
-        drawings=[(one, embedded(one.figure), [(embedded(f), words) for f, words in one.beside]) for one in drawn],
-        draws=[(n, law, paper_words.figure3_words(measured.figure3, n, law)) for n, law in draws],
+        drawings=[(one, embedded(one.figure), [(embedded(f), text) for f, text in one.beside]) for one in drawn],
+        draws=[(n, law, words.figure3_words(measured.figure3, n, law)) for n, law in draws],
         measured=measured,
         survival=survival,
         curve=curve,
-        late=paper_claim_words.lateness(measured),
-        level=f"{100 * paper_words.CONFIDENCE:g}%",
-        law_name=paper_words.curve_name,
+        late=claim_words.lateness(measured),
+        level=f"{100 * words.CONFIDENCE:g}%",
+        law_name=words.curve_name,
         versions=measured.versions,
     )  # fmt: skip
     headline = [scene.title, *(f"{title}: {line}" for title, lines in answer.items() for line in lines)]
@@ -70,7 +69,7 @@ def _tables(scene: PaperScene, measured: Measured) -> dict[str, pd.DataFrame]:
     if 3 in scene.figures:
         tables["figure3"] = pd.DataFrame(map(asdict, measured.figure3))
     if scene.claims:
-        tables["claims"] = pd.DataFrame(map(asdict, paper_claim_words.claims(measured))).astype({"found": "Int64"})
+        tables["claims"] = pd.DataFrame(map(asdict, claim_words.claims(measured))).astype({"found": "Int64"})
         tables["survival"] = pd.DataFrame([asdict(row) | _moving(row) for row in measured.survival])
         tables["certificate"] = pd.DataFrame(map(asdict, measured.certificate)).astype({"n_after": "Int64"})
     if 4 in scene.figures:
@@ -106,24 +105,24 @@ def _tables(scene: PaperScene, measured: Measured) -> dict[str, pd.DataFrame]:
 
 
 def _moving(row: Survival) -> dict[str, float]:
-    value, low, high = paper_words.share(row.moving, row.n_draws)
+    value, low, high = words.share(row.moving, row.n_draws)
     return {"moving": row.moving, "moving_share": value, "moving_low": low, "moving_high": high}
 
 
-def _lines(scene: PaperScene, measured: Measured, one: paper_words.Drawing) -> list[str]:
+def _lines(scene: PaperScene, measured: Measured, one: words.Drawing) -> list[str]:
     """The statements at the page's head on one figure."""
     if one.number == 3:
-        return [f"n = {n}: {paper_words.figure3_words(measured.figure3, n)}" for n in scene.n]
+        return [f"n = {n}: {words.figure3_words(measured.figure3, n)}" for n in scene.n]
     if one.number == 4:
-        return paper_words.change_words(measured.figure4)
+        return words.change_words(measured.figure4)
     if one.number == 5:
-        return paper_words.law_words(measured.cascades)
-    return [paper_words.capital(one.same), *(words for _, words in one.beside)]
+        return words.law_words(measured.cascades)
+    return [words.capital(one.same), *(text for _, text in one.beside)]
 
 
 def _environment() -> Environment:
     environment = page_environment("workflows.charts")
-    environment.filters["minus"] = paper_words.minus
+    environment.filters["minus"] = words.minus
     return environment
 
 

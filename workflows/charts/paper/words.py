@@ -13,11 +13,11 @@ from scipy.stats import binomtest
 
 from analysis import paper_figures
 from analysis.words import PAPER_GAMMA
-from workflows.charts.paper import Measured
-from workflows.charts.paper_blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
-from workflows.charts.paper_hidden import FORCE, SlowRun, Undetermined
-from workflows.charts.paper_runs import EARLY, Cascades, Change, Draw
-from workflows.charts.paper_scene import LAWS, PaperScene
+from workflows.charts.paper.blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
+from workflows.charts.paper.hidden import FORCE, SlowRun, Undetermined
+from workflows.charts.paper.measure import Measured
+from workflows.charts.paper.runs import EARLY, Cascades, Change, Draw
+from workflows.charts.paper.scene import LAWS, PaperScene
 
 #: The level of the intervals.
 CONFIDENCE = 0.95

@@ -8,10 +8,10 @@ from statistics import median
 from typing import Any
 
 from analysis import paper_figures
-from workflows.charts.paper import Measured
-from workflows.charts.paper_claims import APART, FOLLOWED, Survival
-from workflows.charts.paper_scene import PaperScene
-from workflows.charts.paper_words import counted, number, share
+from workflows.charts.paper.claims import APART, FOLLOWED, Survival
+from workflows.charts.paper.measure import Measured
+from workflows.charts.paper.scene import PaperScene
+from workflows.charts.paper.words import counted, number, share
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import sim
 from sim.hidden import Blowup, Mode, continuations
 from sim.hidden_runs import LawRun, Segment, run_with_law
 from sim.switching import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
-from workflows.charts.paper_blocks import ONE, V, pair, single
+from workflows.charts.paper.blocks import ONE, V, pair, single
 from workflows.charts.peers import Floats
 
 #: Figure 6: F_1 = -F_2.

@@ -13,9 +13,9 @@ import sim
 from pipeline import parse_scene, run_scene
 from pipeline.query import members as read_members
 from pipeline.query import series as read_series
-from workflows.charts.paper_blocks import V, corner, pair, sampled
-from workflows.charts.paper_runs import Fate, fate
-from workflows.charts.paper_scene import COUPLING, PaperScene
+from workflows.charts.paper.blocks import V, corner, pair, sampled
+from workflows.charts.paper.runs import Fate, fate
+from workflows.charts.paper.scene import COUPLING, PaperScene
 from workflows.charts.peers import W0, Z0
 
 #: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.

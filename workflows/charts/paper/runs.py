@@ -12,7 +12,7 @@ import sim
 from analysis import cascades, fits
 from analysis.chance.nulls import NullTally, random_order
 from pipeline.members import MATRIX
-from workflows.charts.paper_scene import LAWS, Law, PaperScene
+from workflows.charts.paper.scene import LAWS, Law, PaperScene
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
 

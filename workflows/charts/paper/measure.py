@@ -11,8 +11,8 @@ from typing import Any, get_args, get_type_hints
 
 from workflows.charts import Say
 from workflows.charts.alone import versions
-from workflows.charts.paper_blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
-from workflows.charts.paper_claims import (
+from workflows.charts.paper.blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
+from workflows.charts.paper.claims import (
     Certified,
     OneBlock,
     Pair,
@@ -22,7 +22,7 @@ from workflows.charts.paper_claims import (
     one_block,
     survival,
 )
-from workflows.charts.paper_hidden import (
+from workflows.charts.paper.hidden import (
     BlowUp,
     Branches,
     Future,
@@ -33,8 +33,8 @@ from workflows.charts.paper_hidden import (
     slow_run,
     undetermined,
 )
-from workflows.charts.paper_runs import Cascades, Change, Draw, Sizes, Trace, draw, long_runs, sensitivity, trace
-from workflows.charts.paper_scene import LAWS, PaperScene
+from workflows.charts.paper.runs import Cascades, Change, Draw, Sizes, Trace, draw, long_runs, sensitivity, trace
+from workflows.charts.paper.scene import LAWS, PaperScene
 
 
 @dataclass(frozen=True)
