@@ -85,6 +85,9 @@ class Window:
     t: np.ndarray
     step: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"Window([{self.t_start:g}, {self.t_stop:g}], {len(self.t)} changes from n_stick = {self.level})"
+
     def path(self) -> np.ndarray:
         """n_stick before the first change and after each, shape (m + 1,)."""
         return self.level + np.concatenate(([0], np.cumsum(self.step)))

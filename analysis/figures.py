@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from analysis.words import PAPER_GAMMA
 
@@ -42,6 +43,11 @@ def svg(figure: Figure) -> str:
     """A figure as SVG text, without date: a function of the figure alone."""
     buffer = io.StringIO()
     with matplotlib.rc_context(STYLE):
+        FigureCanvasSVG(figure)
+        layout = figure.get_layout_engine()
+        if layout is not None:  # left in place, it would have the figure drawn twice
+            layout.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None})
     return buffer.getvalue()
 
@@ -113,6 +119,7 @@ def distributions(rows: Sequence[Row], titles: Mapping[str, str]) -> Figure:
 
 def _distribution(ax: Axes, rows: Sequence[Row]) -> None:
     ax.set_yscale("log")
+    ax.yaxis.set_minor_locator(NullLocator())  # over many decades they are a blur, and most of the drawing
     seen = [row for row in rows if row["n_cascades"]]
     if not seen:
         ax.text(0.5, 0.5, "no cascade", transform=ax.transAxes, ha="center", color=GREY)

@@ -31,6 +31,11 @@ class Estimate:
     high: float | None = None
     reason: str = ""
 
+    def __repr__(self) -> str:
+        value = "no value" if self.value is None else f"{self.value:.6g}"
+        interval = "" if self.low is None or self.high is None else f" ({self.low:.6g} to {self.high:.6g})"
+        return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
+
 
 Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, shape (m,); may raise Undefined
 

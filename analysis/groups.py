@@ -16,7 +16,7 @@ import pandas as pd
 
 from analysis import words
 from analysis.cascades import Law, Window, laws, sizes_of_path, window
-from analysis.chance.nulls import NullTally, random_order
+from analysis.chance.nulls import NullTally, draws_each, random_order
 from analysis.fits import Estimate, add_histograms, correlation_time
 from analysis.section import Series
 from analysis.settings import AnalysisSettings
@@ -90,7 +90,7 @@ def groups(members: pd.DataFrame) -> list[Group]:
         for row in members[keys].itertuples(index=False, name=None)
     ]
 
-    def order(row: tuple) -> tuple:
+    def order(row: tuple[Any, ...]) -> tuple[Any, ...]:
         key = dict(zip(keys, row, strict=True))
         return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in row])
 
@@ -110,12 +110,13 @@ def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     group.matrices = [int(matrix) for matrix in finished["matrix"].unique()]
     n_rows = len(group.matrices)
     group.means = np.zeros((n_rows, 5))
+    draws = draws_each(settings.resamples, len(finished), least=20)
     for law in laws(settings.dt):
-        null = NullTally(np.zeros(settings.resamples), np.zeros(settings.resamples))
+        null = NullTally(np.zeros(draws), np.zeros(draws))
         histograms, parts = [np.zeros(1, np.int64)] * n_rows, [np.zeros((0, 2))] * n_rows
         group.by_law[law] = LawData(np.zeros((n_rows, 4)), histograms, null, parts)
     for row, member_id, win in windows(group, series, settings.t_burn):
-        _add_run(group, row, win, settings, generator(settings.seed, member_id))
+        _add_run(group, row, win, settings, draws, generator(settings.seed, member_id))
 
 
 def windows(group: Group, series: Series, t_burn: float) -> Iterator[tuple[int, str, Window]]:
@@ -142,14 +143,16 @@ def generator(seed: int, member_id: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence([seed, *words32.tolist()]))
 
 
-def _add_run(group: Group, row: int, win: Window, settings: AnalysisSettings, rng: np.random.Generator) -> None:
+def _add_run(
+    group: Group, row: int, win: Window, settings: AnalysisSettings, draws: int, rng: np.random.Generator
+) -> None:
     middle = 0.5 * (win.t_start + win.t_stop)
     halves = win.part(win.t_start, middle), win.part(middle, win.t_stop)
     group.means[row] += [win.time_mean(), *(half.time_mean() for half in halves), win.time_variance(), 1.0]
     group.taus.append(correlation_time(win))
     group.n_quiet += not win.step.size
     found = sizes_of_path(win.path(), {dt: win.grid_index(dt) for dt in settings.dt})
-    null = random_order(win, settings.dt, settings.resamples, rng)
+    null = random_order(win, settings.dt, draws, rng)
     for law, data in group.by_law.items():
         data.sums[row, :2] += [found[law].sum(), len(found[law])]
         data.sums[row, 2:] += [null[law].totals.sum(), null[law].counts.sum()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,11 @@ from analysis import figures, words
 from analysis.cascades import DEFINITIONS, SAMPLED
 from analysis.chance.clustering_section import clustering_section
 from analysis.chance.gamma_map import map_section
+from analysis.change.engines_section import engines_section
 from analysis.change.pairs import is_changed
 from analysis.change.robustness_section import robustness_section
 from analysis.change.sensitivity_section import sensitivity_section
+from analysis.change.survival import TITLE as FATES
 from analysis.change.survival import survival_section
 from analysis.groups import Group, check, fill, groups
 from analysis.law.section import law_section
@@ -28,7 +30,6 @@ from analysis.section import LABELS, Data, Section, Series
 from analysis.settings import AnalysisSettings
 from analysis.tables import (
     burn_in_table,
-    engines_table,
     groups_table,
     law_table,
     n_stick_table,
@@ -37,6 +38,11 @@ from analysis.tables import (
     sizes_table,
 )
 
+QUESTION = (
+    "When blocks held by dry friction let go, do they go in cascades, or as they would if exits and entries came in "
+    "random order? What is gamma in the law frequency ∝ exp(−gamma · size)?"
+)
+MOST_LED = 2  # groups whose cascades the first screen speaks of; the others follow below
 N_DRAWS = 3  # draws shown of n_stick(t), as in figure 5 of the paper
 LONG = 14  # rows of a table that a reader has to ask for
 SIZES_SHOWN = 12  # rows of the size table on the page; all are in the Parquet file
@@ -108,6 +114,7 @@ def sections(data: Data, found: list[Group], settings: AnalysisSettings) -> list
             data, found, t_burn=t_burn, dt=settings.map_dt, taus=settings.tau, confidence=confidence, seed=seed
         ),
         clustering_section(data, found, t_burn=t_burn, taus=settings.tau, confidence=confidence, seed=seed),
+        engines_section(data, found, t_burn=t_burn, dt=settings.dt, margins=settings.margins, confidence=confidence),
         survival_section(data, confidence=confidence),
     ]
     return [section for section in answered if section is not None]
@@ -150,7 +157,6 @@ def build(
         "n_stick": n_stick_table(found, settings),
         "burn_in": burn_in_table(found, settings),
         "sizes": sizes_table(found, settings),
-        "engines": engines_table(found, settings),
     }
     rows = {name: records(table) for name, table in tables.items()}
     answered = sections(data, found, settings)
@@ -158,13 +164,17 @@ def build(
     answer = {group.label: _answer(group.label, rows, settings) for group in found}
     law = rows["law"]
     paper = words.paper_sentence(law)
+    leading = _leading(answered, data)
+    lead = [line for section in leading for line in section.lead] or _cascade_lead(law, answered, settings)
     page = _environment().get_template("report.html")
     html = page.render(
         title=title,
         about=about,
+        question=" ".join(section.question for section in leading) or QUESTION,
+        lead=lead,
         answer=answer,
-        sections=[_rendered(section) for section in answered],
-        has_changes=bool(changed.any()),
+        leading=[_rendered(section) for section in leading],
+        sections=[_rendered(section) for section in answered if section not in leading],
         paper=paper,
         paper_gamma=words.PAPER_GAMMA,
         sampled={
@@ -183,10 +193,26 @@ def build(
         distributions=_distributions(found, rows["sizes"], settings),
         provenance=provenance,
     )
-    first = [line for section in answered if section.of_changes for line in section.lead]
-    cascades = [f"{label}: {line}" for label, lines in answer.items() for line in lines]
-    others = [line for section in answered if not section.of_changes for line in section.lead]
-    return Report(html, tables, [title, *(first or [*cascades, paper, *others])])
+    return Report(html, tables, [title, *lead])
+
+
+def _leading(answered: Sequence[Section], data: Data) -> list[Section]:
+    """The sections that answer what the scene is for; none where that is the law of cascades."""
+    of_changes = [section for section in answered if section.of_changes]
+    asks_fates = "growth_rate" in data.members and bool(data.members["growth_rate"].notna().any())
+    return of_changes or [section for section in answered if asks_fates and section.title == FATES]
+
+
+def _cascade_lead(law: list[dict[str, Any]], answered: Sequence[Section], settings: AnalysisSettings) -> list[str]:
+    """Cascades of the largest groups of blocks that have any; of the first of them also what the sections say."""
+    events = [row for row in law if row["definition"] == "events"]
+    known = [row for row in events if row["gamma"] is not None] or events
+    largest = [row for row in known if row["n"] == max(row["n"] for row in known)][:MOST_LED]
+    lines = [f"{row['group']}: {words.sentence(words.events_sentence(row, settings.confidence))}" for row in largest]
+    for section in answered:
+        of_group = [line for row in largest for line in section.lead if line.startswith(f"{row['group']}: ")]
+        lines += (of_group or list(section.lead))[:1]
+    return lines
 
 
 def _rendered(section: Section) -> dict[str, Any]:
@@ -208,7 +234,7 @@ def _rendered(section: Section) -> dict[str, Any]:
                     "name": table.name,
                     "heads": [(column.heading, is_number) for column, is_number in set_right],
                     "rows": cells,
-                    "is_long": len(cells) > LONG,
+                    "is_long": len(cells) > LONG and not table.is_open,
                     "n_more": max(len(rows) - table.max_rows, 0),
                 }
             )
@@ -216,8 +242,6 @@ def _rendered(section: Section) -> dict[str, Any]:
         "title": section.title,
         "question": section.question,
         "statements": section.statements,
-        "lead": section.lead,
-        "of_changes": section.of_changes,
         "method": section.method,
         "assumptions": section.assumptions,
         "pictures": [(embedded(picture.figure), picture) for picture in section.pictures],
@@ -225,7 +249,7 @@ def _rendered(section: Section) -> dict[str, Any]:
     }
 
 
-def _answer(label: str, rows: Mapping[str, list[dict]], settings: AnalysisSettings) -> list[str]:
+def _answer(label: str, rows: Mapping[str, list[dict[str, Any]]], settings: AnalysisSettings) -> list[str]:
     """The statements on one group, most important first."""
     law = [row for row in rows["law"] if row["group"] == label]
     outcomes = [row for row in rows["outcomes"] if row["group"] == label]
@@ -271,7 +295,7 @@ def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings
     return {"caption": caption, "src": embedded(figures.trajectories(panels, settings.t_burn))}
 
 
-def _forests(law: list[dict]) -> list[dict[str, str]]:
+def _forests(law: list[dict[str, Any]]) -> list[dict[str, str]]:
     """One figure of gamma for each n that has any."""
     found = []
     for n in sorted({row["n"] for row in law}):
@@ -285,7 +309,9 @@ def _forests(law: list[dict]) -> list[dict[str, str]]:
     return found
 
 
-def _distributions(shown: list[Group], sizes: list[dict], settings: AnalysisSettings) -> list[dict[str, Any]]:
+def _distributions(
+    shown: list[Group], sizes: list[dict[str, Any]], settings: AnalysisSettings
+) -> list[dict[str, Any]]:
     """Figure and table of the sizes of each group that has cascades; sampled definitions at the first dt."""
     dt = settings.dt[0]
     titles = {name: name if name == "events" else f"{name}, dt = {dt:g}" for name in ("events", *SAMPLED)}

@@ -100,7 +100,7 @@ class Column:
 class Table:
     """A table: kept whole as `name`.parquet, shown by `columns`; `frame` has nullable types, null and never NaN.
 
-    A table without columns is kept but not shown.
+    A table without columns is kept but not shown; a long one is folded unless it `is_open`.
     """
 
     name: str
@@ -108,6 +108,7 @@ class Table:
     frame: pd.DataFrame
     columns: tuple[Column, ...] = ()
     max_rows: int = 40
+    is_open: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class Section:
     statements : tuple of str
         Sentences made from the numbers, the most important first.
     lead : tuple of str
-        Those of them that answer the question: they go to the head of the page and to the terminal.
+        The answer in as few sentences as it takes, for the head of the page and the terminal.
     method : str
         How, in two or three sentences.
     of_changes : bool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from analysis.fits import (
     over_matrices,
     ratio,
 )
-from analysis.groups import OUTCOMES, SYSTEM_KEYS, Group
+from analysis.groups import OUTCOMES, Group
 from analysis.settings import AnalysisSettings
 
 S, I, F = "string", "Int64", "Float64"  # noqa: E741  nullable types: a null, never NaN, where nothing applies
@@ -52,10 +51,6 @@ SCHEMAS: dict[str, dict[str, str]] = {
     "sizes": {
         "group": S, "definition": S, "dt": F, "size": I, "n_cascades": I, "share": F, "share_low": F,
         "share_high": F, "share_fit": F, "share_chance": F,
-    },
-    "engines": {
-        "n": I, "perturbation_size": F, "first": S, "second": S, "quantity": S, "dt": F, "n_matrices": I,
-        "difference": F, "low": F, "high": F, "statement": S,
     },
 }  # fmt: skip
 
@@ -264,44 +259,3 @@ def sizes_table(found: list[Group], settings: AnalysisSettings) -> pd.DataFrame:
                     }
                 )
     return frame("sizes", rows)
-
-
-def engines_table(found: list[Group], settings: AnalysisSettings) -> pd.DataFrame:
-    """Pairs of engines on the same matrices: paired differences of mean n_stick and of each gamma."""
-    rows = []
-    for first, second in combinations(found, 2):
-        if any(first.key[name] != second.key[name] for name in SYSTEM_KEYS):
-            continue
-        if first.key["engine"] == second.key["engine"]:
-            continue
-        # Rows stand for the matrices of finished members, in ascending order: keep the rows of those in both.
-        common = np.intersect1d(first.matrices, second.matrices)
-        a, b = (np.flatnonzero(np.isin(group.matrices, common)) for group in (first, second))
-        gap = _matrix_means(first)[a, 0] - _matrix_means(second)[b, 0]
-        level = settings.confidence
-        estimate = over_matrices(ratio, np.column_stack([gap, np.ones_like(gap)]), level)
-        rows.append(_engine_row(first, second, "mean n_stick", None, len(common), estimate))
-        for law in first.by_law:
-            pair = np.hstack([first.by_law[law].sums[a, :2], second.by_law[law].sums[b, :2]])
-            pair = pair[(pair[:, 1] > 0) & (pair[:, 3] > 0)]
-            estimate = over_matrices(gamma_difference, pair, level)
-            rows.append(_engine_row(first, second, f"gamma ({law.definition})", law.dt, len(pair), estimate))
-    return frame("engines", rows)
-
-
-def _engine_row(
-    first: Group, second: Group, quantity: str, dt: float | None, n_matrices: int, estimate: Estimate
-) -> dict[str, object]:
-    return {
-        "n": first.key["n"],
-        "perturbation_size": first.key["perturbation_size"],
-        "first": first.label,
-        "second": second.label,
-        "quantity": quantity,
-        "dt": dt,
-        "n_matrices": n_matrices,
-        "difference": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "statement": words.paired(estimate),
-    }

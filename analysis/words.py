@@ -53,6 +53,12 @@ def interval(low: float | None, high: float | None) -> str:
     return "no interval" if low is None or high is None else f"{number(low)} to {number(high)}"
 
 
+def interval_at(confidence: float, low: float | None, high: float | None) -> str:
+    """An interval with its level; "no interval" where there is none."""
+    level = "" if low is None or high is None else f"{percent(confidence)} interval "
+    return f"{level}{interval(low, high)}"
+
+
 def count(n: int, noun: str) -> str:
     plural = {"matrix": "matrices"}.get(noun, noun + "s")
     return f"{n} {noun if n == 1 else plural}"
@@ -102,15 +108,6 @@ def burn_in(drift: Estimate) -> str:
     )
 
 
-def paired(estimate: Estimate) -> str:
-    """Statement on a paired difference, first minus second."""
-    return _against_zero(
-        estimate,
-        unseen="no difference shown; one within {within} is not excluded",
-        seen="differs by {value} ({within})",
-    )
-
-
 def left_out(outcomes: Sequence[Row], n_quiet: int) -> str:
     """How many members of a group reached t_end, what became of the others, and how many went quiet."""
     total = sum(row["n_members"] for row in outcomes)
@@ -148,9 +145,9 @@ def events_sentence(row: Row, confidence: float) -> str:
         return f"event by event: {row['statement']}"
     return (
         f"event by event, gamma = {number(row['gamma'])} "
-        f"({percent(confidence)} interval {interval(row['gamma_low'], row['gamma_high'])}; "
+        f"({interval_at(confidence, row['gamma_low'], row['gamma_high'])}; "
         f"{count(row['n_cascades'], 'cascade')}, {count(row['n_matrices'], 'matrix')}) where random "
-        f"order of exits and entries gives {number(row['gamma0'])}: {row['statement']}"
+        f"order of exits and entries gives gamma0 = {number(row['gamma0'])}: {row['statement']}"
     )
 
 

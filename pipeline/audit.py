@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.manifest import DATA, TEMPORARY, StoreError, dataset_scene, read_manifest, read_tasks
+from pipeline.manifest import dataset_scene, read_manifest, read_tasks
+from pipeline.place import DATA, TEMPORARY, Place, StoreError, Where, place_of
 from pipeline.shards import SCHEMA_VERSION
 
 
@@ -18,7 +19,7 @@ from pipeline.shards import SCHEMA_VERSION
 class Status:
     """How far a dataset is. n_done = sum of `outcomes`; `failures` counts failed members by reason."""
 
-    path: Path
+    path: str  #: the directory, or the address
     n_members: int
     n_done: int
     outcomes: dict[str, int]
@@ -33,7 +34,7 @@ class Status:
         return self.n_done == self.n_members
 
 
-def status(path: str | Path) -> Status:
+def status(path: Where) -> Status:
     """Count what is done; good to call while the dataset is being written.
 
     Raises
@@ -41,19 +42,19 @@ def status(path: str | Path) -> Status:
     StoreError
         If there is no readable dataset.
     """
-    path = Path(path)
-    scene, manifest = dataset_scene(path), read_manifest(path)
+    place = place_of(path)
+    scene, manifest = dataset_scene(place), read_manifest(place)
     outcomes: Counter[str] = Counter()
     failures: Counter[str] = Counter()
     failed: list[str] = []
     for name, shard in sorted(manifest.shards.items()):
         outcomes.update(shard.outcomes)
         if shard.n_failed:
-            rows = _read(path / DATA / name, ["member_id", "outcome", "reason"]).to_pylist()
+            rows = _read(place, name, ["member_id", "outcome", "reason"]).to_pylist()
             failures.update(row["reason"] for row in rows if row["outcome"] == "failed")
             failed += [row["member_id"] for row in rows if row["outcome"] == "failed"]
     return Status(
-        path=path,
+        path=str(place),
         n_members=scene.n_members,
         n_done=sum(shard.rows for shard in manifest.shards.values()),
         outcomes=dict(sorted(outcomes.items())),
@@ -64,7 +65,7 @@ def status(path: str | Path) -> Status:
     )
 
 
-def verify(path: str | Path) -> list[str]:
+def verify(path: Where) -> list[str]:
     """Check a dataset that nobody is writing; one line a problem, an empty list if there is none.
 
     Missing, damaged and stray files, wrong row counts, outcomes and schemas, and members other than the scene's. An
@@ -75,13 +76,18 @@ def verify(path: str | Path) -> list[str]:
     StoreError
         If there is no readable dataset.
     """
-    path = Path(path)
-    manifest = read_manifest(path)
-    expected = {batch.name: (batch, recording) for batch, recording in read_tasks(path, manifest)}
+    place = place_of(path)
+    manifest = read_manifest(place)
+    expected = {batch.name: (batch, recording) for batch, recording in read_tasks(place, manifest)}
     problems = []
-    for name, shard in sorted(manifest.shards.items()):
-        file = path / DATA / name
-        problem = shard.damage(file)
+    shards = sorted(manifest.shards.items())
+    with _readable(place):
+        files = place.names()
+    contents = place.read_each([f"{DATA}/{name}" for name, _ in shards])
+    for name, shard in shards:
+        with _readable(place):
+            content = next(contents)
+        problem = shard.damage(content)
         if not problem and name not in expected:
             problem = "not a shard of this scene"
         elif not problem:
@@ -90,22 +96,28 @@ def verify(path: str | Path) -> list[str]:
             entry = (shard.rows, shard.first, shard.last)
             if entry != (len(ids), ids[0], ids[-1]):
                 problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-            problem = problem or _content(file, recording.schema, ids, shard.outcomes)
+            problem = problem or _content(content, recording.schema, ids, shard.outcomes)
         if problem:
-            problems.append(f"{file}: {problem}")
-    data = path / DATA
-    files = list(data.iterdir()) if data.is_dir() else []
-    files += [file for file in path.iterdir() if file.name.startswith(TEMPORARY)]
-    strays = [file for file in sorted(files) if file.name not in manifest.shards]
-    return problems + [f"{file}: stray file, not in the manifest" for file in strays]
+            problems.append(f"{place.named(f'{DATA}/{name}')}: {problem}")
+    known = {f"{DATA}/{name}" for name in manifest.shards}
+    strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
+    return problems + [f"{place.named(name)}: stray file, not in the manifest" for name in strays]
 
 
-def _content(file: Path, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
+@contextlib.contextmanager
+def _readable(place: Place) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(f"{error.filename or place}: cannot be read ({error.strerror}); {place.remedy}") from error
+
+
+def _content(content: bytes | None, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
     """What is wrong inside a shard whose bytes are as they were written: "" if nothing."""
     try:
-        table = _read(file)
-    except StoreError as error:
-        return str(error)
+        table = _table(content or b"")
+    except (OSError, pa.ArrowException) as error:
+        return f"cannot be read ({error}); run the scene again to compute it anew"
     if not table.schema.equals(schema, check_metadata=True):
         return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others"
     if table.num_rows != len(ids):
@@ -118,8 +130,15 @@ def _content(file: Path, schema: pa.Schema, ids: list[str], outcomes: Mapping[st
     return "" if counted == outcomes else f"expected the outcomes {outcomes}, got {counted}"
 
 
-def _read(file: Path, columns: list[str] | None = None) -> pa.Table:
+def _read(place: Place, name: str, columns: list[str]) -> pa.Table:
+    file = f"{DATA}/{name}"
     try:
-        return pq.ParquetFile(file, page_checksum_verification=True).read(columns)
+        return _table(place.read(file), columns)
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"{file}: cannot be read ({error}); run the scene again to compute it anew") from error
+        raise StoreError(
+            f"{place.named(file)}: cannot be read ({error}); run the scene again to compute it anew"
+        ) from error
+
+
+def _table(content: bytes, columns: list[str] | None = None) -> pa.Table:
+    return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(columns)

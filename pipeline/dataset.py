@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import difflib
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from pipeline.manifest import DATA, StoreError, dataset_scene, read_manifest
+from pipeline.manifest import dataset_scene, read_manifest
+from pipeline.place import DATA, Directory, StoreError, Where, place_of
 from pipeline.shards import Recording
 
 # pandas' plain numbers have no null but NaN; these do, and keep integers integers
@@ -27,7 +27,7 @@ class QueryError(ValueError):
     """The question cannot be answered. The message says what was expected and what came."""
 
 
-def dataset(path: str | Path, shards: Sequence[str] | None = None) -> ds.Dataset:
+def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
     """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
     Raises
@@ -35,26 +35,31 @@ def dataset(path: str | Path, shards: Sequence[str] | None = None) -> ds.Dataset
     StoreError
         If there is no readable dataset at `path`.
     """
-    path = Path(path)
-    names = sorted(read_manifest(path).shards) if shards is None else shards
-    schema = Recording.of(dataset_scene(path)).schema
+    place = place_of(path)
+    names = sorted(read_manifest(place).shards) if shards is None else shards
+    schema = Recording.of(dataset_scene(place)).schema
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    with reading(path):
+    with reading(place):
         return ds.dataset(
-            [str(path / DATA / name) for name in names],
+            [place.key(f"{DATA}/{name}") for name in names],
             schema=schema,
+            filesystem=place.arrow,
             format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
         )
 
 
 @contextlib.contextmanager
-def reading(path: str | Path) -> Iterator[None]:
+def reading(path: Where) -> Iterator[None]:
     """Turn what a damaged or missing shard raises into words that say what to do."""
     try:
         yield
-    except OSError as error:  # a file that is gone, or a page whose checksum is wrong
+    except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
+        if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
+            raise
+        place = place_of(path)
+        first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
         raise StoreError(
-            f"{path}: a shard cannot be read ({error}); run the scene again to compute it anew"
+            f"{place}: a shard cannot be read ({error}); {first}run the scene again to compute it anew"
         ) from error
 
 

@@ -1,45 +1,62 @@
-"""What a scene will take, before it is run: members, shards, bytes and time, the last two as intervals.
+"""What a run will take, before it is made: members, shards, bytes and time, the last two as intervals.
 
 `Member.cost` says how work grows within one kind of members (one n, one setting of an engine), up to a factor that
-the machine and the scene's physics set. A pilot finds that factor: of each kind it runs members of several matrices,
-cut short where they are long, and compares. The interval then holds
+the machine and the scene's physics set. A pilot finds that factor: as many processes as the run will have workers run
+members of each kind, of several matrices, at the same time, cut short where they are long. So it sees what the run
+will: how long a worker takes to start, how much it slows when its neighbours work too, and how busy the machine is.
+The interval then holds
 
 - how much the factor differs between members of a kind, by the number of members seen and to come,
 - how far the runs seen had to be stretched to the end of the whole ones,
-- how much a core slows when its neighbours work too, and how long workers take to start,
-- how busy the machine is with other things now, and may go on to be.
+- what may change on the machine between the pilot and the run, more so if others use it.
+
+Kernels that are not compiled yet are compiled by the pilot, and found by the run.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
+import multiprocessing
 import os
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy import special
 
+from pipeline import kernels
+from pipeline.cluster import ONE_THREAD
 from pipeline.members import Batch, Member
 from pipeline.scene import Scene
 from pipeline.shards import Recording, encode, row
 
-#: Seconds that a pilot may take; less where the estimate itself is short.
+#: Seconds that the members of a pilot may take; less where the estimate itself is short.
 PILOT = (1.0, 5.0)
-_SHARE = 0.02
+_SHARE = 0.04
+
+#: Members of one kind that a pilot runs at most.
+_ENOUGH = 40
 
 # Of the logarithm of the factor: what the spread within a kind is taken for until it is known (as if from so many
-# members), what each doubling of a run that was cut short adds, and what may change between pilot and run.
+# members), and what each doubling of a run that was cut short adds.
 _SPREAD, _PRIOR = 0.4, 3
 _PER_DOUBLING = 0.1
-_MACHINE = 0.1
 
-# Seconds, measured on two cores: from the start of a run to its first batch (dask, workers, their libraries and
-# kernels) and to an end; what a batch costs beside its members; how fast a core is while the others work too.
-_START = (1.5, 3.0, 6.0)
-_PER_BATCH = (0.005, 0.02, 0.05)
-_PARALLEL = (1.0, 0.93, 0.75)
+# Standard deviations of the logarithm of the pace: of a machine of our own, and what others, who may come or go, add
+# when the pilot had to share its cores with them half and half.
+_MACHINE, _OTHERS = 0.08, 0.3
+
+# The start of a worker of dask's, which loads more, beside that of a process of the pilot, and its spread on its own;
+# seconds of a batch beside its members.
+_DASK, _START_SPREAD, _PER_BATCH = 1.4, 0.3, 0.02
+
+#: The part of the runs that lies between the bounds of an interval.
+_LEVEL = 0.9
 
 #: What members of a kind share beside n.
 _SETTINGS = ("engine", "tol", "eps", "ratio", "rtol", "atol", "stick", "threshold", "thresholds")
@@ -64,6 +81,20 @@ class Estimate:
     n_pilot: int
     n_kinds: int
     pilot_seconds: float
+    start_seconds: float  #: until workers have started
+    compile_seconds: float  #: that the pilot compiled kernels; 0 if they were there
+    busy: float  #: seconds that the pilot took for a second of a core; above 1 others use the machine
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A member that was run, or a part of it: seconds, those of a core, and what the whole would take."""
+
+    seconds: float
+    core_seconds: float
+    whole: float
+    stretched: float  #: doublings of time between the part and the whole
+    bytes: float
 
 
 @dataclass
@@ -74,6 +105,7 @@ class _Kind:
     factors: list[float] = field(default_factory=list)
     stretched: list[float] = field(default_factory=list)
     bytes: list[float] = field(default_factory=list)
+    n_asked: int = 0
 
     @property
     def cost(self) -> float:
@@ -83,15 +115,22 @@ class _Kind:
     def factor(self) -> float:
         return float(np.mean(self.factors))
 
+    def next_members(self, count: int) -> Iterator[Member]:
+        """Members that the pilot has not run, evenly spread over matrices and changes."""
+        for _ in range(min(count, len(self.members) - self.n_asked, _ENOUGH - self.n_asked)):
+            # the golden section spreads any number of places, however many will be asked for
+            yield self.members[int(self.n_asked * 0.6180339887498949 % 1.0 * len(self.members))]
+            self.n_asked += 1
 
-def estimate(scene: Scene, packed: list[Batch], workers: int) -> Estimate:
-    """Estimate a run of some batches of a scene, by a pilot of a few seconds.
+
+def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
+    """Estimate a run of some batches of a scene, by a pilot of some seconds.
 
     Parameters
     ----------
     scene : Scene
-    packed : list of Batch
-        What is to be run.
+    packed : sequence of Batch
+        What is to be run, one at least.
     workers : int
         Local processes; more than the machine has cores count as so many.
     """
@@ -103,88 +142,128 @@ def estimate(scene: Scene, packed: list[Batch], workers: int) -> Estimate:
         parts=tuple(part for part in scene.records if part not in ("growth_rate", "separation")),
         separation=None,
     )
-    _pilot(kinds, recording)
-    work, spread = _work(kinds)
-    core_seconds = (work * math.exp(-1.65 * spread), work, work * math.exp(1.65 * spread))
     n_workers = max(1, min(workers, len(packed), len(os.sched_getaffinity(0))))
-    busy = _busy(n_workers)
+    with _processes(n_workers) as pool:
+        started, compiled = _start(pool, n_workers, kinds)
+        seen = _pilot(pool, n_workers, kinds, recording)
+    busy = max(1.0, sum(one.seconds for one in seen) / sum(one.core_seconds for one in seen))
+    work, spread = _work(kinds)
+    machine = math.hypot(_MACHINE, 2.0 * _OTHERS * (1.0 - 1.0 / busy))
     # the last batch may run alone
-    tail = (0.0, 0.5, 1.0) if n_workers > 1 else (0.0, 0.0, 0.0)
-    last = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
-    low, middle, high = (
-        begin * slower + (core + len(packed) * each) / (n_workers * speed) * among + end * last
-        for begin, core, each, speed, end, slower, among in zip(
-            _START, core_seconds, _PER_BATCH, _PARALLEL, tail, *busy, strict=True
-        )
-    )
+    tail = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
+    begin = _DASK * started
+    run = (work + len(packed) * _PER_BATCH) / n_workers + (0.5 * tail if n_workers > 1 else 0.0)
+    apart = math.hypot(begin * _START_SPREAD, run * spread) / (begin + run)
+    error = math.hypot(apart, machine)
+    freedom = sum(len(kind.factors) - 1 for kind in kinds) + _PRIOR
     return Estimate(
         n_members=sum(len(kind.members) for kind in kinds),
         n_shards=len(packed),
         n_bytes=_bytes(kinds, recording, len(packed)),
-        core_seconds=core_seconds,
-        seconds=(low, middle, high),
+        core_seconds=_interval(work / busy, math.hypot(spread, _MACHINE), freedom),
+        seconds=_interval(begin + run, error, freedom),
         workers=n_workers,
         n_pilot=sum(len(kind.factors) for kind in kinds),
         n_kinds=len(kinds),
         pilot_seconds=time.perf_counter() - start,
+        start_seconds=begin,
+        compile_seconds=compiled,
+        busy=busy,
     )
 
 
-def _busy(n_workers: int) -> tuple[Interval, Interval]:
-    """How much slower a core is for its other users, and how much of that the pilot, alone, has not seen."""
-    n_cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
-    slower = max(1.0, (load + n_workers) / n_cores)
-    seen = max(1.0, (load + 1) / n_cores)
-    among = slower / seen
-    # the others may end, or have only begun
-    return (1.0, math.sqrt(slower), slower), (1.0 / seen, among, among * math.sqrt(seen))
+def _interval(middle: float, error: float, freedom: int) -> Interval:
+    """By Student's t, of a logarithm with this standard error."""
+    wide = math.exp(float(special.stdtrit(freedom, 0.5 + 0.5 * _LEVEL)) * error)
+    return middle / wide, middle, middle * wide
 
 
 def _kinds(members: list[Member]) -> list[_Kind]:
-    kinds: dict[tuple, _Kind] = {}
+    kinds: dict[tuple[Any, ...], _Kind] = {}
     for member in members:
         coupled = member.perturbation_reading == "damping matrix"
         key = (member.n, coupled, *(getattr(member, name) for name in _SETTINGS))
         kinds.setdefault(key, _Kind([])).members.append(member)
-    return list(kinds.values())
+    return sorted(kinds.values(), key=lambda kind: -kind.cost)
 
 
-def _pilot(kinds: list[_Kind], recording: Recording) -> None:
-    """Run members of each kind, those of most work first, as long as the time lasts."""
-    for member in {kind.members[0].engine: kind.members[0] for kind in kinds}.values():
-        row(replace(member, n=5, t_end=min(member.t_end, 60.0)), recording)  # kernels are loaded, or compiled
-    expected = sum(kind.cost for kind in kinds)
-    left = min(max(_SHARE * expected, PILOT[0]), PILOT[1])
-    kinds = sorted(kinds, key=lambda kind: -kind.cost)
-    for k, kind in enumerate(kinds):  # each once; what one leaves is the others'
-        left -= _try(kind, kind.members[0], left / (len(kinds) - k) * (1.0 if len(kinds) == 1 else 0.7), recording)
-    for again in range(1, 8):
-        for kind in kinds:
-            others = list(_spread_out(kind.members, 8))
-            if again >= len(others) or kind.factor * others[again].cost > left:
-                continue
-            left -= _try(kind, others[again], left, recording)
+# ---------------------------------------------------------------------------------------------- the pilot
 
 
-def _spread_out(members: list[Member], count: int) -> Iterator[Member]:
-    """The first and others, evenly spaced, which are of other matrices and changes."""
-    for k in range(min(count, len(members))):
-        yield members[k * len(members) // min(count, len(members))]
+@contextlib.contextmanager
+def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes like a run's workers."""
+    here = dict(os.environ)
+    os.environ.update(ONE_THREAD)
+    pool = ProcessPoolExecutor(
+        count, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+        os.environ.clear()
+        os.environ.update(here)
 
 
-def _try(kind: _Kind, member: Member, seconds: float, recording: Recording) -> float:
-    """Run a member, or as much of it as fits; returns the seconds it took."""
-    whole = replace(member, shared_cost=0.0)
-    factor = kind.factor if kind.factors else 1.0
-    share = min(1.0, max(seconds, 0.0) / (factor * whole.cost))
-    part = whole if share > 0.7 else replace(whole, t_end=max(share * whole.t_end, min(10.0, whole.t_end)))
-    start = time.perf_counter()
-    found = row(part, recording)
-    took = time.perf_counter() - start
-    kind.factors.append(took / part.cost)
-    kind.stretched.append(math.log2(whole.t_end / part.t_end))
-    kind.bytes.append(_row_bytes(found, recording) * whole.t_end / part.t_end)
+def _start(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind]) -> tuple[float, float]:
+    """Start the processes; seconds until they are ready, and of these, seconds that went into compiling."""
+    begun = time.perf_counter()
+    members = [kind.members[0] for kind in kinds]
+    is_cold = any(kernels.is_cold(member.engine) for member in members)
+    loading = max(future.result() for future in [pool.submit(_load, members) for _ in range(count)])
+    started = time.perf_counter() - begun
+    return (started - loading, loading) if is_cold else (started, 0.0)
+
+
+def _load(members: list[Member]) -> float:
+    begun = time.perf_counter()
+    kernels.load(members)
+    took = time.perf_counter() - begun
+    time.sleep(0.2)  # the next of these to a process of its own
     return took
+
+
+def _pilot(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind], recording: Recording) -> list[_Seen]:
+    """Run a member of each kind, then more of those of most work, as long as the time lasts."""
+    expected = sum(kind.cost for kind in kinds)
+    seconds = count * min(max(_SHARE * expected / count, PILOT[0]), PILOT[1])
+    seen: list[_Seen] = []
+    for is_first in (True, False):
+        left = seconds - sum(one.seconds for one in seen)
+        running: dict[Future[_Seen], tuple[_Kind, Member]] = {}
+        for kind in kinds:
+            part = 0.4 * seconds / len(kinds) if is_first else left * kind.cost / expected
+            each = (1.0 if is_first else kind.factor) * kind.members[0].cost
+            for member in kind.next_members(1 if is_first else int(part / each)):
+                running[pool.submit(_try, member, part / each, recording)] = (kind, member)
+        for future in as_completed(running):
+            if future.cancelled():
+                continue
+            (kind, member), one = running[future], future.result()
+            kind.factors.append(one.whole / replace(member, shared_cost=0.0).cost)
+            kind.stretched.append(one.stretched)
+            kind.bytes.append(one.bytes)
+            seen.append(one)
+            left -= one.seconds
+            if left < 0 and not is_first:
+                for other in running:
+                    other.cancel()
+    return seen
+
+
+def _try(member: Member, share: float, recording: Recording) -> _Seen:
+    """Run a member, or as much of it as a share of its expected seconds."""
+    whole = replace(member, shared_cost=0.0)
+    part = whole if share > 0.7 else replace(whole, t_end=max(share * whole.t_end, min(10.0, whole.t_end)))
+    kernels.load([member])
+    begun, cores = time.perf_counter(), time.process_time()
+    found = row(part, recording)
+    took, cores = time.perf_counter() - begun, time.process_time() - cores
+    if found["outcome"] != "finished":  # it ended early, and the whole would too
+        part = whole
+    share = part.cost / whole.cost
+    return _Seen(took, max(cores, 1e-6), took / share, math.log2(1 / share), _row_bytes(found, recording) / share)
 
 
 def _work(kinds: list[_Kind]) -> tuple[float, float]:

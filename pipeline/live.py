@@ -7,10 +7,10 @@ import re
 import socket
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 from pipeline.audit import Status, status
-from pipeline.manifest import LOCK, read_manifest, read_tasks
+from pipeline.manifest import read_manifest, read_tasks
+from pipeline.place import LOCK, Lock, Where, place_of
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Follower:
         Here and on looking, if there is no readable dataset.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
+    def __init__(self, path: Where) -> None:
+        self._path = place_of(path)
         tasks = read_tasks(self._path, read_manifest(self._path))
         self._costs = {batch.name: batch.cost for batch, _ in tasks}
 
@@ -77,19 +77,19 @@ class Follower:
         return View(found, len(self._costs), current, rate, eta)
 
 
-def running(path: Path) -> Running | None:
-    """Who writes the dataset now, if anybody does: a process that died leaves a lock file that says nothing."""
+def running(path: Where) -> Running | None:
+    """Who writes the dataset now, if anybody does: a process that died leaves a lock that says nothing."""
+    place = place_of(path)
     try:
-        owner, *lines = (path / LOCK).read_text(encoding="utf-8", errors="replace").splitlines() or [""]
+        lock = Lock.parse(place.read(LOCK))
     except OSError:
         return None
-    here = re.fullmatch(r"process (\d+) on (.*)", owner)
-    if here is None or (here[2] == socket.gethostname() and not _is_alive(int(here[1]))):
+    here = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
+    if here is None or (here[2] == socket.gethostname() and not _is_alive(int(here[1]))) or not lock.is_held:
         return None
-    said = dict(line.partition(" ")[::2] for line in lines)
     try:
-        at, n_members, cost = said["began"].split()
-        return Running(owner, Began(float(at), int(n_members), float(cost)), said.get("dashboard"))
+        at, n_members, cost = lock.notes["began"].split()
+        return Running(lock.owner, Began(float(at), int(n_members), float(cost)), lock.notes.get("dashboard"))
     except (KeyError, ValueError):  # it has only just begun
         return None
 

@@ -6,31 +6,25 @@ OUT/data/*.parquet     the shards, one a batch
 OUT/timings.jsonl      a line a commit: seconds, host and process, apart from the data, which ignore them; and what
                        the manifest says of the shard, from which a lost manifest is made again
 OUT/.lock              held by the process that writes; a crash releases it
+
+OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.place`).
 """
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import hashlib
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from pipeline.place import MANIFEST, SCENE, TIMINGS, StoreError, Where, place_of
 from pipeline.plan import PlanError, Task, tasks
-from pipeline.scene import Scene, SceneError, load_scene
+from pipeline.scene import Scene, SceneError, parse_scene
 from pipeline.shards import SCHEMA_VERSION
-
-SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
-#: What the names of files begin with while they are being written.
-TEMPORARY = ".tmp-"
-
-
-class StoreError(RuntimeError):
-    """The dataset cannot be written or read. The message says which file, why, and what to do."""
-
 
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 
@@ -51,11 +45,9 @@ class Shard(BaseModel):
         """Members of the shard that failed."""
         return self.outcomes.get("failed", 0)
 
-    def damage(self, file: Path) -> str:
-        """What is wrong with the bytes of the shard's file: "" if nothing."""
-        try:
-            content = file.read_bytes()
-        except FileNotFoundError:
+    def damage(self, content: builtins.bytes | None) -> str:
+        """What is wrong with the content of the shard's file, None if it is not there: "" if nothing."""
+        if content is None:
             return "missing"
         if len(content) != self.bytes:
             return f"expected {self.bytes} bytes, got {len(content)}"
@@ -125,10 +117,10 @@ def checked_line(values: dict[str, object]) -> str:
     return json_line(values | {"check": hashlib.sha256(json_line(values).encode()).hexdigest()[:16]})
 
 
-def read_commits(file: Path) -> Iterator[Commit]:
-    """The commits in the order they came in; lines that are damaged are left out, as is a file that is not there."""
+def read_commits(path: Where) -> Iterator[Commit]:
+    """The commits of a dataset as they came in; lines that are damaged are left out, as is a record that is lost."""
     try:
-        lines = file.read_bytes().splitlines()
+        lines = place_of(path).read(TIMINGS).splitlines()
     except OSError:
         return
     for line in lines:
@@ -143,7 +135,7 @@ class DamagedManifest(StoreError):
     """The manifest is there and cannot be understood."""
 
 
-def read_manifest(path: Path) -> Manifest:
+def read_manifest(path: Where) -> Manifest:
     """The manifest of the dataset at `path`.
 
     Raises
@@ -151,13 +143,14 @@ def read_manifest(path: Path) -> Manifest:
     StoreError
         If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest.
     """
-    file = path / MANIFEST
+    place = place_of(path)
+    file = place.named(MANIFEST)
     try:
-        content = file.read_bytes()
+        content = place.read(MANIFEST)
     except (FileNotFoundError, NotADirectoryError):
-        raise StoreError(f"{path}: expected a dataset, found no {MANIFEST}; name the directory of a run") from None
+        raise StoreError(f"{place}: expected a dataset, found no {MANIFEST}; name the directory of a run") from None
     except OSError as error:
-        raise StoreError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+        raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
     rest = content[len(_checked(b"")) :]
     is_whole = content == _checked(rest) + rest
     _same_version(file, content, is_whole)
@@ -174,7 +167,7 @@ def read_manifest(path: Path) -> Manifest:
     )
 
 
-def _same_version(file: Path, content: bytes, is_whole: bool) -> None:
+def _same_version(file: str, content: bytes, is_whole: bool) -> None:
     """Refuse the manifest of another version of the schema, which is not damaged."""
     try:
         found = json.loads(content)
@@ -188,7 +181,26 @@ def _same_version(file: Path, content: bytes, is_whole: bool) -> None:
         )
 
 
-def dataset_scene(path: Path) -> Scene:
+def stored_scene(path: Where) -> Scene:
+    """The scene that lies at `path`.
+
+    Raises
+    ------
+    SceneError
+        If there is none, or it is no scene.
+    """
+    place = place_of(path)
+    file = place.named(SCENE)
+    try:
+        source = place.read(SCENE)
+    except FileNotFoundError:
+        raise SceneError(f"{file}: expected a scene file, found nothing there") from None
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
+    return parse_scene(source, file)
+
+
+def dataset_scene(path: Where) -> Scene:
     """The scene of the dataset at `path`.
 
     Raises
@@ -196,20 +208,21 @@ def dataset_scene(path: Path) -> Scene:
     StoreError
         If there is no dataset, its scene cannot be read, or it is not the one of the data.
     """
-    manifest = read_manifest(path)
+    place = place_of(path)
+    manifest = read_manifest(place)
     try:
-        scene = load_scene(path / SCENE)
+        scene = stored_scene(place)
     except SceneError as error:
         raise StoreError(f"{error}; restore the scene by running it once more with this directory") from None
     if scene.hash != manifest.scene_hash:
         raise StoreError(
-            f"{path / SCENE}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
+            f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
             f"got another (hash {scene.hash[:12]}); restore the file"
         )
     return scene
 
 
-def read_tasks(path: Path, manifest: Manifest) -> list[Task]:
+def read_tasks(path: Where, manifest: Manifest) -> list[Task]:
     """The shards that the dataset at `path` consists of, done or not.
 
     Raises
@@ -221,6 +234,6 @@ def read_tasks(path: Path, manifest: Manifest) -> list[Task]:
         return tasks(dataset_scene(path), manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
-            f"{path / MANIFEST}: expected the packing of the scene's members, got {error}; go on with the version of "
-            f"stickslip that began it, or choose another directory"
+            f"{place_of(path).named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with "
+            f"the version of stickslip that began it, or choose another directory"
         ) from None

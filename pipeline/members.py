@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import product
 from typing import Any, Literal
 
@@ -21,9 +22,10 @@ MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3
 #: The readings of a perturbation in a member's name.
 _READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
 
-#: Work in a batch, in units of `Member.cost` (about a second each). A constant: were it chosen by the number
-#: of workers, so would be the shards' names and the dataset's bytes.
+#: Work in a batch, in units of `Member.cost` (about a second each), and how many times as much in a scene of more
+#: than so many batches. Not chosen by the number of workers: so would be the shards' names and the dataset's bytes.
 TARGET_COST = 1.0
+_LARGER, _MANY = 5.0, 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,27 +76,12 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        system = sim.draw_system(
-            self.coupling,
-            self.n,
-            self._seed(MATRIX),
-            kappa=self.kappa,
-            rho=self.rho,
-            friction=self.friction,
-            belt_speed=self.belt_speed,
-        )
-        if self.perturbation_draw is None or self.perturbation_reading is None:
-            return system
-        seed = self._seed(PERTURBATION, self.perturbation_draw)
-        return sim.perturb_system(
-            system,
-            self.coupling,
-            self.perturbation_size,
-            seed,
-            reading=self.perturbation_reading,
-            kappa=self.kappa,
-            rho=self.rho,
-        )
+        return _own_system(self.of_system) if self.perturbation_draw is None else _moved_system(self.of_system)
+
+    @property
+    def of_system(self) -> Member:
+        """This member with all that its system does not depend on at one value: the same for those that share it."""
+        return replace(self, **_OF_A_RUN)
 
     def start(self) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2."""
@@ -108,9 +95,7 @@ class Member:
     def base(self) -> Member | None:
         """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
         if self.perturbation_draw is not None or self.twin_size is not None:
-            return replace(
-                self, perturbation_reading=None, perturbation_size=0.0, perturbation_draw=None, twin_size=None
-            )
+            return replace(self, **_UNMOVED, twin_size=None)
         return None if self.ratio_draw is None else replace(self, ratio="one", ratio_draw=None)
 
     def ratios(self) -> float | np.ndarray:
@@ -154,6 +139,42 @@ class Member:
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
+_OF_A_RUN: dict[str, Any] = dict.fromkeys(
+    ("member_id", "engine", "tol", "eps", "ratio", "ratio_draw", "rtol", "atol", "stick", "threshold", "thresholds",
+     "picked_for", "twin_size", "z0", "w0", "t_end"),
+)  # fmt: skip
+_UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
+
+
+# Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
+@lru_cache(maxsize=1)
+def _own_system(member: Member) -> sim.System:
+    return sim.draw_system(
+        member.coupling,
+        member.n,
+        member._seed(MATRIX),
+        kappa=member.kappa,
+        rho=member.rho,
+        friction=member.friction,
+        belt_speed=member.belt_speed,
+    )
+
+
+@lru_cache(maxsize=1)
+def _moved_system(member: Member) -> sim.System:
+    assert member.perturbation_reading is not None
+    assert member.perturbation_draw is not None
+    return sim.perturb_system(
+        replace(member, **_UNMOVED).system(),
+        member.coupling,
+        member.perturbation_size,
+        member._seed(PERTURBATION, member.perturbation_draw),
+        reading=member.perturbation_reading,
+        kappa=member.kappa,
+        rho=member.rho,
+    )
+
+
 def expand(scene: Scene) -> list[Member]:
     """All members of a scene, sorted by n, matrix, change (none first), engine (as in the file) and ratio draw."""
     return list(_expand(scene))
@@ -167,6 +188,7 @@ def _expand(scene: Scene) -> Iterator[Member]:
         changes += [_Change(reading, size, draw) for reading, size, draw in moves]
     if scene.twins is not None:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
+    settings = {engine: {draw: _settings(engine, draw) for draw in engine.draws} for engine in scene.engines}
     for n in scene.system.n:
         for matrix in range(scene.run.matrices):
             for change in changes:
@@ -175,8 +197,9 @@ def _expand(scene: Scene) -> Iterator[Member]:
                         continue
                     if change.twin_size is not None and not engine.twins:
                         continue
-                    for ratio_draw in engine.draws:
-                        yield _with_shared_cost(scene, _member(scene, n, matrix, change, engine, ratio_draw), engine)
+                    for words, values in settings[engine].values():
+                        member = _member(scene, n, matrix, change, words, values)
+                        yield _with_shared_cost(scene, member, engine)
 
 
 def _with_shared_cost(scene: Scene, member: Member, engine: Coulomb | Sigmoid) -> Member:
@@ -208,23 +231,26 @@ class _Change:
         return [] if self.twin_size is None else [f"t{_short(self.twin_size)}"]
 
 
-def _member(
-    scene: Scene, n: int, matrix: int, change: _Change, engine: Coulomb | Sigmoid, ratio_draw: int | None
-) -> Member:
-    words = [f"n{n}", f"m{matrix:03d}", *change.words, engine.name]
-    settings: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
-    settings["thresholds"] = ()
-    settings |= engine.tolerances
+def _settings(engine: Coulomb | Sigmoid, ratio_draw: int | None) -> tuple[list[str], dict[str, Any]]:
+    """An engine's words in a member's name, and its values of a member."""
+    words: list[str] = [engine.name]
+    values: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
+    values |= {"engine": engine.name, "ratio_draw": ratio_draw, "picked_for": engine.picked_for, "thresholds": ()}
+    values |= engine.tolerances
     if isinstance(engine, Sigmoid):
-        settings |= engine.model_dump(include={"eps", "ratio", "stick"})
-        settings["thresholds"] = engine.thresholds or ()
+        values |= engine.model_dump(include={"eps", "ratio", "stick"})
+        values["thresholds"] = engine.thresholds or ()
         words += [_short(engine.eps), "one" if ratio_draw is None else f"u{ratio_draw}"]
     words += map(_short, engine.tolerances.values())
     if isinstance(engine, Sigmoid) and engine.stick == "threshold":
-        settings["threshold"] = engine.threshold
+        values["threshold"] = engine.threshold
         words.append(f"c{_short(engine.threshold)}")
+    return words, values
+
+
+def _member(scene: Scene, n: int, matrix: int, change: _Change, words: list[str], values: dict[str, Any]) -> Member:
     return Member(
-        member_id="-".join(words),
+        member_id="-".join([f"n{n}", f"m{matrix:03d}", *change.words, *words]),
         n=n,
         coupling=scene.system.coupling,
         kappa=scene.system.kappa,
@@ -236,14 +262,11 @@ def _member(
         perturbation_size=change.size,
         perturbation_draw=change.draw,
         twin_size=change.twin_size,
-        engine=engine.name,
-        ratio_draw=ratio_draw,
-        picked_for=engine.picked_for,
         z0=scene.start.z,
         w0=scene.start.w,
         t_end=scene.run.t_end,
         seed=scene.run.seed,
-        **settings,
+        **values,
     )
 
 
@@ -267,14 +290,15 @@ class Batch:
 
 
 def batches(members: Sequence[Member], scene_hash: str) -> list[Batch]:
-    """Pack consecutive members into batches of about `TARGET_COST`, a costly member alone.
+    """Pack consecutive members into batches of about `TARGET_COST`, or more if there are many; a costly one alone.
 
     A batch's name is fixed by its place, its members and the scene: every attempt at it writes the same file.
     """
     packed: list[list[Member]] = []
+    target = min(max(TARGET_COST, sum(member.cost for member in members) / _MANY), _LARGER * TARGET_COST)
     cost = 0.0
     for member in members:
-        if not packed or cost + member.cost > TARGET_COST:
+        if not packed or cost + member.cost > target:
             packed.append([])
             cost = 0.0
         packed[-1].append(member)

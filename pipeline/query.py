@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 import sim
 from pipeline.dataset import NULLABLE, QueryError, dataset, frame, near, reading
 from pipeline.manifest import dataset_scene, read_manifest
+from pipeline.place import Where, place_of
 from pipeline.shards import scalars
 from pipeline.sql import answer, sql
 
@@ -41,7 +41,7 @@ __all__ = [
     "table",
 ]
 
-Filters: TypeAlias = pc.Expression | list[tuple]
+Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
@@ -51,7 +51,7 @@ _EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outco
 
 
 def table(
-    path: str | Path,
+    path: Where,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> pa.Table:
@@ -59,8 +59,8 @@ def table(
 
     Parameters
     ----------
-    path : str or Path
-        Directory of the dataset.
+    path : str, Path or Place
+        Directory or address of the dataset; see `pipeline.place`.
     columns : sequence of str, optional
         Columns of the dataset; all, the lists too, if left out.
     filters : pyarrow.compute.Expression or list of tuple, optional
@@ -78,7 +78,7 @@ def table(
 
 
 def members(
-    path: str | Path,
+    path: Where,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> pd.DataFrame:
@@ -92,7 +92,7 @@ def members(
 
 
 def dask_members(
-    path: str | Path,
+    path: Where,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> DataFrame:
@@ -106,10 +106,11 @@ def dask_members(
     names = _known(source.schema, scalars(source.schema) if columns is None else columns)
     condition = _condition(filters)
     schema = pa.schema([source.schema.field(name) for name in names])
-    empty = _part((), str(path), names, condition, schema)
-    parts = _parts({name: shard.bytes for name, shard in sorted(read_manifest(Path(path)).shards.items())})
+    address = str(place_of(path))
+    empty = _part((), address, names, condition, schema)
+    parts = _parts({name: shard.bytes for name, shard in sorted(read_manifest(path).shards.items())})
     return dask.dataframe.from_map(
-        _part, parts, path=str(path), names=names, condition=condition, schema=schema, meta=empty, label="members"
+        _part, parts, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
     )
 
 
@@ -151,7 +152,7 @@ def _condition(filters: Filters | None) -> pc.Expression | None:
         raise _misfit(filters, error) from error
 
 
-def _chosen(path: str | Path, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
+def _chosen(path: Where, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
     try:
         with reading(path):
             return source.to_table(columns=names, filter=_condition(filters))
@@ -165,7 +166,7 @@ def _misfit(filters: Filters | None, error: Exception) -> QueryError:
     return QueryError(f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}")
 
 
-def n_stick(path: str | Path, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def n_stick(path: Where, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The number of sticking blocks of one member.
 
     Returns
@@ -186,7 +187,7 @@ def n_stick(path: str | Path, member_id: str) -> tuple[NDArray[np.float64], NDAr
     return _array(row["t"]), _array(row["n_stick"])
 
 
-def events(path: str | Path, member_id: str) -> sim.EventSeries:
+def events(path: Where, member_id: str) -> sim.EventSeries:
     """Every event of one member, of a dataset whose scene records them.
 
     Raises
@@ -204,7 +205,7 @@ def events(path: str | Path, member_id: str) -> sim.EventSeries:
     return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
 
 
-def _member_row(path: str | Path, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
+def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
     with reading(path):
         rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
         known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
@@ -217,7 +218,7 @@ def _member_row(path: str | Path, source: ds.Dataset, member_id: str, columns: l
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: str | Path) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int32]]]:
+def series(path: Where) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int32]]]:
     """Each member's id, t and n_stick as of `n_stick`, in order, one shard in memory at a time.
 
     Failed members, which have no series, are left out: `members` lists them.
@@ -230,39 +231,39 @@ def series(path: str | Path) -> Iterator[tuple[str, NDArray[np.float64], NDArray
                 yield member_id.as_py(), _array(t), _array(counts)
 
 
-def all_events(path: str | Path) -> Iterator[tuple[str, sim.EventSeries]]:
+def all_events(path: Where) -> Iterator[tuple[str, sim.EventSeries]]:
     """Each member's id and events, in order, one shard in memory at a time; none if they are not recorded."""
     for row in _rows(path, "event_t", _EVENT_COLUMNS):
         yield row["member_id"].as_py(), _event_series(row)
 
 
-def separations(path: str | Path) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+def separations(path: Where) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """Each changed member's id, times, and distance from the unchanged run; none if the scene does not record them.
 
     The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
-    step = dataset_scene(Path(path)).record.separation
+    step = dataset_scene(path).record.separation
     for row in _rows(path, "separation", ["separation"]):
         assert step is not None  # there would be no such column
         distance: NDArray[np.float64] = _array(row["separation"])
         yield row["member_id"].as_py(), step * np.arange(len(distance), dtype=np.float64), distance
 
 
-def by_threshold(path: str | Path) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.int32]]]:
+def by_threshold(path: Where) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.int32]]]:
     """Id, threshold, t and n_stick of each further definition of sticking; none if the scene has no `thresholds`."""
     for row in _rows(path, "by_threshold", ["by_threshold"]):
         for entry in row["by_threshold"].values:  # noqa: PD011  an Arrow scalar, no data frame
             yield row["member_id"].as_py(), entry["threshold"].as_py(), _array(entry["t"]), _array(entry["n_stick"])
 
 
-def reasons(path: str | Path, shard: str) -> dict[str, int]:
+def reasons(path: Where, shard: str) -> dict[str, int]:
     """Why members of one shard failed, and how many for each reason, the most frequent first."""
     with reading(path):
         failed = dataset(path, [shard]).to_table(["reason"], filter=pc.field("outcome") == "failed")
     return dict(Counter(failed["reason"].to_pylist()).most_common())
 
 
-def _rows(path: str | Path, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:
+def _rows(path: Where, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:
     """The rows of a dataset in which a column that a scene may record is not null, one shard in memory at a time."""
     source = dataset(path)
     if recorded not in source.schema.names:

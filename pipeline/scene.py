@@ -24,7 +24,8 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic_core import ErrorDetails
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import ErrorDetails, core_schema
 
 from sim import COUPLINGS
 
@@ -71,14 +72,14 @@ Natural = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1)]
 BlockNumbers = Annotated[
     tuple[Blocks, ...],
-    BeforeValidator(as_tuple, json_schema_input_type=Blocks | list[Blocks]),
     Field(min_length=1),
+    BeforeValidator(as_tuple, json_schema_input_type=Blocks | Annotated[list[Blocks], Field(min_length=1)]),
     AfterValidator(distinct),
 ]
 PositiveNumbers = Annotated[
     tuple[Positive, ...],
-    BeforeValidator(as_tuple, json_schema_input_type=Positive | list[Positive]),
     Field(min_length=1),
+    BeforeValidator(as_tuple, json_schema_input_type=Positive | Annotated[list[Positive], Field(min_length=1)]),
     AfterValidator(distinct),
 ]
 
@@ -93,7 +94,7 @@ class SystemTable(StrictTable):
     """[system]: the random ensemble the systems are drawn from."""
 
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
-        description="name of the ensemble", examples=["antisymmetric"]
+        description="name of the ensemble", examples=["antisymmetric"], json_schema_extra={"enum": list(COUPLINGS)}
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
     kappa: Natural = Field(default=0.2, description="scale of the stiffnesses", examples=[0.2])
@@ -142,7 +143,11 @@ def _once(values: tuple[str, ...]) -> tuple[str, ...]:
     return values
 
 
-Readings = Annotated[tuple[Reading, ...], BeforeValidator(as_tuple), AfterValidator(_once)]
+Readings = Annotated[
+    tuple[Reading, ...],
+    BeforeValidator(as_tuple, json_schema_input_type=Reading | list[Reading]),
+    AfterValidator(_once),
+]
 
 
 class _EngineTable(StrictTable):
@@ -305,17 +310,27 @@ class AnalysisTable(StrictTable):
     margins: MarginsTable = MarginsTable()
 
 
+#: What a scene says of its own cost, an ensemble's or a chart's.
+MINUTES = "what it took on two cores with its report, in minutes: `stickslip scenes` shows it"
+
+#: Keys without influence on the data.
+_WORDS = {"title", "about", "minutes", "analysis"}
+
+
 class Scene(StrictTable):
     """A scene: everything that determines an ensemble's data, and what to make of them."""
 
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
+    minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     system: SystemTable
     start: StartTable
     run: RunTable
-    engines: Annotated[tuple[Engine, ...], BeforeValidator(as_tuple)] = Field(
-        alias="engine", min_length=1, description="one or more tables [[engine]]"
-    )
+    engines: Annotated[
+        tuple[Engine, ...],
+        Field(min_length=1),
+        BeforeValidator(as_tuple, json_schema_input_type=Engine | Annotated[list[Engine], Field(min_length=1)]),
+    ] = Field(alias="engine", description="one or more tables [[engine]]")
     perturbation: PerturbationTable | None = None
     twins: TwinsTable | None = None
     record: RecordTable = RecordTable()
@@ -418,8 +433,8 @@ class Scene(StrictTable):
         return self.perturbation.readings if engine.readings is None else engine.readings
 
     def data_keys(self) -> dict[str, Any]:
-        """What determines the data, as plain values: all but title, about and analysis."""
-        keys = self.model_dump(mode="json", by_alias=True, exclude={"title", "about", "analysis"}, exclude_none=True)
+        """What determines the data, as plain values: all but the words about it and [analysis]."""
+        keys = self.model_dump(mode="json", by_alias=True, exclude=_WORDS, exclude_none=True)
         for table, engine in zip(keys["engine"], self.engines, strict=True):
             if engine.picked_for is not None:
                 table["picked_for"] = engine.picked_for
@@ -479,6 +494,32 @@ def parse_scene(source: bytes, name: str = "scene") -> Scene:
         return Scene.model_validate(tables)
     except ValidationError as error:
         raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error))) from None
+
+
+class _OfToml(GenerateJsonSchema):
+    """JSON Schema of TOML, which has no null: what may be left out is just that."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        found = super().default_schema(schema)
+        if isinstance(found.get("default"), dict | None):  # of a table the keys have their own
+            found.pop("default", None)
+        return found
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False  # the names of the keys with a capital
+
+
+def json_schema(table: type[StrictTable] = Scene) -> dict[str, Any]:
+    """JSON Schema (draft 7) of the scene files of one kind, an ensemble's by default, for editors.
+
+    It has keys, types, ranges, choices, defaults and examples. What keys demand of each other is `load_scene`'s to
+    check: it refuses all that the schema refuses, and more.
+    """
+    found = table.model_json_schema(schema_generator=_OfToml)
+    return {"$schema": "http://json-schema.org/draft-07/schema#", **found}
 
 
 # ---------------------------------------------------------------------------------------------- errors

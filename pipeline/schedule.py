@@ -5,26 +5,24 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
-import os
-import signal
-import tempfile
+import pickle
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, replace
-from multiprocessing import resource_tracker
-from pathlib import Path
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
 
-import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
-from distributed.utils import LoopRunner, silence_logging_cmgr
 
+from pipeline import kernels
 from pipeline.alone import compute_alone
 from pipeline.audit import Status, status
-from pipeline.interrupt import unbroken
+from pipeline.cluster import ScheduleError, connect
 from pipeline.live import Began
 from pipeline.members import Member, expand
+from pipeline.place import Where
 from pipeline.plan import Task
 from pipeline.scene import Scene
 from pipeline.shards import Recording, Result, compute, program, row
@@ -35,30 +33,14 @@ log = logging.getLogger(__name__)
 #: Batches in flight for each worker: enough that none waits, few enough to hold and to lose little.
 WINDOW = 3
 
-#: Seconds to wait for a scheduler at a given address.
-CONNECT_TIMEOUT = 10.0
-
 #: Seconds without a single worker, or without the scheduler, after which a run gives up.
 LOST_TIMEOUT = 60.0
 
+#: Seconds between two looks at what has come in; meanwhile the workers have their next batches.
+_LOOK = 0.02
+
 #: How often batches are given once more to workers of their own when those die of other causes.
 _ATTEMPTS = 3
-
-# One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
-# it differently. Libraries read these when they are loaded, so they must be set before.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-
-_LOCAL_CLUSTER = {
-    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    # whose worker dies is run in a process of its own next: no second chance to take others along
-    "distributed.scheduler.allowed-failures": 0,
-    # dask drops a worker for good that is being restarted just this long after it died; with it went the run
-    "distributed.deploy.lost-worker-timeout": "1000 days",
-}
-
-
-class ScheduleError(RuntimeError):
-    """The run could not be done to its end. What is committed stays; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +57,8 @@ class Progress:
     cost_resumed: float  #: part of `cost_done` that was there at the start
     elapsed: float  #: seconds since the start
     last_shard: str | None
+    dashboard: str | None = None  #: address of dask's, once there is one
+    compiling: tuple[str, ...] = ()  #: engines whose kernels are compiled first, on this machine
 
     @property
     def eta(self) -> float | None:
@@ -86,7 +70,7 @@ class Progress:
 def run_scene(
     scene: Scene,
     source: bytes,
-    out: Path,
+    out: Where,
     workers: int = 2,
     scheduler: str | None = None,
     on_progress: Callable[[Progress], None] | None = None,
@@ -100,9 +84,9 @@ def run_scene(
     scene : Scene
     source : bytes
         The scene file, kept beside the data.
-    out : Path
-        Directory of the dataset: absent, empty, or an earlier run of this scene, which is resumed, or of a part of
-        it, which is extended.
+    out : str, Path or Place
+        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
+        which is resumed, or of a part of it, which is extended.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
     scheduler : str, optional
@@ -127,34 +111,47 @@ def run_scene(
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
     start = time.monotonic()
-    with Store(Path(out), scene, source, retry_failed, accept_version) as store:
+    with Store(out, scene, source, retry_failed, accept_version) as store:
         members = {batch.name: len(batch.members) for batch, _ in store.tasks}
         costs = {batch.name: batch.cost for batch, _ in store.tasks}
         todo = {batch.name for batch, _ in store.todo}
-        before = sum(cost for name, cost in costs.items() if name not in todo)
+        n_before = n_done = sum(count for name, count in members.items() if name not in todo)
+        before = done = sum(cost for name, cost in costs.items() if name not in todo)
+        whole = sum(costs.values())
+
+        firsts = kernels.one_an_engine(member for batch, _ in store.todo for member in batch.members)
+        cold = {engine: one for engine, one in firsts.items() if scheduler is None and kernels.is_cold(engine)}
+
+        dashboard: str | None = None
+
+        def connected(address: str) -> None:
+            nonlocal dashboard
+            dashboard = address
+            store.note(f"dashboard {address}")
 
         def report(last_shard: str | None = None) -> None:
             if on_progress is not None:
                 on_progress(
                     Progress(
                         n_members=scene.n_members,
-                        n_done=sum(count for name, count in members.items() if name not in todo),
+                        n_done=n_done,
                         n_failed=store.n_failed,
                         n_shards=len(members),
                         n_shards_done=len(members) - len(todo),
-                        cost=sum(costs.values()),
-                        cost_done=sum(cost for name, cost in costs.items() if name not in todo),
+                        cost=whole,
+                        cost_done=done,
                         cost_resumed=before,
                         elapsed=time.monotonic() - start,
                         last_shard=last_shard,
+                        dashboard=dashboard,
+                        compiling=tuple(cold),
                     )
                 )
 
         report()
-        n_before = sum(count for name, count in members.items() if name not in todo)
         store.note(Began(time.time(), n_before, before).line)
         # closed at once if a commit fails or the user interrupts, and the workers with it
-        with contextlib.closing(_results(store.todo, workers, scheduler, store.note)) as results:
+        with contextlib.closing(_results(store.todo, cold, workers, scheduler, connected)) as results:
             for result in results:
                 if result.program != program():
                     raise ScheduleError(
@@ -163,6 +160,8 @@ def run_scene(
                     )
                 store.commit(result)
                 todo.discard(result.name)
+                n_done += members[result.name]
+                done += costs[result.name]
                 report(result.name)
     return status(out)
 
@@ -183,26 +182,37 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
     )
 
 
-def _results(todo: list[Task], workers: int, scheduler: str | None, note: Callable[[str], None]) -> Generator[Result]:
-    """The batches' results in the order they come in; `note` is told the address of dask's dashboard."""
+def _results(
+    todo: list[Task],
+    cold: Mapping[str, Member],
+    workers: int,
+    scheduler: str | None,
+    connected: Callable[[str], None],
+) -> Generator[Result]:
+    """The batches' results in the order they come in; `connected` is told the address of dask's dashboard.
+
+    `cold` has a member of each engine that is to be compiled.
+    """
     if not todo:
         return
     if workers == 0 and scheduler is None:
         for task in todo:
             yield compute(*task)
         return
-    n_workers = min(workers, len(todo))
-    with _client(n_workers, scheduler) as client:
-        note(f"dashboard {client.dashboard_link}")
+    n_workers = min(workers, max(len(todo), len(cold)))
+    with connect(n_workers, scheduler) as client:
+        # side by side, where one batch would have them compiled one after the other; nobody waits for it
+        for member in cold.values():
+            fire_and_forget(client.submit(kernels.load, [member], pure=False))
+        if scheduler is not None or find_spec("bokeh") is not None:  # without it there is a page that says so
+            connected(client.dashboard_link)
         try:
-            if scheduler is None and n_workers > 1:
-                _compile_once(client, todo)
             lost = yield from _submit(
-                client, todo, compute, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
+                client, todo, _compute, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
             )
             # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
             for _ in range(_ATTEMPTS):
-                lost = yield from _submit(client, lost, compute_alone, lambda: n_workers, scheduler)
+                lost = yield from _submit(client, lost, _compute_alone, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
             raise ScheduleError(
                 "expected the scheduler to stay until the end, lost it; start it again, then run the same scene "
@@ -227,12 +237,13 @@ def _submit(
     """Yield results as they come in, with so many batches in flight; return the batches whose workers died."""
     waiting = iter(todo)
     running = as_completed(loop=client.loop)
-    task_of: dict[Future, Task] = {}
+    task_of: dict[Future[Any], Task] = {}
     lost: list[Task] = []
     while True:
         # the window is measured anew each time, as clusters grow and shrink
         for task in itertools.islice(waiting, max(0, window() - running.count())):
-            future = client.submit(work, *task, pure=False)
+            # in bytes: the scheduler, in this process, would unpack and pack the members one by one
+            future = client.submit(work, pickle.dumps(task), pure=False)
             task_of[future] = task
             running.add(future)
         if running.is_empty():
@@ -245,6 +256,11 @@ def _submit(
             result = _fetch(future, watch)
         except KilledWorker:
             lost.append(task)
+        except (ImportError, AttributeError) as error:
+            raise ScheduleError(
+                f"expected workers with this version of the program ({program()}), got one that cannot run it "
+                f"({error}); install the same there, then run the same scene again"
+            ) from error
         else:
             yield result
         future.release()  # a held result is computed again when its worker dies
@@ -277,11 +293,11 @@ class _Watch:
 
 def _until(is_so: Callable[[], bool], watch: _Watch) -> None:
     while not is_so():
-        time.sleep(0.005)
+        time.sleep(_LOOK)
         watch.look()
 
 
-def _fetch(future: Future, watch: _Watch) -> Result:
+def _fetch(future: Future[Any], watch: _Watch) -> Result:
     """The result of a future that is done; dask computes it again if its worker has died since."""
     while True:
         try:
@@ -290,99 +306,12 @@ def _fetch(future: Future, watch: _Watch) -> Result:
             watch.look()
 
 
-def _compile_once(client: Client, todo: list[Task]) -> None:
-    """Let one worker a kernel compile it for all, before all need it: seconds each on a cold cache."""
-    kinds: dict[object, Member] = {}
-    for batch, _ in todo:
-        for member in batch.members:
-            kinds.setdefault((member.engine, member.coupling, member.ratio, bool(member.thresholds)), member)
-    futures = [client.submit(_warm, member, pure=False) for member in kinds.values()]
-    _until(lambda: all(future.done() for future in futures), _Watch(client, None))
+def _compute(task: bytes) -> Result:
+    """A worker's task."""
+    batch, recording = pickle.loads(task)
+    kernels.load(batch.members)
+    return compute(batch, recording)
 
 
-def _warm(member: Member) -> None:
-    row(replace(member, n=min(member.n, 3), t_end=1e-6), Recording("", (), None))
-
-
-@contextlib.contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
-    """A client of the cluster at an address, or of a local one that lives as long as the with-block."""
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError) as error:  # refused, timed out, no address
-            raise ScheduleError(
-                f"scheduler: expected the address of a running dask scheduler, got {scheduler!r} ({error}); "
-                f"start one with `dask scheduler`, or leave the address out to run on this machine"
-            ) from error
-        with silence_logging_cmgr(logging.CRITICAL), client:  # what matters reaches the caller as an error
-            yield client
-        return
-    with _one_thread(), contextlib.ExitStack() as opened:
-        with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
-            loop = _deaf_loop()
-            opened.callback(loop.stop)
-            cluster = _local_cluster(workers, loop)
-            client = Client(cluster, set_as_default=False)
-            opened.callback(_close, client, cluster)
-            opened.push(lambda kind, error, trace: _kill(cluster) if kind is not None else None)
-        yield client
-
-
-def _close(client: Client, cluster: LocalCluster) -> None:
-    with unbroken():
-        client.close()
-        cluster.close()
-
-
-def _kill(cluster: LocalCluster) -> None:
-    """End the workers in the middle of what nobody waits for any more: asked to, they take seconds."""
-    for nanny in cluster.workers.values():
-        nanny.auto_restart = False
-        with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
-            os.kill(nanny.pid, signal.SIGKILL)
-
-
-def _deaf_loop() -> LoopRunner:
-    """Dask's thread, and with it the workers that it starts, deaf to Ctrl-C and SIGTERM.
-
-    Both may reach every process of a group: the driver alone answers them, and ends its workers.
-    """
-    resource_tracker.ensure_running()  # it would open the ears of the thread that starts it
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        loop = LoopRunner()
-        loop.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return loop
-
-
-def _local_cluster(workers: int, loop: LoopRunner) -> LocalCluster:
-    try:
-        return LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            loop=loop.loop,
-            dashboard_address=":0",  # any free port: two runs at once do not quarrel over one
-            silence_logs=logging.CRITICAL,  # what matters reaches the caller as an error
-        )
-    except (OSError, RuntimeError) as error:
-        raise ScheduleError(
-            f"expected {workers} workers on this machine, could not start them ({error}); see that "
-            f"{dask.config.get('temporary-directory') or tempfile.gettempdir()} can be written, then run the same "
-            f"scene again"
-        ) from error
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let workers started in the with-block load their libraries with one thread; restore this process's own."""
-    here = dict(os.environ)  # dask sets the variables here, for the processes it spawns to inherit
-    try:
-        with dask.config.set(_LOCAL_CLUSTER):
-            yield
-    finally:
-        os.environ.clear()
-        os.environ.update(here)
+def _compute_alone(task: bytes) -> Result:
+    return compute_alone(*pickle.loads(task))

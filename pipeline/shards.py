@@ -236,7 +236,7 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
     run = member.simulate(times if base is not None else ())
     found = _measured(run)
     if "growth_rate" in recording.parts:
-        found["growth_rate"] = _growth_rate(replace(member, **_OF_A_RUN))
+        found["growth_rate"] = _growth_rate(member.of_system)
     if "events" in recording.parts:
         found |= _events(run.events)
     if base is not None:
@@ -245,13 +245,6 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
         changes = {c: series.change_points() for c, series in run.by_threshold.items()}
         found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
     return found
-
-
-#: What a member's system does not depend on, set to one value each: members that share a system share a key.
-_OF_A_RUN: dict[str, Any] = dict.fromkeys(
-    ("member_id", "engine", "tol", "eps", "ratio", "ratio_draw", "rtol", "atol", "stick", "threshold", "thresholds",
-     "picked_for", "twin_size", "z0", "w0", "t_end"),
-)  # fmt: skip
 
 
 @lru_cache(maxsize=64)

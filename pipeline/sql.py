@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -13,6 +12,7 @@ import pyarrow as pa
 
 from pipeline.dataset import QueryError, dataset, frame, reading
 from pipeline.manifest import dataset_scene
+from pipeline.place import Where
 from pipeline.shards import scalars
 
 #: Rows that an answer is handed over in.
@@ -70,14 +70,14 @@ def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
     return found
 
 
-def sql(path: str | Path, query: str) -> pd.DataFrame:
+def sql(path: Where, query: str) -> pd.DataFrame:
     """Answer a question in SQL as a data frame; see `answer`."""
     with answer(path, query) as batches:
         return frame(batches.read_all())
 
 
 @contextlib.contextmanager
-def answer(path: str | Path, query: str) -> Iterator[pa.RecordBatchReader]:
+def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
     """Answer a question in SQL (DuckDB), without access to anything but the dataset, some rows at a time.
 
     Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
@@ -100,7 +100,7 @@ def answer(path: str | Path, query: str) -> Iterator[pa.RecordBatchReader]:
     except ImportError as error:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
     source = dataset(path)
-    selections = views(source.schema, dataset_scene(Path(path)).record.separation)
+    selections = views(source.schema, dataset_scene(path).record.separation)
     with duckdb.connect(":memory:") as connection:
         connection.register("shards", source)
         for name, selection in selections.items():

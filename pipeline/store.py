@@ -3,39 +3,45 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import hashlib
 import logging
-import os
-import socket
+import threading
 from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
 from types import TracebackType
 
 from pipeline.interrupt import last_act, unbroken
 from pipeline.manifest import (
+    DamagedManifest,
+    Manifest,
+    Shard,
+    checked_line,
+    read_commits,
+    read_manifest,
+    stored_scene,
+)
+from pipeline.members import expand
+from pipeline.place import (
     DATA,
     LOCK,
     MANIFEST,
     SCENE,
     TEMPORARY,
     TIMINGS,
-    DamagedManifest,
-    Manifest,
-    Shard,
+    Directory,
+    Place,
     StoreError,
-    checked_line,
-    read_commits,
-    read_manifest,
+    Where,
+    place_of,
 )
-from pipeline.members import expand
-from pipeline.plan import PlanError, grows, pack, tasks
-from pipeline.scene import Scene, SceneError, load_scene
+from pipeline.plan import PlanError, Task, grows, pack, tasks
+from pipeline.scene import Scene, SceneError
 from pipeline.shards import Result, program
 
 log = logging.getLogger(__name__)
+
+#: Seconds that a program that is to end at once takes to leave no trace in a store that may not answer.
+_LAST_SECONDS = 1.5
 
 
 class Store:
@@ -47,7 +53,8 @@ class Store:
 
     Parameters
     ----------
-    path : Path
+    path : str, Path or Place
+        A directory or an address; see `pipeline.place`.
     scene : Scene
     source : bytes
         The scene file.
@@ -64,10 +71,9 @@ class Store:
     """
 
     def __init__(
-        self, path: Path, scene: Scene, source: bytes, retry_failed: bool = False, accept_version: bool = False
+        self, path: Where, scene: Scene, source: bytes, retry_failed: bool = False, accept_version: bool = False
     ) -> None:
-        self.path, self.scene, self.source = path, scene, source
-        self.data = path / DATA
+        self.place, self.scene, self.source = place_of(path), scene, source
         self._retry_failed, self._accept_version = retry_failed, accept_version
         self._held = contextlib.ExitStack()
         self._lost = False
@@ -83,15 +89,13 @@ class Store:
         return sum(shard.n_failed for shard in self._manifest.shards.values())
 
     def __enter__(self) -> Store:
-        with _explained(self.path):
+        with _explained(self.place):
             self._check()
-            self.data.mkdir(parents=True, exist_ok=True)
+            self.place.prepare()
         try:
-            with _explained(self.path):
+            with _explained(self.place):
                 with unbroken():
-                    self._held.callback(os.close, _acquire(self.path / LOCK))
-                    # removed while held: whoever opened it meanwhile sees that the name is gone, and tries again
-                    self._held.callback(_unlink, self.path / LOCK)
+                    self._hold = self._held.enter_context(self.place.own())
                 self._manifest = self._check()  # once more: another process may have come first
                 self._open()
         except BaseException:
@@ -106,16 +110,28 @@ class Store:
             self._held.close()
 
     def _sweep(self) -> None:
-        """Leave no trace of a commit that is cut short."""
-        for leftover in self._leftovers(read_manifest(self.path)):
-            _unlink(leftover)
-        _unlink(self.path / LOCK)
+        """Leave no trace of a commit that is cut short; what takes too long is left to the next run."""
 
-    def _leftovers(self, manifest: Manifest) -> list[Path]:
-        files = [*self.path.iterdir(), *self.data.iterdir()]
-        return [
-            file for file in files if _is_temporary(file) or (_is_shard(file) and file.name not in manifest.shards)
-        ]
+        def sweep() -> None:
+            with contextlib.suppress(OSError, StoreError):
+                for leftover in self._leftovers(read_manifest(self.place)):
+                    self._remove(leftover)
+            self._hold.give_back()
+
+        if isinstance(self.place, Directory):
+            sweep()
+            return
+        aside = threading.Thread(target=sweep, daemon=True)
+        aside.start()
+        aside.join(_LAST_SECONDS)
+
+    def _leftovers(self, manifest: Manifest) -> list[str]:
+        known = {f"{DATA}/{name}" for name in manifest.shards}
+        return [name for name in self.place.names() if _is_temporary(name) or (_is_shard(name) and name not in known)]
+
+    def _remove(self, name: str) -> None:
+        with contextlib.suppress(OSError):
+            self.place.remove(name)
 
     @cached_property
     def _fresh(self) -> Manifest:
@@ -123,24 +139,19 @@ class Store:
 
     def _check(self) -> Manifest:
         """The manifest found here, or a new one if nothing is here; else a refusal."""
-        if not self.path.exists():
-            return self._fresh
-        if not self.path.is_dir():
-            raise StoreError(f"{self.path}: expected a directory, got a file; choose another directory")
-        if not (self.path / MANIFEST).exists():
+        names = self.place.names()
+        if MANIFEST not in names:
             # a crash before the first manifest leaves no more than these
-            if all(entry.name in (LOCK, DATA) or _is_temporary(entry) for entry in self.path.iterdir()) and not (
-                self.data.exists() and any(self.data.iterdir())
-            ):
+            if all(name in (LOCK, DATA) or name.startswith(TEMPORARY) for name in names):
                 return self._fresh
             return self._recorded(
                 StoreError(
-                    f"{self.path}: expected a dataset or an empty directory, got files but no {MANIFEST}; "
+                    f"{self.place}: expected a dataset or an empty directory, got files but no {MANIFEST}; "
                     f"choose another directory"
                 )
             )
         try:
-            manifest = read_manifest(self.path)
+            manifest = read_manifest(self.place)
         except DamagedManifest as error:
             return self._recorded(error)
         return manifest if manifest.scene_hash == self.scene.hash else self._grown(manifest)
@@ -148,14 +159,14 @@ class Store:
     def _recorded(self, refusal: StoreError) -> Manifest:
         """The manifest as the record of the commits has it, if the directory is this scene's; else the refusal."""
         try:
-            if load_scene(self.path / SCENE).hash != self.scene.hash:
+            if stored_scene(self.place).hash != self.scene.hash:
                 raise refusal
         except SceneError:
             raise refusal from None
         self._lost = True
         manifest = self._fresh.model_copy(deep=True)
         names = {batch.name for batch, _ in tasks(self.scene, [], manifest.packing)}
-        for commit in read_commits(self.path / TIMINGS):
+        for commit in read_commits(self.place):
             if commit.name in names:
                 manifest.shards[commit.name] = commit.shard
                 if commit.program not in manifest.programs:
@@ -165,12 +176,12 @@ class Store:
     def _grown(self, manifest: Manifest) -> Manifest:
         """The manifest of a dataset of a smaller scene, extended; a refusal if the scene differs otherwise."""
         refusal = StoreError(
-            f"{self.path}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of it, got "
-            f"that of another (hash {manifest.scene_hash[:12]}){self._difference()}; choose another directory, "
+            f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of it, "
+            f"got that of another (hash {manifest.scene_hash[:12]}){self._difference()}; choose another directory, "
             f"or restore the scene"
         )
         try:
-            stored = load_scene(self.path / SCENE)
+            stored = stored_scene(self.place)
         except SceneError:
             raise refusal from None
         if stored.hash != manifest.scene_hash or not grows(stored, self.scene):
@@ -179,7 +190,7 @@ class Store:
         return Manifest(
             scene_hash=self.scene.hash,
             programs=manifest.programs,
-            earlier=[*manifest.earlier, (self.path / SCENE).read_bytes().decode()],
+            earlier=[*manifest.earlier, self.place.read(SCENE).decode()],
             packing=[*manifest.packing, list(pack(self.scene, known))],
             shards=manifest.shards,
         )
@@ -187,63 +198,76 @@ class Store:
     def _difference(self) -> str:
         """How the stored scene differs, if it can be read."""
         try:
-            stored = _flat(load_scene(self.path / SCENE).data_keys())
+            stored = _flat(stored_scene(self.place).data_keys())
         except SceneError:
             return ""
         wanted = _flat(self.scene.data_keys())
         keys = [key for key in sorted(stored | wanted) if stored.get(key) != wanted.get(key)]
         return "".join(f"; {key}: {wanted.get(key)!r} here, {stored.get(key)!r} there" for key in keys[:5])
 
-    def _open(self) -> None:
-        manifest = self._manifest
+    def look(self) -> tuple[list[Task], list[Task]]:
+        """All shards, and those that a run would compute; the dataset is neither taken nor changed.
+
+        Raises
+        ------
+        StoreError
+            As on entering, if a run would be refused for what is there.
+        """
+        with _explained(self.place):
+            self._manifest = self._check()
+            self._plan(self._manifest)
+        return self.tasks, self.todo
+
+    def _plan(self, manifest: Manifest) -> None:
+        """What the shards are, and which of them are to be computed."""
         try:
             self.tasks = tasks(self.scene, manifest.earlier, manifest.packing)
         except PlanError as error:
             raise StoreError(
-                f"{self.path / MANIFEST}: expected the packing of the scene's members, got {error}; go on with the "
-                f"version of stickslip that began it, or choose another directory"
+                f"{self.place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with "
+                f"the version of stickslip that began it, or choose another directory"
             ) from error
         foreign = sorted(manifest.shards.keys() - {batch.name for batch, _ in self.tasks})
         if foreign:
             raise StoreError(
-                f"{self.path}: expected the shards of this scene, got {foreign[0]}; go on with the version of "
+                f"{self.place}: expected the shards of this scene, got {foreign[0]}; go on with the version of "
                 f"stickslip that began it, or choose another directory"
             )
-        for name, shard in list(manifest.shards.items()):
-            problem = shard.damage(self.data / name)
+        shards = list(manifest.shards.items())
+        contents = self.place.read_each([f"{DATA}/{name}" for name, _ in shards])
+        for (name, shard), content in zip(shards, contents, strict=True):
+            problem = shard.damage(content)
             if problem:
-                log.warning("%s: %s; computing it again", self.data / name, problem)
+                log.warning("%s: %s; computing it again", self.place.named(f"{DATA}/{name}"), problem)
                 del manifest.shards[name]
         again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
         self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
         if self.todo and program() not in manifest.programs:
             if manifest.shards and not self._accept_version:
                 raise StoreError(
-                    f"{self.path}: expected data of this version of the program ({program()}), got data of another "
+                    f"{self.place}: expected data of this version of the program ({program()}), got data of another "
                     f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; go on with that, "
                     f"choose another directory, or mix them by --accept-version"
                 )
             manifest.programs = [*(manifest.programs if manifest.shards else []), program()]
+
+    def _open(self) -> None:
+        manifest = self._manifest
+        self._plan(manifest)
         if self._lost:
-            log.warning("%s: lost; made again from %s", self.path / MANIFEST, TIMINGS)
+            log.warning("%s: lost; made again from %s", self.place.named(MANIFEST), TIMINGS)
         self._held.enter_context(last_act(self._sweep))
         with unbroken():
             for leftover in self._leftovers(manifest):
-                leftover.unlink()
+                self.place.remove(leftover)
             # the manifest first: it makes the directory a dataset
-            _replace(self.path / MANIFEST, manifest.to_bytes())
-            _replace(self.path / SCENE, self.source)
-            timings = self.path / TIMINGS
-            if timings.exists():
-                whole = timings.read_bytes().rpartition(b"\n")
-                os.truncate(timings, len(whole[0]) + len(whole[1]))  # a line that a crash cut short goes
-            self._timings = os.open(timings, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-            self._held.callback(os.close, self._timings)
+            self.place.replace(MANIFEST, manifest.to_bytes())
+            self.place.replace(SCENE, self.source)
+            self._record = self._held.enter_context(self.place.record(TIMINGS))
 
     def note(self, line: str) -> None:
         """Leave a word in the lock, for those who look who is writing."""
-        with contextlib.suppress(OSError), open(self.path / LOCK, "a", encoding="utf-8") as lock:
-            lock.write(line + "\n")
+        self._hold.note(line)
 
     def commit(self, result: Result) -> None:
         """Make a shard part of the dataset: bytes, name, record, manifest, each in one step, in this order.
@@ -251,7 +275,7 @@ class Store:
         Raises
         ------
         StoreError
-            If it cannot be written; the dataset is then as it was before.
+            If it cannot be written, or the right to write was lost; the dataset is then as it was before.
         """
         shard = Shard(
             sha256=hashlib.sha256(result.shard).hexdigest(),
@@ -270,16 +294,17 @@ class Store:
             "entry": shard.model_dump(),
         }
         before = self._manifest.shards.get(result.name)
-        with unbroken(), _explained(self.path):
+        with unbroken(), _explained(self.place):
+            self._hold.check()
             try:
-                _replace(self.data / result.name, result.shard)
-                _write(self._timings, (checked_line(record) + "\n").encode())
+                self.place.replace(f"{DATA}/{result.name}", result.shard)
+                self._record((checked_line(record) + "\n").encode())
                 self._manifest.shards[result.name] = shard
-                _replace(self.path / MANIFEST, self._manifest.to_bytes())
+                self.place.replace(MANIFEST, self._manifest.to_bytes())
             except BaseException:
                 if before is None:
                     self._manifest.shards.pop(result.name, None)
-                    _unlink(self.data / result.name)
+                    self._remove(f"{DATA}/{result.name}")
                 raise
 
 
@@ -293,75 +318,17 @@ def _flat(values: object, key: str = "") -> dict[str, object]:
     return {path: leaf for name, value in pairs for path, leaf in _flat(value, name).items()}
 
 
-def _unlink(file: Path) -> None:
-    with contextlib.suppress(OSError):
-        file.unlink(missing_ok=True)
+def _is_temporary(name: str) -> bool:
+    return name.rpartition("/")[2].startswith(TEMPORARY)
 
 
-def _is_temporary(file: Path) -> bool:
-    return file.name.startswith(TEMPORARY)
-
-
-def _is_shard(file: Path) -> bool:
-    return file.parent.name == DATA and file.name.startswith("shard-") and file.suffix == ".parquet"
-
-
-def _acquire(file: Path) -> int:
-    """An exclusive lock on a file, as a descriptor that holds it until it is closed."""
-    while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            owner = os.read(descriptor, 200).decode(errors="replace").partition("\n")[0]
-            os.close(descriptor)
-            raise StoreError(
-                f"{file.parent}: expected to be its only writer, got a lock held by "
-                f"{owner or 'another process'}; wait for it to end, or choose another directory"
-            ) from None
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), os.stat(file)):
-                os.truncate(descriptor, 0)
-                with contextlib.suppress(OSError):  # a full disk: whoever is refused is not told by whom
-                    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-                return descriptor
-        os.close(descriptor)  # its last owner removed it between our opening and our locking
-
-
-def _write(descriptor: int, line: bytes) -> None:
-    """Append a line, whole or not at all."""
-    size = os.fstat(descriptor).st_size
-    try:
-        if os.write(descriptor, line) < len(line):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.ftruncate(descriptor, size)
-        raise
-
-
-def _replace(file: Path, content: bytes) -> None:
-    """Give a file new content in one step that a crash cannot divide."""
-    temporary = file.with_name(TEMPORARY + file.name)
-    try:
-        with open(temporary, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, file)
-    except BaseException:
-        _unlink(temporary)
-        raise
-    directory = os.open(file.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
+def _is_shard(name: str) -> bool:
+    return name.startswith(f"{DATA}/shard-") and name.endswith(".parquet")
 
 
 @contextlib.contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Turn the operating system's refusals into words that say what to do."""
+def _explained(path: Place) -> Iterator[None]:
+    """Turn the refusals of the operating system, or of a store, into words that say what to do."""
     try:
         yield
     except OSError as error:

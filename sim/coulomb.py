@@ -302,6 +302,7 @@ def integrate(
     clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
     clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
+    collapse = fate.Collapse(system)
     # NaN: a coefficient used before it was computed would show
     series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
 
@@ -314,7 +315,7 @@ def integrate(
     return drive.complete(
         system,
         advance,
-        certify=lambda slip: fate.collapse(system, z, w, slip),
+        certify=lambda slip: collapse.certify(z, w, slip),
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=n,

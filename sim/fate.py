@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -122,15 +123,8 @@ def _modes(system: System) -> _Modes:
     return _MODES[system]
 
 
-def collapse(
-    system: System,
-    z: Floats,
-    w: Floats,
-    slip: int,
-    band: Floats | float = 0.0,
-    delta: Floats | None = None,
-) -> Certificate:
-    """Certify that no block sticks again when all slip one way.
+class Collapse:
+    """Certifies that no block of a system sticks again when all slip one way.
 
     With x' = A x + const the all-slip system, stable, A T = T Lambda, c = T^-1 (x - x_rest): each |c_j| decays, so
 
@@ -144,40 +138,58 @@ def collapse(
     Parameters
     ----------
     system : System
-    z, w : ndarray, shape (n,)
-    slip : int
-        The common direction, +1 or -1.
     band : float or ndarray, shape (n,)
         Half-width of the layer around v in which a block may stick (0 for the Coulomb law).
     delta : ndarray, shape (n,), optional
         Widths of the smoothed law; None for the Coulomb law.
     """
-    speed = abs(system.belt_speed)
-    widest = float(np.max(band))
-    if slip * system.belt_speed >= 0 or widest >= speed:  # w = 0, the rest, is across the belt or in the layer
-        return Certificate(False, "", _NEVER)
-    if system.n > _EIGENVALUES_MAX:
-        return Certificate(False, "", _NEVER)
-    modes = _modes(system)
-    if not modes.growth < -_EIGENVALUE_ROUNDING * modes.largest or np.isinf(modes.inverse).any():
-        return Certificate(False, "", _NEVER)
-    try:
-        rest = system.rest_state(np.full(system.n, slip))
-    except np.linalg.LinAlgError:
-        return Certificate(False, "", _NEVER)
-    coefficients = np.abs(modes.inverse @ np.concatenate((z - rest, w)))
-    reach = float((modes.velocity_parts @ coefficients).max())
-    margin = widest
-    if delta is not None:
-        margins = np.linspace(widest, speed, 64, endpoint=False)
-        forces = 2 * system.friction * np.exp(-2 * margins[:, None] / delta)
-        slack = speed - margins - (forces @ modes.response.T).max(axis=1)
-        margin = speed - float(slack.max())
-    limit = speed - margin
-    if reach < limit:
-        reason = f"all blocks slip; |w| stays below {reach:.3g} of at most {limit:.3g}, as the all-slip system decays"
-        return Certificate(True, reason, 0.0)
-    if limit <= 0:
-        return Certificate(False, "", _NEVER)
-    # the slowest mode must decay from `reach` to `limit`: no use in asking much earlier
-    return Certificate(False, "", 0.25 * float(np.log(reach / limit)) / -modes.growth)
+
+    def __init__(self, system: System, band: Floats | float = 0.0, delta: Floats | None = None) -> None:
+        self._system, self._delta = system, delta
+        self._widest = float(np.max(band))
+        self._rests: dict[int, Floats | None] = {}
+
+    def certify(self, z: Floats, w: Floats, slip: int) -> Certificate:
+        """Whether it is certain of a state, shape (n,) each, in which all blocks slip in the direction +1 or -1."""
+        system = self._system
+        if slip * system.belt_speed >= 0 or self._widest >= abs(system.belt_speed):
+            return Certificate(False, "", _NEVER)  # w = 0, the rest, is across the belt or in the layer
+        if system.n > _EIGENVALUES_MAX:
+            return Certificate(False, "", _NEVER)
+        modes = _modes(system)
+        if not modes.growth < -_EIGENVALUE_ROUNDING * modes.largest or np.isinf(modes.inverse).any():
+            return Certificate(False, "", _NEVER)
+        rest = self._rest(slip)
+        if rest is None:
+            return Certificate(False, "", _NEVER)
+        coefficients = np.abs(modes.inverse @ np.concatenate((z - rest, w)))
+        reach, limit = float((modes.velocity_parts @ coefficients).max()), self._limit
+        if reach < limit:
+            reason = (
+                f"all blocks slip; |w| stays below {reach:.3g} of at most {limit:.3g}, as the all-slip system decays"
+            )
+            return Certificate(True, reason, 0.0)
+        if limit <= 0:
+            return Certificate(False, "", _NEVER)
+        # the slowest mode must decay from `reach` to `limit`: no use in asking much earlier
+        return Certificate(False, "", 0.25 * float(np.log(reach / limit)) / -modes.growth)
+
+    def _rest(self, slip: int) -> Floats | None:
+        """Where all blocks rest that slip one way; None if K is singular."""
+        if slip not in self._rests:
+            try:
+                self._rests[slip] = self._system.rest_state(np.full(self._system.n, slip))
+            except np.linalg.LinAlgError:
+                self._rests[slip] = None
+        return self._rests[slip]
+
+    @cached_property
+    def _limit(self) -> float:
+        """What every |w_i| must stay below: |v| less the best margin."""
+        speed, margin = abs(self._system.belt_speed), self._widest
+        if self._delta is not None:
+            margins = np.linspace(self._widest, speed, 64, endpoint=False)
+            forces = 2 * self._system.friction * np.exp(-2 * margins[:, None] / self._delta)
+            slack = speed - margins - (forces @ _modes(self._system).response.T).max(axis=1)
+            margin = speed - float(slack.max())
+        return speed - margin

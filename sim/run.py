@@ -16,14 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim import show
 from sim.arguments import Floats, floats, number, per_block
 from sim.series import EventSeries
 from sim.system import System
+
+if TYPE_CHECKING:
+    from sim.show import Axes
 
 Outcome = Literal["finished", "collapsed", "diverged"]
 Engine = Literal["coulomb", "sigmoid"]
@@ -69,6 +73,10 @@ class Samples:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __repr__(self) -> str:
+        where = f" on [{self.t[0]:g}, {self.t[-1]:g}]" if len(self) else ""
+        return f"Samples(n={self.z.shape[1]}, {len(self)} times{where})"
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -106,8 +114,22 @@ class Run:
         """Number of sticking blocks at given times; see `EventSeries.n_stick`."""
         return self.events.n_stick(times)
 
+    def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
+        """Draw n_stick(t) on the axes given or on new ones; returns them. `style` goes to `Axes.step`."""
+        return show.draw_n_stick(self.events, ax, style)
+
     def __repr__(self) -> str:
         return f"Run({self.outcome} at t = {self.t_end:g}, n = {self.events.n}, {self.stats.n_events} events)"
+
+    def _repr_html_(self) -> str:
+        rows: dict[str, object] = {"blocks": self.events.n, "outcome": f"{self.outcome} at t = {self.t_end:g}"}
+        if self.reason:
+            rows["reason"] = self.reason
+        rows["n_stick at the end"] = int(self.n_stick(self.events.t_end))
+        rows |= {name.removeprefix("n_"): count for name, count in self.events.counts().items()}
+        rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
+        rows["products"] = self.stats.n_products
+        return show.table("run", rows)
 
 
 def simulate(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim import show
 from sim.arguments import Floats
+
+if TYPE_CHECKING:
+    from sim.show import Axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,5 +127,15 @@ class EventSeries:
             )
         return array
 
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the mode of every block against time, on the axes given or on new ones; returns them."""
+        return show.draw_modes(self, ax)
+
     def __repr__(self) -> str:
         return f"EventSeries(n={self.n}, {len(self)} events on [{self.t_start:g}, {self.t_end:g}])"
+
+    def _repr_html_(self) -> str:
+        counts = {name.removeprefix("n_"): count for name, count in self.counts().items()}
+        return show.table(
+            f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
+        )

@@ -393,6 +393,7 @@ def integrate(
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     counters[drive.N_PRODUCTS] = 2 if cross is None else 4
+    collapse = fate.Collapse(system, band, delta)
     # NaN: a value used before it was computed would show
     work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (11, STAGES, STAGES))
 
@@ -405,7 +406,7 @@ def integrate(
     return drive.complete(
         system,
         advance,
-        certify=lambda slip: fate.collapse(system, z, w, slip, band, delta),
+        certify=lambda slip: collapse.certify(z, w, slip),
         stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=PASSES * n * len(bands),

@@ -17,6 +17,7 @@ import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.linalg import splu
 
+from sim import show
 from sim.arguments import Floats, floats, number, per_block
 
 #: K by columns as the kernels take it: K transposed, dense, in float64 and float32; or, when these are empty, CSC
@@ -168,6 +169,16 @@ class System:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
         damping = "" if self.cross_damping is None else ", C full"
         return f"System(n={self.n}, K {kind}{damping}, belt_speed={self.belt_speed})"
+
+    def _repr_html_(self) -> str:
+        sparse = "" if isinstance(self.stiffness, np.ndarray) else f", sparse with {self.stiffness.nnz} entries"
+        rows = {
+            "stiffness K": f"|K_ij| up to {abs(self.stiffness).max():.6g}{sparse}",
+            "damping R": show.span(self.damping) + ("" if self.cross_damping is None else ", C full"),
+            "friction mu": show.span(self.friction),
+            "belt speed v": f"{self.belt_speed:.6g}",
+        }
+        return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
 
 
 def require_diagonal_damping(system: System, what: str) -> None:

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from pipeline import QueryError
 from pipeline.dataset import frame
+from pipeline.place import Directory, Where, place_of
 
 Form = Literal["table", "csv", "parquet"]
 
@@ -31,7 +32,7 @@ def form_of(asked: Form | None, out: Path | None) -> Form:
     return cast(Form, ending) if ending in ("csv", "parquet") else "table"
 
 
-def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Path) -> None:
+def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Where) -> None:
     """Write an answer to a file, which appears when it is whole, or to the standard output.
 
     Raises
@@ -89,9 +90,10 @@ def _flat(schema: pa.Schema) -> None:
 
 
 @contextlib.contextmanager
-def _whole(out: Path, dataset: Path) -> Iterator[BinaryIO]:
+def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
     """A stream to a file beside `out`, which takes its name at the end, or goes if there is none."""
-    if out.resolve().is_relative_to(dataset.resolve()):
+    place = place_of(dataset)
+    if isinstance(place, Directory) and out.resolve().is_relative_to(place.path.resolve()):
         raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; name another")
     if out.is_dir():
         raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
@@ -13,7 +12,9 @@ from tqdm import tqdm
 from pipeline import Progress
 from pipeline.estimate import Estimate
 from pipeline.live import Follower, View
+from pipeline.place import Where
 from pipeline.query import reasons
+from workflows.sparkline import newest
 
 #: Seconds between two lines where there is no terminal.
 _EVERY = 10.0
@@ -33,26 +34,30 @@ def in_words(found: Estimate) -> list[str]:
     core = " to ".join(f"{value:.3g}" for value in (found.core_seconds[0], found.core_seconds[2]))
     disk = [value / 1e6 for value in found.n_bytes]
     workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
-    return [
+    others = f"; others use the machine too: {found.busy:.1f} s for one of a core" if found.busy > 1.2 else ""
+    lines = [
         f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {workers}, report apart; {core} s of a core",
         f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
-        f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s; the interval is"
-        " the spread of measured over expected cost, runs cut short, workers' start and pace",
+        f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s{others}",
+        f"start   {found.start_seconds:.1f} s of the time, until workers are there",
     ]
+    if found.compile_seconds:
+        lines.append(f"compile {found.compile_seconds:.0f} s, done now: the run finds the kernels compiled")
+    return lines
 
 
-def say(directory: Path) -> None:
-    """Print the status of a dataset."""
-    print("\n".join(_status_lines(Follower(directory).look())))
+def say(directory: Where, plot: bool = False) -> None:
+    """Print the status of a dataset; and draw its newest member, on a terminal."""
+    print("\n".join(_status_lines(Follower(directory).look()) + (newest(directory) if plot else [])))
 
 
-def watch(directory: Path) -> None:
+def watch(directory: Where, plot: bool = False) -> None:
     """Print the status of a dataset, again and again until nobody writes it any more."""
     follower = Follower(directory)
     last: list[str] = []
     while True:
         view = follower.look()
-        lines = _status_lines(view)
+        lines = _status_lines(view) + (newest(directory) if plot else [])
         if sys.stdout.isatty() and last:
             print(f"\x1b[{len(last)}F\x1b[J", end="")  # over the last ones
         if lines != last or sys.stdout.isatty():
@@ -60,7 +65,7 @@ def watch(directory: Path) -> None:
         last = lines
         if view.running is None:
             return
-        time.sleep(_LOOK)
+        time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
 
 
 def _status_lines(view: View) -> list[str]:
@@ -83,7 +88,7 @@ def _status_lines(view: View) -> list[str]:
 class Watch:
     """Shows `Progress` of the run into a directory as it comes; a context manager, called with each."""
 
-    def __init__(self, directory: Path, stream: TextIO | None = None) -> None:
+    def __init__(self, directory: Where, stream: TextIO | None = None) -> None:
         self._directory = directory
         self._stream = sys.stderr if stream is None else stream
         self._start: Progress | None = None
@@ -105,7 +110,11 @@ class Watch:
             self._print(f"{progress.n_done} of {progress.n_members} members are there already")
         if self._last is None:
             self._start = progress
-        elif progress.last_shard is not None and progress.n_failed > self._last.n_failed:
+            if progress.compiling:
+                self._print(f"compiling {' and '.join(progress.compiling)}, once: some ten seconds")
+        elif progress.dashboard is not None and self._last.dashboard is None:
+            self._print(f"dask    {progress.dashboard}")
+        if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
             for reason, count in reasons(self._directory, progress.last_shard).items():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
 from analysis import AnalysisSettings, Report, build
+from analysis.comparison import Ensemble, compare
 from analysis.section import Data
-from pipeline import Status, dataset_scene, status
+from pipeline import Scene, Status, dataset_scene, status
+from pipeline.place import Directory, Where, place_of
 from pipeline.query import all_events, by_threshold, members, separations, series
 
 
-def report(path: Path) -> tuple[Report, Status]:
+def report(path: Where) -> tuple[Report, Status]:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
 
     Raises
@@ -21,10 +24,62 @@ def report(path: Path) -> tuple[Report, Status]:
     ValueError
         If no member is there yet.
     """
+    scene, found = _opened(path)
+    frame = members(path)
+    provenance = _provenance(scene, found)
+    picked = sorted(set(frame.picked_for.dropna()))
+    provenance["tolerances"] = f"picked for {' and '.join(picked)} where not given" if picked else "given"
+    data = Data(
+        frame,
+        series={member_id: (t, n_stick) for member_id, t, n_stick in series(path)},
+        events={member_id: (e.t, e.block, e.mode, e.initial_mode) for member_id, e in all_events(path)},
+        separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
+        thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
+    )
+    return build(data, _settings(scene), scene.title or _name(path), scene.about, provenance), found
+
+
+def compared(path: Where, other: Where) -> Report:
+    """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
+
+    Raises
+    ------
+    pipeline.StoreError
+        If one is no readable dataset.
+    ValueError
+        If no member of one is there yet, or they have nothing in common.
+    """
+    places = (path, other)
+    opened = [_opened(where) for where in places]
+    names = [_name(where) for where in places]
+    if names[0] == names[1]:
+        names = [str(place_of(where)) for where in places]
+    ensembles = [
+        Ensemble(
+            name,
+            Data(members(where), {member_id: (t, n_stick) for member_id, t, n_stick in series(where)}),
+            scene.analysis.t_burn,
+            scene.analysis.margins.model_dump(),
+            _provenance(scene, found),
+        )
+        for where, name, (scene, found) in zip(places, names, opened, strict=True)
+    ]
+    return compare(ensembles[0], ensembles[1], _settings(opened[0][0]))
+
+
+def _opened(path: Where) -> tuple[Scene, Status]:
     scene, found = dataset_scene(path), status(path)
     if found.n_done == 0:
         raise ValueError(f"{path}: no member is done yet; run the scene first")
-    settings = AnalysisSettings(
+    return scene, found
+
+
+def _name(path: Where) -> str:
+    return str(place_of(path)).rstrip("/").rpartition("/")[2]
+
+
+def _settings(scene: Scene) -> AnalysisSettings:
+    return AnalysisSettings(
         t_burn=scene.analysis.t_burn,
         dt=scene.analysis.dt,
         resamples=scene.analysis.resamples,
@@ -35,21 +90,32 @@ def report(path: Path) -> tuple[Report, Status]:
         smallest=scene.analysis.smallest,
         margins=scene.analysis.margins.model_dump(),
     )
-    provenance = {
+
+
+def _provenance(scene: Scene, found: Status) -> dict[str, str]:
+    return {
         "stickslip": version("stickslip"),
         "scene": scene.hash,
         "seed": str(scene.run.seed),
         "members": f"{found.n_done} of {found.n_members}",
         "coupling": scene.system.coupling,
     }
-    frame = members(path)
-    picked = sorted(set(frame.picked_for.dropna()))
-    provenance["tolerances"] = f"picked for {' and '.join(picked)} where not given" if picked else "given"
-    data = Data(
-        frame,
-        series={member_id: (t, n_stick) for member_id, t, n_stick in series(path)},
-        events={member_id: (e.t, e.block, e.mode, e.initial_mode) for member_id, e in all_events(path)},
-        separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
-        thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
-    )
-    return build(data, settings, scene.title or path.name, scene.about, provenance), found
+
+
+def write(built: Report, where: Where) -> str:
+    """Write a report into a directory or to an address, the page last; return the name of the page.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written; files already there stay whole.
+    """
+    place = place_of(where)
+    if isinstance(place, Directory):
+        return str(built.write(place.path))
+    with tempfile.TemporaryDirectory() as directory:
+        page = built.write(directory)
+        for file in sorted(Path(directory).glob("report/*")):
+            place.replace(f"report/{file.name}", file.read_bytes())
+        place.replace(page.name, page.read_bytes())
+    return place.named(page.name)

@@ -22,6 +22,7 @@ from analysis.chance.clustering_tables import (
     pairs_rows,
     spans_rows,
 )
+from analysis.chance.nulls import draws_each
 from analysis.groups import Group
 from analysis.section import Column, Data, Picture, Row, Section, Table
 from analysis.tables import drift, records
@@ -161,7 +162,7 @@ def clustering_section(
     delay : float
         Mean of their exponential delay, in mean gaps between exits.
     resamples, repeats : int
-        Draws of the nulls, and controls, a run; at least 2 and 1.
+        Draws of the nulls, and controls, a run; at least 2 and 1. Fewer in large groups (`draws_each`).
     confidence : float
     seed : int
     """
@@ -175,7 +176,8 @@ def clustering_section(
     for group in shown:
         one = gather(
             data, group, t_burn=t_burn, taus=taus, lengths=lengths, shares=shares, delay=delay,
-            resamples=resamples, repeats=repeats, seed=seed,
+            resamples=draws_each(resamples, len(group.taus), least=10),
+            repeats=draws_each(repeats, len(group.taus), least=2), seed=seed,
         )  # fmt: skip
         made = {
             "pairs": pairs_rows(one, taus, confidence),
@@ -221,9 +223,9 @@ def clustering_section(
             "Pairs of exits within tau of each other and Fano factors of counts, against what is expected (in closed "
             "form) if each block's own series is turned in time by a random amount, so that coupling alone is "
             "broken; intervals over matrices. Positive control: the same estimators on such surrogates with a share "
-            f"of the exits moved to follow another by an exponential delay of {delay:g} mean gaps, {repeats} times "
-            f"each; a share counts as seen if {words.percent(POWER)} of such ensembles would show it at the stated "
-            "level. The verdict reads the tau at which the control sees the smallest share."
+            f"of the exits moved to follow another by an exponential delay of {delay:g} mean gaps, up to {repeats} "
+            f"times each; a share counts as seen if {words.percent(POWER)} of such ensembles would show it at the "
+            "stated level. The verdict reads the tau at which the control sees the smallest share."
         ),
         tables=tuple(Table(name, _CAPTIONS[name], frames[name], _COLUMNS[name], max_rows=60) for name in SCHEMAS),
         pictures=tuple(_pictures(shown, {name: records(frame) for name, frame in frames.items()}, tails)),

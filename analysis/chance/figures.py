@@ -12,7 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from analysis.cascades import SAMPLED
 from analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, WIDTH
@@ -46,10 +46,10 @@ def gamma_curves(rows: Sequence[Row]) -> Figure:
             ax.set(title=name, xscale="log", yscale="log", xlabel=scale)
             ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             ax.yaxis.set_major_formatter(_PLAIN)
-            ax.yaxis.set_minor_formatter(NullFormatter())
+            ax.yaxis.set_minor_locator(NullLocator())
             ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
             ax.xaxis.set_major_formatter(_PLAIN)
-            ax.xaxis.set_minor_formatter(NullFormatter())
+            ax.xaxis.set_minor_locator(NullLocator())
         for ax in axes[len(names) :]:
             ax.set_axis_off()
         for ax in axes[::3]:
@@ -82,7 +82,15 @@ def _curve(ax: Axes, rows: Sequence[Row], colour: str) -> None:
     gamma = np.array([row["gamma"] for row in rows], dtype=float)
     low = [row["gamma"] if row["gamma_low"] is None else max(row["gamma_low"], 1e-3) for row in rows]
     high = [row["gamma"] if row["gamma_high"] is None else row["gamma_high"] for row in rows]
-    ax.errorbar(x, gamma, yerr=[gamma - low, high - gamma], color=colour, marker="o", markersize=3, elinewidth=0.8)
+    ax.errorbar(
+        x,
+        gamma,
+        yerr=[np.maximum(gamma - low, 0), high - gamma],
+        color=colour,
+        marker="o",
+        markersize=3,
+        elinewidth=0.8,
+    )
     for key, line, width in (("gamma_independent", "--", 0.9), ("gamma_null", "-.", 0.7)):
         chance = np.array([np.nan if row[key] is None else row[key] for row in rows])  # a gap in the line
         ax.plot(x, chance, color=colour, linestyle=line, linewidth=width)

@@ -17,7 +17,7 @@ import pandas as pd
 from analysis import words
 from analysis.cascades import SAMPLED, Law, Window, cluster_sizes, laws, sizes_of_path
 from analysis.chance import figures as chance_figures
-from analysis.chance.nulls import NullTally, block_steps, independent_sums, random_order, rotations
+from analysis.chance.nulls import NullTally, block_steps, draws_each, independent_sums, random_order, rotations
 from analysis.fits import Estimate, Undefined, gamma, gamma_difference, over_matrices
 from analysis.groups import Group, generator, windows
 from analysis.section import Column, Data, Picture, Row, Section, Table
@@ -83,15 +83,16 @@ def sheets(
     for group in found:
         thresholds = sorted({c for member_id, c in data.thresholds if member_id in set(group.members["member_id"])})
         own = _empty(group, None, ROTATION, every)
+        draws = draws_each(resamples, len(group.taus), least=10)
         for row, member_id, win in windows(group, data.series, t_burn):
             _add(own, row, win, dt, taus)
             rng = generator(seed, f"{member_id} map")
             if member_id in data.events:
                 steps = block_steps(*data.events[member_id], win.t_start, win.t_stop)
-                tallies = rotations(steps, tuple(dt), resamples, rng, tuple(taus))
+                tallies = rotations(steps, tuple(dt), draws, rng, tuple(taus))
             else:
                 own.null = ORDER
-                tallies = random_order(win, tuple(dt), resamples, rng, tuple(taus))
+                tallies = random_order(win, tuple(dt), draws, rng, tuple(taus))
             for law, tally in tallies.items():
                 cell = own.cells[law]
                 cell.null[row] += tally.sums().sum(axis=0)
@@ -204,7 +205,7 @@ def map_section(
     dt, taus : sequence of float
         The declared grid of sampling steps, and gaps of `clusters`.
     resamples : int
-        Draws of the null model a member, at least 2.
+        Draws of the null model a member, at least 2; fewer in large groups (`draws_each`).
     confidence : float
     seed : int
     """
@@ -226,7 +227,7 @@ def map_section(
         method=(
             "gamma = -log(1 - 1/mean size) by each definition, on the recorded series after t_burn, with intervals "
             "over matrices. Chance: independent Poisson exits and entries at the observed rates, sampled the same "
-            f"way (closed form); and {' or '.join(nulls) or 'none'} on the same runs ({resamples} draws each), "
+            f"way (closed form); and {' or '.join(nulls) or 'none'} on the same runs (up to {resamples} draws each), "
             "against which the difference is taken, paired by matrix."
         ),
         tables=tuple(tables),

@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.figures import CYCLE, GREY, STYLE, WIDTH
 from analysis.section import Picture
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 Line = tuple[str, str, np.ndarray, np.ndarray]  # family (one colour), label, times, values
+Panel = tuple[str, Sequence[Line], Sequence[Line], float | None]  # setting, distances, differences, level
 _DASHES = ("-", "--", "-.", ":")
+_MARKS = {EQUIVALENT: ("o", CYCLE[0]), DIFFERENT: ("s", CYCLE[1]), OPEN: ("D", GREY)}
+_NARROW = ("narrow_low", "narrow_high")
 
 
 def _figure(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
@@ -27,7 +31,7 @@ def _figure(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figu
     return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
 
 
-def parting(panels: Sequence[tuple[str, Sequence[Line], Sequence[Line], float | None]]) -> Picture:
+def parting(panels: Sequence[Panel]) -> Picture:
     """Distance of states (log) and difference of n_stick against time; one row a setting.
 
     Parameters
@@ -64,6 +68,50 @@ def parting(panels: Sequence[tuple[str, Sequence[Line], Sequence[Line], float | 
     )
 
 
+def growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Picture:
+    """Growth rate of each draw with its own error, and the mean over draws; one column a setting.
+
+    Parameters
+    ----------
+    groups : sequence of (row of the table `growth`, its rows of `growth_rates`)
+    """
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _figure(1, 1, 3.0)
+        ax = axes[0, 0]
+        ax.axhline(0, color=GREY, linewidth=0.6)
+        for k, (row, draws) in enumerate(groups):
+            known = sorted((draw for draw in draws if draw["rate"] is not None), key=lambda draw: draw["rate"])
+            x = k + 0.6 * (np.arange(len(known)) / max(len(known) - 1, 1) - 0.5)
+            for at, draw in zip(x, known, strict=True):
+                is_beyond = draw["verdict"] in ("grows", "shrinks")
+                ax.plot([at, at], [draw["low"], draw["high"]], color=CYCLE[k % 6], linewidth=0.8, alpha=0.6)
+                ax.plot([at], [draw["rate"]], "o", color=CYCLE[k % 6], markersize=4,
+                        markerfacecolor=CYCLE[k % 6] if is_beyond else "white")  # fmt: skip
+            if row["low"] is not None:
+                ax.plot([k + 0.4] * 2, [row["low"], row["high"]], color="black", linewidth=1.4)
+            ax.plot([k + 0.4], [row["rate"]], "D", color="black", markersize=4)
+        names = [
+            _wrapped(row["setting"]) + (f"\n{row['n_runaway']} run away" if row["n_runaway"] else "")
+            for row, _ in groups
+        ]
+        ax.set_xticks(range(len(groups)), names)
+        ax.set_xlim(-0.6, len(groups) - 0.4)
+        ax.set_ylabel("growth rate per unit time")
+        handles: list[Any] = [
+            Line2D([], [], marker="o", linestyle="", color=GREY, markersize=4, label="a draw, beyond its own error"),
+            Line2D([], [], marker="o", linestyle="", color=GREY, markersize=4, markerfacecolor="white",
+                   label="a draw, within it"),
+            Line2D([], [], marker="D", color="black", markersize=4, label="mean over draws, interval"),
+        ]  # fmt: skip
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return Picture(
+        figure,
+        "Growth rate of small differences of the start by draw of the matrix, each with the interval of its own "
+        "error, in order of size; runaway draws have none and are counted below.",
+        "Growth rate of each draw, one column for each setting.",
+    )
+
+
 def _styles(names: Sequence[tuple[str, str]]) -> dict[str, dict[str, Any]]:
     """A colour and a dash for each family, lighter from one label of it to the next."""
     families = list(dict.fromkeys(family for family, _ in names))
@@ -85,7 +133,6 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
     panels : sequence of (setting, rows)
         Rows of the table `robustness` that have a difference.
     """
-    marks = {"equivalent": ("o", CYCLE[0]), "different": ("s", CYCLE[1]), "not enough data": ("D", GREY)}
     quantities = list(dict.fromkeys(row["quantity"] for _, rows in panels for row in rows))
     n_lines = [len({row["change"] for row in rows}) for _, rows in panels]
     with matplotlib.rc_context(STYLE):
@@ -102,7 +149,7 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
                     if row["quantity"] != quantity:
                         continue
                     y, m = -changes.index(row["change"]), row["margin"]
-                    mark, colour = marks[row["verdict"]]
+                    mark, colour = _MARKS[row["verdict"]]
                     ax.plot([row["narrow_low"] / m, row["narrow_high"] / m], [y, y], color=colour, linewidth=1.4)
                     ax.plot([row["difference"] / m], [y], mark, color=colour, markersize=4)
                     redraw = row["redraw"]
@@ -118,7 +165,7 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
             ax.set_xlabel("difference\n/ margin")
         handles: list[Any] = [
             Line2D([], [], marker=mark, color=colour, markersize=4, label=verdict)
-            for verdict, (mark, colour) in marks.items()
+            for verdict, (mark, colour) in _MARKS.items()
         ]
         handles.append(Line2D([], [], marker="|", linestyle="", color="black", label="a redraw of the matrix"))
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
@@ -131,6 +178,107 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
         "lie apart.",
         "Forest plot: one row for each change, one column for each quantity.",
     )
+
+
+_FATES = {
+    "collapsed": ("slips for good (certified)", CYCLE[0], "s"), "silent": ("silent, not certified", CYCLE[5], "D"),
+    "sustained": ("in motion at the end", CYCLE[2], "o"), "diverged": ("ran away", CYCLE[1], "^"),
+    "failed": ("failed", GREY, "x"),
+}  # fmt: skip
+
+
+_ENDS: dict[str, Any] = {"collapsed": "--", "silent": "-.", "diverged": ":"}
+
+
+def fates(rows: Sequence[Row], draws: Sequence[Row]) -> Picture:
+    """Shares of the fates by setting, and below the linear growth rate of each draw, marked by its fate.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of the table `survival`.
+    draws : sequence of mapping
+        Rows of the table `fates`.
+    """
+    labels = [row["setting"] for row in rows]
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _figure(2, 1, 4.6, sharex=True)
+        (top,), (low,) = axes
+        floor = np.zeros(len(rows))
+        shown = [name for name in _FATES if name != "failed" and any(row[f"n_{name}"] for row in rows)]
+        for name in shown:
+            share = np.array([row[f"n_{name}"] / row["n_runs"] for row in rows])
+            top.bar(range(len(rows)), share, 0.7, floor, color=_FATES[name][1])
+            floor += share
+        top.set_ylabel("share of runs")
+        low.axhline(0, color=GREY, linewidth=0.6)
+        for name, (_, colour, marker) in _FATES.items():
+            some = [draw for draw in draws if draw["fate"] == name and draw["setting"] in labels]
+            x = [labels.index(draw["setting"]) + _place(draw, draws) for draw in some]
+            low.plot(x, [draw["growth_rate"] for draw in some], marker, color=colour, markersize=3.5, linestyle="")
+        low.set_ylabel("linear growth rate\nof the all-slip state")
+        names = [f"n = {row['n']}\n$\\kappa n$ = {row['kappa_n']:g}" for row in rows]
+        if len({row["n"] for row in rows}) < len(rows):
+            names = [_wrapped(label) for label in labels]
+        low.set_xticks(range(len(rows)), names)
+        handles: list[Any] = [
+            Line2D([], [], marker=_FATES[name][2], linestyle="", color=_FATES[name][1], label=_FATES[name][0])
+            for name in shown
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return Picture(
+        figure,
+        "Above: what became of the runs. Below: largest real part of the eigenvalues of the state in which all "
+        "blocks slip, one mark a draw in order of size; above zero that state is linearly unstable.",
+        "Bars of the fates of runs by number of blocks, and growth rates of the draws marked by fate.",
+    )
+
+
+def _place(draw: Row, draws: Sequence[Row]) -> float:
+    """Where a draw stands in its column, from -0.3 to 0.3 in order of the growth rate."""
+    rates = [other["growth_rate"] for other in draws if other["setting"] == draw["setting"]]
+    rank = sum(rate < draw["growth_rate"] for rate in rates)
+    return 0.6 * (rank / max(len(rates) - 1, 1) - 0.5)
+
+
+def contrasts(panels: Sequence[tuple[str, Sequence[Row]]], caption: str) -> Picture:
+    """Differences in units of their margins, a panel a setting and a line a statistic.
+
+    Parameters
+    ----------
+    panels : sequence of (label, rows)
+        Rows of `analysis.change.contrast.judged` that have a difference.
+    caption : str
+    """
+    by_length = sorted(panels, key=lambda panel: -len(panel[1]))  # the fullest panel has the order of the table
+    names = list(dict.fromkeys(row["quantity"] for _, rows in by_length for row in rows))
+    columns = min(len(panels), 3)
+    n_rows = -(-len(panels) // columns)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _figure(n_rows, columns, n_rows * (0.6 + 0.17 * len(names)) + 0.5, sharey=True)
+        for ax, (label, rows) in zip(axes.flat, panels, strict=False):
+            ax.axvspan(-1, 1, color=GREY, alpha=0.15, linewidth=0)
+            ax.axvline(0, color=GREY, linewidth=0.6)
+            for row in rows:
+                y, m = names.index(row["quantity"]), row["margin"]
+                mark, colour = _MARKS[row["verdict"]]
+                ax.plot([row["narrow_low"] / m, row["narrow_high"] / m], [y, y], color=colour, linewidth=1.4)
+                ax.plot([row["relative"] / m], [y], mark, color=colour, markersize=4)
+            reach = max(1.3, *(1.08 * abs(row[end]) / row["margin"] for row in rows for end in _NARROW))
+            ax.set_xlim(-min(reach, 6), min(reach, 6))
+            ax.set_title(_wrapped(label), fontsize=8)
+            ax.tick_params(axis="y", length=0)
+            ax.set_xlabel("difference / margin")
+        for ax in axes.flat[len(panels) :]:
+            ax.set_axis_off()
+        axes[0, 0].set_yticks(range(len(names)), names)
+        axes[0, 0].set_ylim(len(names) - 0.5, -0.5)
+        handles: list[Any] = [
+            Line2D([], [], marker=mark, color=colour, markersize=4, label=verdict)
+            for verdict, (mark, colour) in _MARKS.items()
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return Picture(figure, caption, "Forest plot: one panel for each setting, one line for each statistic.")
 
 
 def _reach(row: Row) -> float:
@@ -147,33 +295,43 @@ def _wrapped(label: str) -> str:
 
 
 def survival_curves(panels: Sequence[tuple[str, Curve, float]]) -> Picture:
-    """Share of runs in self-sustained motion against time with intervals; runaways dashed, as their own curve.
+    """Share of runs in self-sustained motion with its interval, and of each end, against time; a panel a setting.
 
     Parameters
     ----------
     panels : sequence of (label, curve, t_end)
     """
+    columns = min(len(panels), 4)
+    n_rows = -(-len(panels) // columns)
+    ends = [end for end in ("collapsed", "silent", "diverged") if any(c.incidence[end][-1] > 0 for _, c, _ in panels)]
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(1, 1, 3.0)
-        ax = axes[0, 0]
-        for k, (label, curve, t_end) in enumerate(panels):
-            colour, dash = CYCLE[k % 6], _DASHES[k // 6 % 4]
-            t = np.append(curve.t, t_end)
-            ax.step(t, _held(curve.survival), where="post", color=colour, linestyle=dash, label=label)
+        figure, axes = _figure(n_rows, columns, 0.7 + 1.7 * n_rows, sharex=True, sharey=True)
+        for ax, (label, curve, t_end) in zip(axes.flat, panels, strict=False):
+            t, colour = np.append(curve.t, t_end), _FATES["sustained"][1]
+            ax.step(t, _held(curve.survival), where="post", color=colour)
             ax.fill_between(
-                t, _held(curve.low), _held(curve.high), step="post", color=colour, alpha=0.12, linewidth=0
+                t, _held(curve.low), _held(curve.high), step="post", color=colour, alpha=0.15, linewidth=0
             )
-            away = curve.incidence["diverged"]
-            if away[-1] > 0:
-                ax.step(t, _held(away), where="post", color=colour, linestyle=":", label=f"{label}: run away")
-        ax.set(xlabel="time t (dimensionless)", ylabel="share of runs in motion", ylim=(-0.02, 1.04), xlim=(0, None))
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+            for end in ends:
+                if curve.incidence[end][-1] > 0:
+                    ax.step(t, _held(curve.incidence[end]), where="post", color=_FATES[end][1], linestyle=_ENDS[end])
+            ax.set_title(_wrapped(label), fontsize=8)
+        for ax in axes.flat[len(panels) :]:
+            ax.set_axis_off()
+        axes[0, 0].set(ylim=(-0.02, 1.04), xlim=(0, None))
+        for ax in axes[:, 0]:
+            ax.set_ylabel("share of runs")
+        for ax in axes.flat[max(len(panels) - columns, 0) : len(panels)]:
+            ax.tick_params(labelbottom=True)
+            ax.set_xlabel("time t")
+        handles: list[Any] = [Line2D([], [], color=_FATES["sustained"][1], label="in motion, with interval")]
+        handles += [Line2D([], [], color=_FATES[end][1], linestyle=_ENDS[end], label=_FATES[end][0]) for end in ends]
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return Picture(
         figure,
-        "Share of runs in self-sustained motion, Kaplan and Meier's estimate with its interval; dotted, the share "
-        "that "
-        "has run away, where any has.",
-        "Survival curves, one for each setting.",
+        "Share of runs in self-sustained motion, Kaplan and Meier's estimate with its interval, and the shares that "
+        "have met each end, over time (dimensionless).",
+        "Survival curves and cumulative incidences, one panel for each setting.",
     )
 
 

@@ -96,7 +96,7 @@ def settings(members: pd.DataFrame) -> list[Setting]:
         Sorted by n and engine; settings without an unchanged member are left out.
     """
     rows = _rows(members)
-    distinct: dict[tuple, list[dict[str, Any]]] = {}
+    distinct: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:
         distinct.setdefault(tuple(row[name] for name in _SETTING), []).append(row)
     keys = [_key(some[0]) for some in distinct.values()]

@@ -14,7 +14,7 @@ from analysis.cascades import window
 from analysis.change import equivalence
 from analysis.change import figures as twin_figures
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, holm, share_over_matrices
-from analysis.change.pairs import CONSTANTS, START, Comparison, Setting, settings
+from analysis.change.pairs import CONSTANTS, RATIOS, START, Comparison, Setting, settings
 from analysis.change.robustness import (
     BAND,
     QUANTITIES,
@@ -99,6 +99,7 @@ def robustness_section(
     runs_rows: Rows = []
     frequencies: Rows = []
     statements: list[str] = []
+    notes: list[str] = []
     lead: list[str] = []
     panels = []
     for setting in some:
@@ -119,16 +120,17 @@ def robustness_section(
         counts = [_frequency_rows(one, runs, fate, setting, confidence) for one in setting.comparisons]
         frequencies += [row for part in counts for row in part]
         runs_rows += _runs_rows(data, setting, runs, fate, t_burn)
-        answers, notes = _statements(setting, rows, [row for part in counts for row in part], confidence)
-        lead += answers
-        statements += answers + notes
+        answers, less = _statements(setting, rows, [row for part in counts for row in part], confidence)
+        statements += answers
+        notes += less
+        lead += _lead(setting, rows, [row for part in counts for row in part], is_first=not lead)
         shown = [row for row in rows if row["difference"] is not None]
         if shown:
             panels.append((setting.label, shown))
     return Section(
         title="Long-term robustness",
         question="Do runs with changed constants, stiffness ratios or start keep the statistics of their base?",
-        statements=tuple(f"{text}." for text in statements),
+        statements=tuple(f"{text}." for text in (*statements, *notes)),
         lead=tuple(f"{text}." for text in lead),
         method=_method(t_burn, margins, confidence),
         tables=_tables(tests, runs_rows, frequencies),
@@ -305,6 +307,33 @@ def _share_row(event: str, counts: np.ndarray, confidence: float) -> dict[str, A
         "event": event, "n_runs": int(counts[:, 1].sum()), "n_matrices": len(counts),
         "n_events": int(counts[:, 0].sum()), "share": share, "low": low, "high": high, "effective_runs": trials,
     }  # fmt: skip
+
+
+def _lead(setting: Setting, rows: Rows, frequencies: Rows, is_first: bool) -> list[str]:
+    """How the verdicts on constants and ratios fell, a sentence each; what a fresh matrix does, once."""
+    found: list[str] = []
+    for kind in (RATIOS, CONSTANTS):
+        some = [row for row in rows if row["kind"] == kind and row["difference"] is not None]
+        if not some:
+            continue
+        by = {verdict: sum(row["verdict"] == verdict for row in some) for verdict in (EQUIVALENT, DIFFERENT, OPEN)}
+        parts = [f"{count} {verdict}" for verdict, count in by.items() if count]
+        readings = ", ".join(dict.fromkeys(row["reading"] for row in some if row["reading"]))
+        name = _kind_words(kind, readings or None)
+        sizes = [row["size"] for row in some if row["size"] is not None]
+        by_size = f" by {words.percent(min(sizes))} to {words.percent(max(sizes))}" if sizes else ""
+        of_all = f"{words.count(len(some), 'comparison')} of a statistic with the unchanged runs"
+        text = f"{setting.label}, {name}{by_size}: of {of_all} {', '.join(parts)}"
+        away = [row for row in frequencies if row["kind"] == kind and row["event"] == "runaway"]
+        away = [row for row in away if row["share"] > (row["share_base"] or 0.0)]
+        if away:
+            counts = [f"{row['n_events']} of {row['n_runs']} at {words.percent(row['size'])}" for row in away]
+            text += f"; {', '.join(counts)} run away and are not compared"
+        found.append(text)
+        if is_first and len(found) == 1:
+            reading = some[0]["reading"]
+            found += _yardstick(setting, _kind_words(kind, reading), [r for r in some if r["reading"] == reading])
+    return found
 
 
 def _statements(setting: Setting, rows: Rows, frequencies: Rows, confidence: float) -> tuple[list[str], list[str]]:

@@ -21,6 +21,7 @@ from analysis.section import ChangePoints, Separation
 FLOOR = 3.0  # the linear range begins where a distance has grown so many times: it then points along the growth
 CEILING = 1e-2  # and ends at this share of the scale at which distances saturate
 LEAST_POINTS = 5  # of the linear range, for a slope
+BLOCKS = 9  # of the linear range: their growth rates scatter by what the slope's own error is made of
 
 
 def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
@@ -76,9 +77,13 @@ def linear_range(distance: np.ndarray, floor: float, ceiling: float) -> slice:
 
 @dataclass(frozen=True)
 class Slope:
-    """Growth of one pair: `rate` over `t_first` to `t_last`, and the rates of the two halves of that range."""
+    """Growth of one pair: `rate` over `t_first` to `t_last`, and the rates of the two halves of that range.
+
+    `error` is the rate's own standard error, with BLOCKS - 1 degrees of freedom.
+    """
 
     rate: float
+    error: float
     early: float
     late: float
     t_first: float
@@ -97,7 +102,27 @@ def slope(separation: Separation, ceiling: float) -> Slope | None:
     middle = len(t) // 2
     parts = [slice(None), slice(None, middle), slice(middle, None)]
     rates = [float(np.polynomial.polynomial.polyfit(t[part], log[part], 1)[1]) for part in parts]
-    return Slope(rates[0], rates[1], rates[2], float(t[0]), float(t[-1]))
+    return Slope(rates[0], slope_error(t, log), rates[1], rates[2], float(t[0]), float(t[-1]))
+
+
+def slope_error(t: np.ndarray, log: np.ndarray) -> float:
+    """Standard error of a least-squares slope of a series whose increments, not its residuals, are independent.
+
+    The logarithm of a distance wanders about its trend like a random walk. With g_j the growth rates of B
+    consecutive blocks the slope is sum_j w_j g_j, w_j = 6 j (B + 1 - j) / (B (B + 1) (B + 2)), so its variance is
+    sum_j w_j^2 times that of g. On planted random walks (2000 each) the 95% interval of one slope with B - 1
+    degrees of freedom covered the rate in 95.0% with 200 points, 95.3% with 40 and 95.8% with 12; one from
+    residuals, taken as independent, in 9% with 200.
+
+    Parameters
+    ----------
+    t, log : ndarray, shape (m,), m > BLOCKS
+    """
+    edges = np.linspace(0, len(t) - 1, BLOCKS + 1).round().astype(np.int64)
+    j = np.arange(1, BLOCKS + 1)
+    weights = 6 * j * (BLOCKS + 1 - j) / (BLOCKS * (BLOCKS + 1) * (BLOCKS + 2))
+    of_blocks = np.diff(log[edges]) / np.diff(t[edges])
+    return float(np.sqrt(np.sum(weights**2)) * of_blocks.std(ddof=1))
 
 
 @dataclass(frozen=True)
@@ -110,8 +135,8 @@ class Growth:
         Mean over matrices of the pairs' slopes, jackknife-t interval.
     change : Estimate
         Slope of the later half of the linear range minus the earlier: zero for a pure exponential.
-    rates : dict of int to float
-        By matrix.
+    rates, errors : dict of int to float
+        By matrix: the rate, and its own standard error with BLOCKS - 1 degrees of freedom.
     t_first, t_last : float or None
         Where the linear ranges begin at the earliest and end at the latest.
     """
@@ -119,6 +144,7 @@ class Growth:
     rate: Estimate
     change: Estimate
     rates: dict[int, float]
+    errors: dict[int, float]
     t_first: float | None
     t_last: float | None
 
@@ -147,14 +173,17 @@ def growth(
             found.setdefault(pair.matrix, []).append(one)
     if not found:
         none = Estimate(reason=f"no distance grows {FLOOR:g} times and then stays below {ceiling:.2g} for long")
-        return Growth(none, none, {}, None, None)
+        return Growth(none, none, {}, {}, None, None)
     rows = np.array([np.mean([[s.rate, s.late - s.early, 1.0] for s in some], axis=0) for some in found.values()])
     rates = {matrix: float(row[0]) for matrix, row in zip(found, rows, strict=True)}
+    # starts displaced by the same from one base are no independent draws: their errors are averaged, not reduced
+    errors = {matrix: float(np.mean([one.error for one in some])) for matrix, some in found.items()}
     every = [one for some in found.values() for one in some]
     return Growth(
         over_matrices(ratio, rows[:, [0, 2]], confidence),
         over_matrices(ratio, rows[:, [1, 2]], confidence),
         rates,
+        errors,
         min(one.t_first for one in every),
         max(one.t_last for one in every),
     )

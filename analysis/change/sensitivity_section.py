@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from analysis import words
 from analysis.change import figures as twin_figures
 from analysis.change.pairs import CONSTANTS, START, Comparison, Setting, settings
 from analysis.change.sensitivity import (
+    BLOCKS,
     CEILING,
     FLOOR,
     Growth,
@@ -24,7 +26,7 @@ from analysis.change.sensitivity import (
     saturation,
 )
 from analysis.fits import over_matrices, ratio
-from analysis.section import Column, Data, Section, Table
+from analysis.section import Column, Data, Picture, Section, Separation, Table
 from analysis.tables import F, I, S, typed
 
 Rows = list[dict[str, Any]]
@@ -36,9 +38,14 @@ _GROWTH = {
     "setting": S, "n": I, "engine": S, "eps": F, "size": F, "n_pairs": I, "n_runaway": I, "n_fitted": I, "rate": F,
     "low": F, "high": F, "between_matrices": F, "slowest": F, "fastest": F, "e_fold": F, "e_fold_low": F,
     "e_fold_high": F, "t_first": F, "t_last": F, "late_minus_early": F, "late_low": F, "late_high": F,
-    "amplification_gap": F, "ceiling": F, "reason": S,
+    "amplification_gap": F, "ceiling": F, "is_above_error": "boolean", "n_growing": I, "n_shrinking": I, "n_open": I,
+    "runaways": S, "reason": S,
 }  # fmt: skip
-_RATES = {"setting": S, "size": F, "matrix": I, "rate": F}
+_RATES = {
+    "setting": S, "n": I, "engine": S, "eps": F, "size": F, "matrix": I, "rate": F, "low": F, "high": F, "verdict": S,
+}  # fmt: skip
+GROWS, SHRINKS, OPEN, RUNAWAY = "grows", "shrinks", "within its error", "run away"  # of one draw
+_ABOVE_ERROR = 10.0  # a displacement of so many tolerances of the sigmoid engine stands out from its errors
 _PARTING = {
     "setting": S, "kind": S, "reading": S, "size": F, "change": S, "t_from": F, "t_to": F, "n_matrices": I,
     "difference": F, "low": F, "high": F, "redraw": F, "of_redraw": F, "of_late": F,
@@ -93,11 +100,13 @@ def sensitivity_section(
     parting: Rows = []
     horizons: Rows = []
     statements: list[str] = []
-    lead: list[str] = []
+    notes: list[str] = []
     panels = []
+    scales = {} if scale is not None else _scales(data, some, outcome)
     for setting in some:
         paths = _paths(data, setting, outcome, t_burn)
-        own_growth, own_rates = _growth_rows(data, setting, outcome, scale, confidence)
+        at = scales.get(setting.key["n"]) if scale is None else scale
+        own_growth, own_rates = _growth_rows(data, setting, outcome, at, confidence)
         own_parting, own_horizons, differences = _parting_rows(
             data, setting, outcome, paths, (t_burn, confidence, level, bands)
         )
@@ -105,11 +114,14 @@ def sensitivity_section(
         rates += own_rates
         parting += own_parting
         horizons += own_horizons
-        answers, notes = _statements(setting, own_growth, own_parting, own_horizons, (t_burn, level, confidence))
-        lead += answers
-        statements += answers + notes
+        answers, less = _statements(setting, own_growth, own_parting, own_horizons, (t_burn, level, confidence))
+        statements += answers
+        notes += less
         panels.append((setting.label, _distances(data, setting, outcome), differences, paths.late if paths else None))
-    statements = _across(growths) + statements
+    across = _across(growths)
+    statements = across + statements + notes
+    largest = max(some, key=lambda setting: setting.key["n"])  # and of these the first engine
+    lead = across + [text for text in statements if text.startswith(f"{largest.label}, ")][:1] or statements[:1]
     return Section(
         title="Short-term sensitivity",
         question="How fast do runs with a changed start, changed constants or stiffness ratios leave their base?",
@@ -117,7 +129,7 @@ def sensitivity_section(
         lead=tuple(f"{text}." for text in lead),
         method=_method(t_burn, level, confidence),
         tables=_tables(growths, rates, parting, horizons),
-        pictures=(twin_figures.parting(panels),),
+        pictures=_pictures(panels, growths, rates),
         of_changes=True,
         assumptions=_assumptions(growths),
     )
@@ -141,34 +153,67 @@ def _paths(data: Data, setting: Setting, outcome: Mapping[str, str], t_burn: flo
 def _growth_rows(
     data: Data, setting: Setting, outcome: Mapping[str, str], scale: float | None, confidence: float
 ) -> tuple[Rows, Rows]:
-    """Growth rates of displaced starts, and by matrix; the amplification against that of the smallest size."""
-    kept = {
+    """Growth rates of displaced starts, and by matrix; the amplification against that of the size to be read."""
+    kept = _kept(data, setting, outcome)
+    twins = [comparison for comparison in setting.comparisons if comparison.change.kind == START]
+    if not twins or not kept or scale is None:
+        return [], []
+    rtol = setting.key["rtol"]
+    above = [one for one in twins if rtol is None or one.change.size >= _ABOVE_ERROR * rtol]
+    reference = (above or twins)[0]
+    ceiling = CEILING * scale
+    rows, rates = [], []
+    t_half = float(stats.t.ppf(0.5 + confidence / 2, BLOCKS - 1))
+    identity = {"setting": setting.label, **{name: setting.key[name] for name in ("n", "engine", "eps")}}
+    for comparison in twins:
+        found = growth(comparison, kept, ceiling, confidence)
+        size = comparison.change.size
+        away = [pair.matrix for pair in comparison.pairs if not _is_kept(outcome, pair.base, pair.changed)]
+        draws: Rows = [
+            {
+                **identity, "size": size, "matrix": matrix, "rate": rate, "low": rate - t_half * found.errors[matrix],
+                "high": rate + t_half * found.errors[matrix],
+            }
+            for matrix, rate in found.rates.items()
+        ]  # fmt: skip
+        for draw in draws:
+            draw["verdict"] = GROWS if draw["low"] > 0 else SHRINKS if draw["high"] < 0 else OPEN
+        verdicts = [draw["verdict"] for draw in draws]
+        rows.append(
+            {
+                **identity, "size": size, "n_pairs": len(comparison.pairs), "n_runaway": len(away),
+                "runaways": ", ".join(str(matrix) for matrix in away) or None, "ceiling": ceiling,
+                "is_above_error": comparison in above,
+                "amplification_gap": _gap(reference, comparison, kept, ceiling), **_rate_columns(found),
+                "n_growing": verdicts.count(GROWS), "n_shrinking": verdicts.count(SHRINKS),
+                "n_open": verdicts.count(OPEN),
+            }
+        )  # fmt: skip
+        rates += draws
+        rates += [{**identity, "size": size, "matrix": matrix, "rate": None, "verdict": RUNAWAY} for matrix in away]
+    return rows, rates
+
+
+def _kept(data: Data, setting: Setting, outcome: Mapping[str, str]) -> dict[str, Separation]:
+    """Separations by changed member, runaways left out."""
+    found = {
         pair.changed: data.separations[pair.changed]
         for comparison in setting.comparisons
         for pair in comparison.pairs
         if _is_kept(outcome, pair.base, pair.changed) and pair.changed in data.separations
     }
-    kept = {member: one for member, one in kept.items() if len(one[1])}
-    twins = [comparison for comparison in setting.comparisons if comparison.change.kind == START]
-    if not twins or not kept:
-        return [], []
-    ceiling = CEILING * (scale or _scale(setting, {member: distance for member, (_, distance) in kept.items()}))
-    rows, rates = [], []
-    for comparison in twins:
-        found = growth(comparison, kept, ceiling, confidence)
-        n_runaway = sum(not _is_kept(outcome, pair.base, pair.changed) for pair in comparison.pairs)
-        row = {
-            "setting": setting.label, **{name: setting.key[name] for name in ("n", "engine", "eps")},
-            "size": comparison.change.size, "n_pairs": len(comparison.pairs), "n_runaway": n_runaway,
-            "ceiling": ceiling,
-            "amplification_gap": _gap(twins[0], comparison, kept, ceiling), **_rate_columns(found),
-        }  # fmt: skip
-        rows.append(row)
-        rates += [
-            {"setting": setting.label, "size": comparison.change.size, "matrix": matrix, "rate": rate}
-            for matrix, rate in found.rates.items()
-        ]
-    return rows, rates
+    return {member: one for member, one in found.items() if len(one[1])}
+
+
+def _scales(data: Data, some: Sequence[Setting], outcome: Mapping[str, str]) -> dict[int, float]:
+    """By n, the largest over its settings: where growth is slow, no pair of a setting may live to saturate."""
+    scales: dict[int, float] = {}
+    for setting in some:
+        kept = {member: distance for member, (_, distance) in _kept(data, setting, outcome).items()}
+        if kept:
+            n = int(setting.key["n"])
+            scales[n] = max(scales.get(n, 0.0), _scale(setting, kept))
+    return scales
 
 
 def _scale(setting: Setting, distances: Mapping[str, np.ndarray]) -> float:
@@ -333,14 +378,24 @@ def _family(comparison: Comparison) -> str:
 
 def _across(rows: Rows) -> list[str]:
     """Growth rate against n and engine, one sentence; nothing with a single setting that has a rate."""
-    best: dict[str, dict[str, Any]] = {}
-    for row in rows:  # the smallest displacement has the longest linear range
-        if row["rate"] is not None:
-            best.setdefault(row["setting"], row)
-    if len(best) < 2:
+    read = best(rows)
+    if len(read) < 2:
         return []
-    parts = [f"{label}: {words.number(row['rate'], 2)}{_within(row)}" for label, row in best.items()]
-    return ["growth rate of small displacements, per unit time: " + "; ".join(parts)]
+    parts = [
+        f"{row['setting']}: {words.number(row['rate'], 2)}{_within(row)}, {row['n_growing']} of {row['n_fitted']} "
+        "draws growing beyond their own error"
+        for row in read
+    ]
+    return ["Growth rate of small displacements, per unit time: " + "; ".join(parts)]
+
+
+def best(rows: Rows) -> Rows:
+    """Of each setting the row to be read: the smallest displacement above the errors has the longest linear range."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row["rate"] is not None and row["is_above_error"]:
+            found.setdefault(row["setting"], row)
+    return list(found.values())
 
 
 def _within(row: Mapping[str, Any]) -> str:
@@ -350,19 +405,21 @@ def _within(row: Mapping[str, Any]) -> str:
 def _statements(
     setting: Setting, growths: Rows, parting: Rows, horizons: Rows, declared: tuple[float, float, float]
 ) -> tuple[list[str], list[str]]:
-    """Answers to the question, and what a reader of them should know."""
+    """Answers to the question, then what a reader of them should know."""
     t_burn, level, confidence = declared
     answers: list[str] = []
     notes: list[str] = []
     order = _order(setting, parting, horizons, t_burn, level)
     if order:
         answers.append(order)
-    fitted = [row for row in growths if row["rate"] is not None]
+    above = [row for row in growths if row["is_above_error"]]
+    fitted = best(growths)
     if fitted:
         answers.append(f"{setting.label}: {_rate_words(fitted[0], confidence)}")
-        notes += _cause(setting, fitted)
+        notes += _cause(setting, [row for row in above if row["rate"] is not None])
     elif growths:
-        notes.append(f"{setting.label}: no growth rate of displaced starts: {growths[0]['reason']}")
+        why = above[0]["reason"] if above else "no displacement is well above the tolerance"
+        notes.append(f"{setting.label}: no growth rate of displaced starts: {why}")
     n_runaway = sum(row["n_runaway"] for row in horizons)
     if n_runaway:
         pairs = words.count(n_runaway, "pair")
@@ -376,10 +433,21 @@ def _rate_words(row: Mapping[str, Any], confidence: float) -> str:
         return f"{text} per unit time ({row['reason']})"
     text += f" per unit time ({words.interval(row['low'], row['high'])}, {words.percent(confidence)} interval over "
     text += f"{words.count(row['n_fitted'], 'matrix')}; single ones {words.interval(row['slowest'], row['fastest'])})"
+    text += _draw_words(row)
     if row["low"] > 0:
         low, high = row["e_fold_low"], row["e_fold_high"]
         return f"{text}: an e-fold takes {words.number(row['e_fold'], 2)} units ({words.interval(low, high)})"
     return f"{text}: growth is not shown" if row["high"] > 0 else f"{text}: displacements shrink"
+
+
+def _draw_words(row: Mapping[str, Any]) -> str:
+    """What single draws show beyond their own error."""
+    parts = [f"{row[f'n_{name}']} {what}" for name, what in _DRAWS.items() if row[f"n_{name}"]]
+    away = f"; {row['n_runaway']} ran away and are not among them" if row["n_runaway"] else ""
+    return f", of the draws {', '.join(parts)}{away}"
+
+
+_DRAWS = {"growing": "grow beyond their own error", "shrinking": "shrink", "open": "do neither"}
 
 
 def _cause(setting: Setting, rows: Rows) -> list[str]:
@@ -432,12 +500,46 @@ def _order(setting: Setting, parting: Rows, horizons: Rows, t_burn: float, level
     return f"{text}: paths show no clear order of agreement and parting at the level of {words.percent(level)}"
 
 
+def _pictures(panels: Sequence[twin_figures.Panel], growths: Rows, rates: Rows) -> tuple[Picture, ...]:
+    """How runs part, for the first setting of the largest n with changed constants; growth rates of the draws."""
+    drawn = [twin_figures.parting(_chosen(panels))] if panels else []
+    read = [
+        (row, [one for one in rates if (one["setting"], one["size"]) == (row["setting"], row["size"])])
+        for row in best(growths)
+    ]
+    return (*drawn, twin_figures.growth_rates(read)) if read else tuple(drawn)
+
+
+def _chosen(panels: Sequence[twin_figures.Panel]) -> list[twin_figures.Panel]:
+    """One setting a number of blocks, the one with most changes; of each family of changes the least and the most."""
+    by_n: dict[str, twin_figures.Panel] = {}
+    for panel in panels:
+        n = panel[0].split(", ")[0]
+        if n not in by_n or len(panel[2]) > len(by_n[n][2]):
+            by_n[n] = panel
+    return [
+        (label, _least_and_most(distances), _least_and_most(differences), level)
+        for label, distances, differences, level in by_n.values()
+    ]
+
+
+def _least_and_most(lines: Sequence[twin_figures.Line]) -> list[twin_figures.Line]:
+    families = dict.fromkeys(line[0] for line in lines)
+    found = []
+    for family in families:
+        some = [line for line in lines if line[0] == family]
+        found += [some[0], some[-1]] if len(some) > 1 else some
+    return found
+
+
 def _method(t_burn: float, level: float, confidence: float) -> str:
     return (
         "A changed run is set against the base of the same matrix. Growth rate: least-squares slope of the logarithm "
         "of the distance sqrt(mean over blocks of dz^2 + dw^2), from where a displaced start has grown "
         f"{FLOOR:g} times up to {words.percent(CEILING)} of the distance at which runs saturate; one mean slope a "
-        f"matrix, {words.percent(confidence)} jackknife interval over matrices. n_stick is compared as the mean of "
+        f"matrix, {words.percent(confidence)} jackknife interval over matrices. A draw's own error comes from the "
+        f"growth rates of {BLOCKS} consecutive blocks of its range. Under the sigmoid only displacements of at least "
+        f"{_ABOVE_ERROR:g} tolerances are read, which stand out from its errors. n_stick is compared as the mean of "
         "|difference| "
         f"over windows of {WINDOW:g}; a pair has parted when that first exceeds {words.percent(level)} of what two "
         f"different matrices show after t = {t_burn:g}. Medians have intervals by order statistics over matrices; "
@@ -472,13 +574,15 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
     return (
         Table(
             "growth",
-            "Growth rate of displaced starts. Gap: how far the amplification departs from that of the smallest size.",
+            "Growth rate of displaced starts; draws that grow, shrink, or do neither beyond their own error. Gap: "
+            "how far the amplification departs from that of the smallest size above the errors of integration.",
             typed(_GROWTH, growths),
             (
                 Column("setting", "setting"), Column("size", "size", show=lambda size: f"{size:g}"),
                 Column("pairs", "n_pairs"),
-                Column("run away", "n_runaway"), Column("fitted", "n_fitted"), Column("rate", "rate"),
-                Column("interval", ("low", "high")), Column("between matrices", "between_matrices", 2),
+                Column("run away", "runaways"), Column("fitted", "n_fitted"), Column("rate", "rate"),
+                Column("interval", ("low", "high")), Column("grow", "n_growing"), Column("shrink", "n_shrinking"),
+                Column("neither", "n_open"), Column("between matrices", "between_matrices", 2),
                 Column("e-fold time", "e_fold"), Column("later minus earlier half", "late_minus_early", 2),
                 Column("gap", "amplification_gap", 2), Column("reason", "reason"),
             ),
@@ -504,5 +608,14 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
                 Column("share of late", "of_late", show=percent),
             ),
         ),
-        Table("growth_rates", "Growth rate by matrix.", typed(_RATES, rates)),
+        Table(
+            "growth_rates",
+            "Growth rate by draw of the matrix, with the interval of its own error.",
+            typed(_RATES, rates),
+            (
+                Column("setting", "setting"), Column("size", "size"), Column("matrix", "matrix"),
+                Column("rate", "rate"), Column("interval", ("low", "high")), Column("verdict", "verdict"),
+            ),
+            max_rows=200,
+        ),
     )  # fmt: skip

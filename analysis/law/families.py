@@ -146,6 +146,10 @@ class Fit:
         """The named parameters of the family's formula."""
         return self.family.natural(self.theta)
 
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
+        return f"Fit({self.family.name}: {values}{self.border and f'; {self.border}'})"
+
     def log_shares(self) -> np.ndarray:
         """ln P(k) for each size, shape (K,)."""
         return log_shares(self.family, self.sizes, self.theta)
@@ -158,7 +162,8 @@ class Fit:
 def log_shares(family: Family, sizes: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """ln P(k) on k_min..k_max, shape (K,)."""
     weights = family.log_weights(sizes, np.asarray(theta, dtype=np.float64))
-    return weights - special.logsumexp(weights)
+    above = weights - weights.max()
+    return above - np.log(np.exp(above).sum())
 
 
 def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray, np.ndarray]:

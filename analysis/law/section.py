@@ -181,6 +181,11 @@ def _fit_row(one: Judged, level: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _antilog(x: float | None) -> float | None:
+    """exp(x); null where it leaves float64, as a bound does that few matrices leave open."""
+    return None if x is None or x > np.log(np.finfo(np.float64).max) else float(np.exp(x))
+
+
 def _rival_rows(one: Judged) -> list[dict[str, Any]]:
     total = one.counts.sum()
     observed = float(one.counts[:, one.sizes >= TAIL].sum() / total) if total else None
@@ -188,7 +193,7 @@ def _rival_rows(one: Judged) -> list[dict[str, Any]]:
     for rival in one.rivals:
         fit, (extra, is_log) = rival.fit, EXTRA.get(rival.family.name, (None, False))
         ends = [rival.extra.value, rival.extra.low, rival.extra.high]
-        value, low, high = (None if x is None else float(np.exp(x)) if is_log else x for x in ends)
+        value, low, high = (_antilog(x) if is_log else x for x in ends)
         rows.append({
             **one.head, "rival": rival.family.name,
             "parameters": fit and ", ".join(f"{name} = {words.number(x)}" for name, x in fit.parameters.items()),
@@ -243,8 +248,7 @@ def _statements(one: Judged, confidence: float) -> list[str]:
 def _fit_sentence(one: Judged, n: int, confidence: float) -> str:
     fit, cut = one.goodness, "" if one.sizes[0] == 1 else f", sizes from {one.sizes[0]:.0f}"
     rate_text = (
-        f"gamma = {words.number(one.gamma.value)} ({words.percent(confidence)} interval "
-        f"{words.interval(one.gamma.low, one.gamma.high)})"
+        f"gamma = {words.number(one.gamma.value)} ({words.interval_at(confidence, one.gamma.low, one.gamma.high)})"
     )
     if fit.gap is None or fit.bound is None or fit.p_least is None or fit.p_most is None:
         return f"event by event{cut}, {rate_text}; whether the exponential fits cannot be told: {fit.reason}"

@@ -8,7 +8,15 @@ from scipy import stats
 
 from analysis import Law, over_matrices, random_order, sizes, window
 from analysis.cascades import SAMPLED, Window, laws
-from analysis.chance.nulls import BlockSteps, block_steps, independent_sums, rotated, rotations, triggered
+from analysis.chance.nulls import (
+    BlockSteps,
+    block_steps,
+    draws_each,
+    independent_sums,
+    rotated,
+    rotations,
+    triggered,
+)
 from analysis.fits import LN2, gamma, gamma_difference
 
 EVENTS = Law("events")
@@ -240,3 +248,18 @@ def test_clusters_in_random_order_have_their_closed_form():
     tally = random_order(win, (), 20, np.random.default_rng(0), (0.5,))[Law("clusters", tau=0.5)]
     expected = gamma(independent_sums(Law("clusters", tau=0.5), np.sum(win.step < 0), 1, 4000.0)[None])[0]
     assert tally.rate()[0] == pytest.approx(expected, rel=0.05)
+
+
+def test_large_groups_need_fewer_draws_of_each_run():
+    assert [draws_each(200, n, least=20) for n in (0, 1, 20, 40, 10_000)] == [200, 200, 200, 100, 20]
+    assert draws_each(5, 10_000, least=20) == 5  # never more than asked for
+
+
+def test_skellam_in_closed_form_against_scipy():
+    for a, b in ((30, 20), (900, 905), (1, 1)):
+        law, span = Law("drop", 0.5), 50.0
+        decrease = stats.skellam(a / span * 0.5, b / span * 0.5)
+        falls = np.arange(1, 400)
+        total, count = independent_sums(law, a, b, span) / (span / 0.5)
+        assert total == pytest.approx(np.sum(falls * decrease.pmf(falls)), rel=1e-9)
+        assert count == pytest.approx(decrease.sf(0) * (1 - decrease.sf(0)), rel=1e-9)

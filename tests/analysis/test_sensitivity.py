@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from analysis.change.pairs import CONSTANTS, RATIOS, START, settings
 from analysis.change.sensitivity import (
+    BLOCKS,
     amplification_gap,
     horizon,
     linear_range,
@@ -16,6 +18,7 @@ from analysis.change.sensitivity import (
     median_interval,
     redraw_difference,
     slope,
+    slope_error,
 )
 from analysis.change.sensitivity_section import sensitivity_section
 from analysis.section import Data
@@ -53,6 +56,50 @@ def test_slope_recovers_the_rate_in_the_linear_range_alone():
     assert one.t_last < np.log(1e8) / 0.03 + 2
     assert slope((t, np.full(501, 1e-10)), 1e-2) is None
     assert linear_range(np.array([1, 2, 4, 8, 16, 8]), 3, 10) == slice(2, 4)
+
+
+def test_error_of_one_slope_on_a_random_walk():
+    """Increments of a drifting random walk are independent, its residuals are not: coverage of one slope."""
+    rng = np.random.default_rng(2)
+    t, hits = np.linspace(0, 1000, 201), 0
+    for _ in range(400):
+        log = 0.012 * t + np.cumsum(0.2 * rng.standard_normal(201))
+        error = slope_error(t, log)
+        hits += abs(np.polyfit(t, log, 1)[0] - 0.012) < stats.t.ppf(0.975, BLOCKS - 1) * error
+    assert abs(hits / 400 - 0.95) < 0.033  # three binomial errors
+
+
+def test_draws_are_told_apart_by_their_own_error(planted):
+    """Four draws grow, two shrink after they have grown, one wanders, and one runs away."""
+    rng = np.random.default_rng(3)
+    t = np.linspace(0, 1000, 501)
+    members, series, separations = _planted(planted)
+    for matrix in range(8):
+        trend = [0.012, 0.012, 0.012, 0.012, -0.004, -0.004, 0.0, 0.0][matrix] * t
+        noise = np.cumsum((0.3 if matrix == 6 else 0.01) * rng.standard_normal(501))
+        for size in (1e-10, 1e-6):
+            separations[f"m{matrix}-t{size:g}"] = t, size * np.exp(5 * (t > 0) + trend + noise)
+    members.loc[members["member_id"].str.startswith("m7-t"), "outcome"] = "diverged"
+    data = Data(members, series, {}, separations)
+    section = sensitivity_section(data, t_burn=600.0, confidence=0.95, scale=1e6)
+    tables = {table.name: table.frame for table in section.tables}
+    row = tables["growth"].iloc[0]
+    assert (row["n_growing"], row["n_shrinking"], row["n_open"], row["n_runaway"]) == (4, 2, 1, 1)
+    assert row["runaways"] == "7"
+    draws = tables["growth_rates"].query("size == 1e-10").set_index("matrix")["verdict"]
+    assert draws[7] == "run away"
+    assert "4 grow beyond their own error, 2 shrink, 1 do neither; 1 ran away" in " ".join(section.statements)
+
+
+def test_displacements_below_the_errors_of_the_sigmoid_are_not_read(planted):
+    members, series, separations = _planted(planted)
+    kept = members["perturbation_size"] == 0
+    members = members[kept].assign(**{**planted.sigmoid, "ratio": "one", "rtol": 1e-8})
+    section = sensitivity_section(Data(members, series, {}, separations), t_burn=600.0, confidence=0.95)
+    growth = section.tables[0].frame
+    assert growth["is_above_error"].tolist() == [False, True]
+    assert "displaced by 1e-06" in " ".join(section.statements)
+    assert "displaced by 1e-10" not in " ".join(section.statements)
 
 
 def test_integration_error_shows_in_the_amplification():

@@ -92,7 +92,7 @@ class World:
         self.reference = content(self.undisturbed)
         assert len(self.reference) > 8
 
-    def run(self, out: Path) -> None:
+    def run(self, out: Path | str) -> None:
         run_scene(self.scene, self.source, out, workers=0)
 
     def copy(self, name: str = "out") -> Path:

@@ -45,12 +45,13 @@ dt = 0.5
 """
 
 
-@pytest.fixture(autouse=True, scope="session")
-def small_batches():
-    """Three or so members a shard: a small scene then has many."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(members, "TARGET_COST", 3.5e-3)
-        yield
+#: Three or so members a shard: a small scene then has many.
+SMALL_BATCHES = 3.5e-3
+
+
+@pytest.fixture(autouse=True)
+def small_batches(monkeypatch):
+    monkeypatch.setattr(members, "TARGET_COST", SMALL_BATCHES)
 
 
 @pytest.fixture(scope="session")
@@ -64,10 +65,12 @@ def scene(source):
 
 
 @pytest.fixture(scope="session")
-def finished(scene, source, tmp_path_factory, small_batches):
+def finished(scene, source, tmp_path_factory):
     """The finished dataset, computed in this process; not to be changed."""
     path = tmp_path_factory.mktemp("finished") / "out"
-    run_scene(scene, source, path, workers=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(members, "TARGET_COST", SMALL_BATCHES)
+        run_scene(scene, source, path, workers=0)
     return path
 
 

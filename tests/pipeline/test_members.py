@@ -131,3 +131,14 @@ def test_batches_hold_every_member_once_in_order(scene):
     assert sorted({batch.name for batch in packed}) == [batch.name for batch in packed]
     assert packed == batches(members, scene.hash)
     assert {batch.name for batch in packed}.isdisjoint(batch.name for batch in batches(members, "another"))
+
+
+def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
+    members = expand(scene)
+    whole = sum(member.cost for member in members)
+    monkeypatch.setattr("pipeline.members._MANY", 3)
+    for target, count in ((whole, 1), (whole / 3.01, 4), (whole / 6, 4), (whole / 24, 5)):
+        monkeypatch.setattr("pipeline.members.TARGET_COST", target)
+        packed = batches(members, scene.hash)
+        assert count <= len(packed) <= count + 1
+        assert [member for batch in packed for member in batch.members] == members

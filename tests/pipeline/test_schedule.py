@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 from distributed import LocalCluster
 
-from pipeline import Progress, ScheduleError, batches, expand, run_scene, schedule, status, verify
-from pipeline.shards import Recording
+from pipeline import Progress, ScheduleError, cluster, expand, run_scene, schedule, status, verify
+from pipeline.store import Store
+from tests.pipeline.conftest import SOURCE
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -58,7 +61,7 @@ def test_libraries_have_one_thread_in_a_worker():
                     counts.append(getattr(library, name)())
         return [os.environ.get(name) for name in names], numba.get_num_threads(), counts
 
-    with schedule._client(1, None) as client:
+    with cluster.connect(1, None) as client:
         variables, numba_threads, blas_threads = client.submit(threads).result()
     assert variables == ["1"] * 4
     assert numba_threads == 1
@@ -66,7 +69,7 @@ def test_libraries_have_one_thread_in_a_worker():
 
 
 def test_no_scheduler_there(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.schedule.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("pipeline.cluster.CONNECT_TIMEOUT", 0.5)
     with pytest.raises(ScheduleError, match=r"scheduler: expected the address.*127\.0\.0\.1:9.*dask scheduler"):
         run_scene(scene, source, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(ValueError, match="workers: expected a count >= 0, got -1"):
@@ -83,6 +86,10 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
         run_scene(scene, source, tmp_path / "out", workers=0, on_progress=interrupt)
     assert verify(tmp_path / "out") == []
     assert not (tmp_path / "out" / ".lock").exists()
+    before = content(tmp_path / "out")
+    planned, to_go = Store(tmp_path / "out", scene, source).look()
+    assert to_go == planned[1:]
+    assert content(tmp_path / "out") == before
     run_scene(scene, source, tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == content(finished)
 
@@ -96,27 +103,26 @@ def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeyp
 
 def test_a_run_without_workers_gives_up(monkeypatch):
     monkeypatch.setattr("pipeline.schedule.LOST_TIMEOUT", 0.5)
-    with schedule._client(1, None) as client:
+    with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
             schedule._until(lambda: False, schedule._Watch(client, None))
 
 
-def test_each_kernel_is_compiled_once(scene, monkeypatch):
-    """One warm-up for each engine and law of the ratios, whatever the number of members."""
-    seen = []
-
-    class Client:
-        status = "running"
-
-        def submit(self, work, member, pure):
-            seen.append((member.engine, member.ratio))
-            work(member)
-            return self
-
-        def done(self):
-            return True
-
-    recording = Recording.of(scene)
-    schedule._compile_once(Client(), [(batch, recording) for batch in batches(expand(scene), scene.hash)])
-    assert sorted(seen, key=str) == [("coulomb", None), ("sigmoid", "uniform")]
+def test_each_kernel_is_compiled_once(tmp_path):
+    """Two processes that need a kernel at once: one compiles, the other waits and loads what it kept."""
+    command = [sys.executable, "-c", f"""
+import sys
+from numba.core import event
+from pipeline import expand, kernels, parse_scene
+members = [member for member in expand(parse_scene({SOURCE!r})) if member.engine == "coulomb"]
+with event.install_recorder("numba:compile") as compiled:
+    kernels.load(members)
+kernels.load(members)
+print(any("_advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), kernels.is_cold("coulomb"))
+"""]  # fmt: skip
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=120)[0].split() for process in running]
+    assert sorted(said) == [["False", "False"], ["True", "False"]]
+    assert len(list(tmp_path.rglob("*.nbc"))) == 1

@@ -7,6 +7,7 @@ a batch goes. Minutes; not part of the tests.
 from __future__ import annotations
 
 import cProfile
+import os
 import pstats
 import resource
 import sys
@@ -14,11 +15,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pandas as pd
-import pyarrow.dataset as ds
-
-from pipeline import Progress, batches, expand, parse_scene, query, run_scene
-from pipeline.manifest import DATA, read_commits
+import pipeline
+from pipeline import Progress, batches, expand, parse_scene, run_scene
+from pipeline.manifest import read_commits
+from pipeline.place import DATA
 from pipeline.shards import Recording, compute
 
 SOURCE = b"""\
@@ -47,32 +47,67 @@ dt = 1.0
 
 
 def run(path: Path, workers: int) -> None:
-    """Run the scene; print wall time, its parts, memory and disk."""
+    """Run the scene; print wall time, seconds of a core by process, memory and disk.
+
+    Where others use the machine too, wall time says little; seconds of a core say what is to be done.
+    """
     seen: list[tuple[float, float]] = []
+    used: dict[int, tuple[float, float]] = {}
 
     def watch(progress: Progress) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         seen.append((progress.elapsed, pages * resource.getpagesize() / 1e6))
+        used.update({child: _core_seconds(child) for child in _children()})
 
-    start = time.perf_counter()
+    start, own_start = time.perf_counter(), time.process_time()
     status = run_scene(parse_scene(SOURCE), SOURCE, path, workers=workers, on_progress=watch)
-    wall = time.perf_counter() - start
-    commits = list(read_commits(path / "timings.jsonl"))
+    wall, own = time.perf_counter() - start, time.process_time() - own_start
+    commits = list(read_commits(path))
     computing = sum(commit.seconds for commit in commits)
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
     print(f"{status.n_members} members, {status.n_shards} shards, {workers} workers: {wall:.1f} s")
-    print(f"computing {computing:.1f} s of workers")
+    print(
+        f"computing {computing:.1f} s of workers: {1 - computing / workers / wall:.1%} of the time is something else"
+    )
     first, last = seen[1][0], seen[-1][0]
-    print(f"to the first commit {first:.1f} s, on to the last {last - first:.1f} s, end {wall - last:.1f} s")
+    batch = sum(commit.seconds for commit in commits[:workers]) / workers
+    print(f"to the first batch {first - batch:.1f} s, on to the last commit {last - first + batch:.1f} s, ", end="")
+    print(f"end {wall - last:.1f} s")
+    for pid in {commit.pid for commit in commits}:
+        start_up, whole = used[pid]
+        print(f"worker {whole:.1f} s of a core, {start_up:.1f} s of them starting and talking")
+    print(f"driver {own:.1f} s of a core")
     memory = ", ".join(f"{seen[k][1]:.0f}" for k in (0, len(seen) // 2, -1))
-    print(f"driver at start, middle, end: {memory} MB, peak {own:.0f} MB; largest worker {children:.0f} MB")
+    peaks = (resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print(
+        f"driver at start, middle, end: {memory} MB; peak of driver {{:.0f}}, of a worker {{:.0f}} MB".format(*peaks)
+    )
     files = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     print(f"{status.n_bytes / status.n_members:.0f} bytes a member in shards, {files / status.n_members:.0f} in all")
 
 
+def _children() -> list[int]:
+    return [
+        int(child) for task in Path("/proc/self/task").iterdir() for child in (task / "children").read_text().split()
+    ]
+
+
+def _core_seconds(pid: int) -> tuple[float, float]:
+    """Of a worker's main thread, which starts it and talks to the scheduler, and of all its threads."""
+
+    def of(stat: Path) -> float:
+        user, system = stat.read_text().rpartition(")")[2].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+    process = Path(f"/proc/{pid}")
+    return of(process / "task" / str(pid) / "stat"), of(process / "stat")
+
+
 def ask(path: Path) -> None:
     """Print what questions take, the median of five, beside reading all with pandas."""
+    import pandas as pd  # workers, which import this module too, need none of these
+    import pyarrow.dataset as ds
+
+    query = pipeline.query
 
     def everything() -> pd.DataFrame:
         return ds.dataset(str(path / DATA), format="parquet").to_table().to_pandas()

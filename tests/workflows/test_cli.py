@@ -10,6 +10,8 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import pandas as pd
@@ -148,7 +150,10 @@ def test_an_interrupted_query(dataset, tmp_path):
         str(tmp_path / "a.csv"),
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(3.0)  # until it asks
+    while "duckdb" not in Path(f"/proc/{process.pid}/maps").read_text():  # until it asks
+        assert process.poll() is None
+        time.sleep(0.1)
+    time.sleep(1.0)
     process.send_signal(2)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (130, "", "\ninterrupted; no answer was written\n")
@@ -359,18 +364,72 @@ def test_one_member_is_run_and_nothing_written(dataset, small_scene, tmp_path, m
 def test_scenes_lists_all_that_ship(capsys):
     assert main(["scenes"]) == 0
     lines = capsys.readouterr().out.strip().split("\n")
-    assert [line.split()[0] for line in lines] == list(shipped())
+    head, *scenes = lines[: lines.index("")]
+    assert head.split() == ["scene", "members", "time", "about"]
+    assert [line.split()[0] for line in scenes] == list(shipped())
     assert {"quick", "cascades"} <= set(shipped())
+    quick = next(line for line in scenes if line.startswith("quick")).split()
+    assert int(quick[1]) == load_scene(find("quick")).n_members
+    assert quick[3] == "s"  # seconds
 
 
-def test_help_loads_no_heavy_library():
-    """Cold start: --help must not wait for dask, pandas or matplotlib."""
+@pytest.mark.parametrize("scene", shipped())
+def test_what_ships_says_its_time(scene):
+    assert 0.01 < tomllib.loads(find(scene).read_text())["minutes"] < 20
+
+
+@pytest.mark.parametrize(
+    ("argv", "heavy", "words"),
+    [
+        (["--help"], {"numpy", "shtab"}, "exit codes:"),
+        (["run", "--help"], {"numpy", "shtab"}, "examples:"),
+        (["--version"], {"numpy", "shtab"}, f"stickslip {version('stickslip')}"),
+        (["completion", "bash"], {"numpy"}, "_shtab_stickslip"),
+        (["scenes"], set(), "cascades"),
+        (["schema"], set(), "$defs"),
+    ],
+)
+def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
+    """Cold start: nobody waits for dask, pandas or matplotlib to be told what there is."""
+    heavy |= {"dask", "distributed", "pandas", "pyarrow", "matplotlib"}
     code = (
         "import sys\nfrom workflows.cli import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = {'dask', 'pandas', 'pyarrow', 'matplotlib', 'numba', 'numpy'} & set(sys.modules)\n"
-        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+        f"try:\n    main({argv})\nexcept SystemExit:\n    pass\n"
+        f"sys.exit(', '.join({heavy} & set(sys.modules)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "examples:" in done.stdout
+    assert words in done.stdout
+
+
+@pytest.mark.parametrize("module", ["stickslip", "workflows.cli"])
+def test_as_a_module(module):
+    done = subprocess.run([sys.executable, "-m", module, "status", "nowhere"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("stickslip: nowhere")
+
+
+def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
+    out = tmp_path / "compared"
+    assert main(["report", str(dataset), "--compare", str(dataset), "--out", str(out)]) == 0
+    assert "the same" in capsys.readouterr().out
+    table = pd.read_parquet(out / "report" / "compared.parquet")
+    assert set(table["relative"].dropna()) == {0.0}
+    assert "<script" not in (out / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        (["--compare", "nowhere"], 1, "expected a dataset"),
+        (["--out", "somewhere"], 2, "--out: expected with --compare alone"),
+    ],
+)
+def test_comparisons_that_cannot_be(dataset, capsys, more, code, words):
+    assert main(["report", str(dataset), *more]) == code
+    assert words in capsys.readouterr().err
+
+
+def test_a_comparison_never_takes_the_place_of_a_dataset(dataset, capsys):
+    assert main(["report", str(dataset), "--compare", str(dataset), "--out", str(dataset)]) == 2
+    assert "holds an ensemble" in capsys.readouterr().err

@@ -11,12 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, ValidationError
 
-from analysis import Report
-from pipeline.scene import SceneError, StrictTable, problem
+from pipeline.scene import MINUTES, Positive, SceneError, StrictTable, problem
+
+if TYPE_CHECKING:
+    from analysis import Report
 
 #: Told of each thing as it is done.
 Say = Callable[[str], None]
@@ -31,6 +33,7 @@ class ChartScene(StrictTable):
 
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
+    minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
 
 
@@ -56,7 +59,7 @@ class Kind:
 
 
 #: The module of each kind, which holds it as KIND: loaded when it is asked for.
-_KINDS = {
+KINDS = {
     "paper": "workflows.charts.paper.page",
     "scaling": "workflows.charts.scaling_page",
     "speed_accuracy": "workflows.charts.speed_page",
@@ -67,7 +70,7 @@ _KINDS = {
 
 def kind(chart: str) -> Kind:
     """The kind of chart of that name; KeyError if there is none."""
-    found: Kind = import_module(_KINDS[chart]).KIND
+    found: Kind = import_module(KINDS[chart]).KIND
     return found
 
 
@@ -80,9 +83,9 @@ def load_chart(file: Path) -> tuple[Kind, Any]:
         If it is not a scene of a known chart; one line a problem.
     """
     table = tomllib.loads(file.read_text(encoding="utf-8"))
-    if table["chart"] not in _KINDS:
+    if table["chart"] not in KINDS:
         raise SceneError(
-            f"{file}: chart: expected {' or '.join(map(repr, _KINDS))}, got {table['chart']!r}; without the key"
+            f"{file}: chart: expected {' or '.join(map(repr, KINDS))}, got {table['chart']!r}; without the key"
             " `chart` it is an ensemble"
         )
     found = kind(table["chart"])

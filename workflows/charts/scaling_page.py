@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 import pandas as pd
 from jinja2 import Environment
+from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
 from analysis import Report, figures
@@ -352,7 +353,7 @@ def _costs_table(costs: Sequence[Cost]) -> pd.DataFrame:
     return pd.DataFrame(map(asdict, costs)).astype(counts)
 
 
-def _figure(measured: Measured, fits: dict[tuple[str, str], dict[str, Growth]]) -> figures.Figure:
+def _figure(measured: Measured, fits: dict[tuple[str, str], dict[str, Growth]]) -> Figure:
     names = {
         ("random", "coulomb"): "random systems, exact",
         ("random", "sigmoid"): "random systems, sigmoid",

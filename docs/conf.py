@@ -1,0 +1,120 @@
+"""How the guide is built: `sphinx-build -n -W -b html docs docs/_build`."""
+
+from __future__ import annotations
+
+import json
+import pydoc
+import re
+import sys
+from pathlib import Path
+
+from docutils import nodes
+from pydantic.fields import FieldInfo
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from pipeline import scene
+
+project = "stickslip"
+copyright = "the authors of stickslip"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build"]
+
+html_theme = "furo"
+html_title = "stickslip"
+html_copy_source = False
+html_show_sourcelink = False
+
+myst_enable_extensions = ["deflist"]
+myst_heading_anchors = 3
+smartquotes = False  # s'' is a derivative
+
+default_role = "py:obj"
+nitpick_ignore = [("py:obj", "Axes.step")]  # of matplotlib
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say what is taken, with shapes
+napoleon_google_docstring = False
+napoleon_use_param = False  # as words: "float or array_like, shape (n,)" is no name to look up
+napoleon_use_rtype = False
+napoleon_custom_sections = [("Attributes", "params_style")]
+
+#: Stands for a colon in the docstring of a plain value, where napoleon would take what is before it for a type.
+_COLON = "\ue000"
+_VALUES = ("attribute", "data", "property")
+#: The tables of a scene, in the order of the guide.
+_TABLES = (
+    scene.SystemTable, scene.StartTable, scene.RunTable, scene.Coulomb, scene.Sigmoid, scene.PerturbationTable,
+    scene.TwinsTable, scene.RecordTable, scene.AnalysisTable, scene.MarginsTable,
+)  # fmt: skip
+_SECTIONS = {"Parameters", "Attributes", "Returns", "Yields", "Raises", "Notes"}
+
+
+def _as_written(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Formulas as they stand: |x| is a magnitude, and what is set off by indentation is set as it is."""
+    found: list[str] = []
+    is_formula = in_section = False
+    for line in lines:
+        text = line.strip()
+        in_section = in_section or text in _SECTIONS
+        is_set_off = line.startswith("    ") and not in_section
+        if is_set_off and not is_formula and found and not found[-1].strip():
+            found += ["::", ""]
+            is_formula = True
+        is_formula = is_formula and (is_set_off or not text)
+        found.append(line if is_formula else _without_substitutions(line))
+    lines[:] = [line.replace(":", _COLON) for line in found] if what in _VALUES else found
+
+
+def _without_substitutions(line: str) -> str:
+    parts = re.split(r"(``.*?``)", line)
+    return "".join(part if part.startswith("``") else part.replace("|", "\\|") for part in parts)
+
+
+def _with_colons(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    lines[:] = [line.replace(_COLON, ":") for line in lines]
+
+
+def _known_elsewhere(app: Sphinx, env: object, node: nodes.Element, content: nodes.Node) -> nodes.Node | None:
+    """A name in a docstring that has no page: an argument, or what the code can import; else the build warns."""
+    target = node.get("reftarget", "")
+    if node.get("refdomain") != "py" or node.get("reftype") not in ("obj", "exc"):
+        return None
+    owner, _, name = target.rpartition(".")
+    found = [pydoc.locate(f"{prefix}{owner}") for prefix in ("", f"{node.get('py:module')}.")]
+    is_known = not owner or any(hasattr(o, name) or name in getattr(o, "__annotations__", ()) for o in found if o)
+    return content if is_known else None
+
+
+class SceneKeys(SphinxDirective):
+    """Every table of a scene with its keys, from the schema."""
+
+    def run(self) -> list[nodes.Node]:
+        text = []
+        for table in _TABLES:
+            head, _, about = (table.__doc__ or "").partition("\n")[0].partition(": ")
+            text += ["", f"`{head}`", f": {about}", "", "| key | what | default |", "|---|---|---|"]
+            text += [_row(name, field) for name, field in table.model_fields.items() if name != "name"]
+        return self.parse_text_to_nodes("\n".join(text))
+
+
+def _row(name: str, field: FieldInfo) -> str:
+    if field.is_required():
+        default = f"to be given, say {_toml(field.examples[0])}" if field.examples else "to be given"
+    else:
+        value = field.get_default(call_default_factory=True)
+        default = _toml(value) if isinstance(value, bool | int | float | str | tuple) else ""
+    return f"| `{name}` | {field.description or 'see below'} | {default} |".replace("|w - v|", r"\|w - v\|")
+
+
+def _toml(value: object) -> str:
+    """A value as a scene has it."""
+    return f"`{json.dumps(value)}`"
+
+
+def setup(app: Sphinx) -> None:
+    app.add_directive("scene-keys", SceneKeys)
+    app.connect("autodoc-process-docstring", _as_written, priority=400)  # before napoleon
+    app.connect("autodoc-process-docstring", _with_colons, priority=600)  # after it
+    app.connect("missing-reference", _known_elsewhere)

@@ -1,0 +1,322 @@
+"""Where a dataset lies: a directory, or a prefix of an object store; what is asked of either is the same.
+
+A directory: a file is replaced by writing beside it, syncing and renaming, and its lock is the kernel's, which a
+crash releases at once.
+
+An object store, by any address that fsspec knows (``s3://bucket/dir``, ``gs://``, ``memory://``): see
+`pipeline.objects`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
+#: What the names of files begin with while they are being written.
+TEMPORARY = ".tmp-"
+
+
+class StoreError(RuntimeError):
+    """The dataset cannot be written or read. The message says which file, why, and what to do."""
+
+
+class Hold(ABC):
+    """The right to write in a place, while it is held."""
+
+    @abstractmethod
+    def note(self, line: str) -> None:
+        """Leave a word in the lock, for those who look who is writing."""
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise `StoreError` if the right was lost to another."""
+
+    @abstractmethod
+    def give_back(self) -> None:
+        """Remove the lock, if it is ours."""
+
+
+@dataclass(frozen=True)
+class Lock:
+    """What a lock says: its owner, what the owner noted, and, in an object store, until when it holds and a token."""
+
+    owner: str
+    notes: dict[str, str]
+    until: float | None  #: None: no lease, the kernel knows whether it is held
+    token: str
+
+    @classmethod
+    def parse(cls, content: bytes) -> Lock:
+        """Read a lock; a lease that cannot be read is void."""
+        owner, *lines = content.decode(errors="replace").splitlines() or [""]
+        notes = dict(line.partition(" ")[::2] for line in lines)
+        if "lease" not in notes:
+            return cls(owner, notes, None, "")
+        until, _, token = notes.pop("lease").partition(" ")
+        try:
+            return cls(owner, notes, float(until), token)
+        except ValueError:
+            return cls(owner, notes, 0.0, token)
+
+    @property
+    def remaining(self) -> float:
+        """Seconds that a lease still runs."""
+        return max(0.0, (self.until or 0.0) - time.time())
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is, as far as it says."""
+        return self.until is None or self.remaining > 0.0
+
+
+class Place(ABC):
+    """A directory or a prefix; names are relative to it and have ``/`` between their parts.
+
+    All methods raise `OSError` with its `strerror` and `filename` set if they are refused.
+    """
+
+    address: str
+    remedy: str  #: what to do about a file that cannot be read
+
+    def __str__(self) -> str:
+        return self.address
+
+    @abstractmethod
+    def named(self, name: str) -> str:
+        """What messages call the file `name`."""
+
+    @abstractmethod
+    def read(self, name: str) -> bytes:
+        """The content of a file."""
+
+    def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
+        """The content of each file, in order; None for one that is not there."""
+        yield from map(self._read_if_there, names)
+
+    def _read_if_there(self, name: str) -> bytes | None:
+        try:
+            return self.read(name)
+        except FileNotFoundError:
+            return None
+
+    @abstractmethod
+    def replace(self, name: str, content: bytes) -> None:
+        """Give a file new content in one step that a crash cannot divide."""
+
+    @abstractmethod
+    def remove(self, name: str) -> None:
+        """Remove a file, if it is there."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Files and directories here and in `DATA`, sorted; none if there is nothing at the address."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Make the directories, where there are such."""
+
+    @abstractmethod
+    def own(self) -> contextlib.AbstractContextManager[Hold]:
+        """The right to write here, for the length of a with-block.
+
+        Raises
+        ------
+        StoreError
+            If another process has it.
+        """
+
+    @abstractmethod
+    def record(self, name: str) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
+        """A file of lines and how to append one, whole or not at all; a line that a crash cut short goes."""
+
+    @property
+    @abstractmethod
+    def arrow(self) -> Any:
+        """The file system by which Arrow reads here; None: the local one."""
+
+    @abstractmethod
+    def key(self, name: str) -> str:
+        """What `arrow` calls the file `name`."""
+
+
+Where: TypeAlias = str | os.PathLike[str] | Place
+
+
+def place_of(where: Where) -> Place:
+    """The place at a path or an address.
+
+    Raises
+    ------
+    StoreError
+        If the address is of no store that fsspec knows, or the package for it is missing.
+    """
+    if isinstance(where, Place):
+        return where
+    if not (isinstance(where, str) and "://" in where):
+        return Directory(Path(where))
+    address = where.rstrip("/")
+    protocol, _, path = address.partition("://")
+    if protocol in ("file", "local"):
+        return Directory(Path(path))
+    if not path.strip("/"):
+        raise StoreError(f"{where}: expected an address such as s3://bucket/dir, got no more than its beginning")
+    import fsspec  # with what it loads, a tenth of a second
+
+    from pipeline.objects import Prefix
+
+    try:
+        # listings are asked for anew: others write there
+        system, root = fsspec.core.url_to_fs(address, use_listings_cache=False)
+    except ImportError as error:
+        remedy = 'run: pip install "stickslip[s3]"' if protocol == "s3" else str(error)
+        raise StoreError(f"{address}: expected the package for {protocol}://, got none; {remedy}") from error
+    except ValueError as error:
+        raise StoreError(
+            f"{address}: expected a directory or an address such as s3://bucket/dir, got one that fsspec cannot open "
+            f"({error}); correct it"
+        ) from error
+    return Prefix(address, system, root.rstrip("/"))
+
+
+# ---------------------------------------------------------------------------------------------- a directory
+
+
+class Directory(Place):
+    """A directory of the local file system, or of one that is mounted."""
+
+    arrow = None
+    remedy = "check its permissions"
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.address = path, str(path)
+
+    def named(self, name: str) -> str:
+        return str(self.path / name)
+
+    key = named
+
+    def read(self, name: str) -> bytes:
+        return (self.path / name).read_bytes()
+
+    def replace(self, name: str, content: bytes) -> None:
+        file = self.path / name
+        temporary = file.with_name(TEMPORARY + file.name)
+        try:
+            with open(temporary, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, file)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        directory = os.open(file.parent, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+
+    def remove(self, name: str) -> None:
+        (self.path / name).unlink(missing_ok=True)
+
+    def names(self) -> list[str]:
+        if not self.path.exists():
+            return []
+        if not self.path.is_dir():
+            raise StoreError(f"{self.path}: expected a directory, got a file; choose another directory")
+        data = self.path / DATA
+        files = [*self.path.iterdir(), *(data.iterdir() if data.is_dir() else ())]
+        return sorted(file.relative_to(self.path).as_posix() for file in files)
+
+    def prepare(self) -> None:
+        (self.path / DATA).mkdir(parents=True, exist_ok=True)
+
+    @contextlib.contextmanager
+    def own(self) -> Iterator[Hold]:
+        file = self.path / LOCK
+        descriptor = _acquire(file)
+        lock = _Locked(file)
+        try:
+            yield lock
+        finally:
+            # removed while held: whoever opened it meanwhile sees that the name is gone, and tries again
+            lock.give_back()
+            os.close(descriptor)
+
+    @contextlib.contextmanager
+    def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
+        file = self.path / name
+        if file.exists():
+            whole = file.read_bytes().rpartition(b"\n")
+            os.truncate(file, len(whole[0]) + len(whole[1]))
+        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            yield lambda line: _append(descriptor, line)
+        finally:
+            os.close(descriptor)
+
+
+@dataclass
+class _Locked(Hold):
+    file: Path
+
+    def note(self, line: str) -> None:
+        with contextlib.suppress(OSError), open(self.file, "a", encoding="utf-8") as lock:
+            lock.write(line + "\n")
+
+    def check(self) -> None:
+        pass  # the kernel's lock is not lost
+
+    def give_back(self) -> None:
+        with contextlib.suppress(OSError):
+            self.file.unlink(missing_ok=True)
+
+
+def _acquire(file: Path) -> int:
+    """An exclusive lock on a file, as a descriptor that holds it until it is closed."""
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = os.read(descriptor, 200).decode(errors="replace").partition("\n")[0]
+            os.close(descriptor)
+            raise StoreError(
+                f"{file.parent}: expected to be its only writer, got a lock held by "
+                f"{owner or 'another process'}; wait for it to end, or choose another directory"
+            ) from None
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), os.stat(file)):
+                os.truncate(descriptor, 0)
+                with contextlib.suppress(OSError):  # a full disk: whoever is refused is not told by whom
+                    os.write(descriptor, f"{this_process()}\n".encode())
+                return descriptor
+        os.close(descriptor)  # its last owner removed it between our opening and our locking
+
+
+def this_process() -> str:
+    """Who writes, as a lock says it."""
+    return f"process {os.getpid()} on {socket.gethostname()}"
+
+
+def _append(descriptor: int, line: bytes) -> None:
+    """Append a line, whole or not at all."""
+    size = os.fstat(descriptor).st_size
+    try:
+        if os.write(descriptor, line) < len(line):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.ftruncate(descriptor, size)
+        raise

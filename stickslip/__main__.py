@@ -1,0 +1,7 @@
+"""`python -m stickslip`: the command, where its script is not on the path."""
+
+import sys
+
+from workflows.cli import main
+
+sys.exit(main())

@@ -1,0 +1,274 @@
+"""A dataset in an object store: the same bytes as in a directory, one writer, and what cannot be asked for."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import threading
+import time
+
+import fsspec
+import pytest
+
+from pipeline import Progress, StoreError, objects, place, query, run_scene, status, verify
+from pipeline.live import running
+from pipeline.store import Store
+
+OUT = "memory://bucket/out"
+
+
+@pytest.fixture
+def memory():
+    """An object store in this process, by key; empty, and emptied after."""
+    system = fsspec.filesystem("memory")
+    system.store.clear()
+    yield system.store
+    system.store.clear()
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(objects, "PAUSES", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(objects, "SETTLE", 0.3)
+
+
+def objects_of(memory, prefix="/bucket/out/"):
+    names = {key.removeprefix(prefix): file.getvalue() for key, file in memory.items() if key.startswith(prefix)}
+    return {name: content for name, content in names.items() if name != "timings.jsonl"}
+
+
+@pytest.fixture
+def stored(finished, memory):
+    """The finished dataset, copied there as it is."""
+    fsspec.filesystem("memory").put(f"{finished}/", "/bucket/out/", recursive=True)
+    return OUT
+
+
+# ------------------------------------------------------------------------------------------ the same dataset
+
+
+def test_same_bytes_as_in_a_directory_and_every_question_answered_alike(scene, source, finished, content, memory):
+    assert run_scene(scene, source, OUT, workers=0).is_complete
+    assert objects_of(memory) == content(finished)
+    assert verify(OUT) == []
+    here, there = status(finished), status(OUT)
+    assert there.path == OUT
+    assert (there.outcomes, there.n_bytes, there.n_shards) == (here.outcomes, here.n_bytes, here.n_shards)
+    assert query.members(OUT).equals(query.members(finished))
+    assert query.table(OUT, filters=[("n", "=", 5)]).equals(query.table(finished, filters=[("n", "=", 5)]))
+    asked = "SELECT engine, count(*) AS many FROM cascades JOIN members USING (member_id) GROUP BY ALL ORDER BY ALL"
+    assert query.sql(OUT, asked).equals(query.sql(finished, asked))
+    there_by_dask = query.dask_members(OUT, ["n_exits"]).compute(scheduler="synchronous")
+    assert there_by_dask["n_exits"].sum() == query.members(finished)["n_exits"].sum()
+    assert [member for member, *_ in query.series(OUT)] == [member for member, *_ in query.series(finished)]
+
+
+def test_an_address_of_this_machine_is_a_directory(finished):
+    assert status(f"file://{finished}").path == str(finished)
+    assert verify(f"file://{finished}/") == []
+
+
+def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished, content, stored, memory):
+    names = sorted(name for name in objects_of(memory) if name.startswith("data/"))
+    store = fsspec.filesystem("memory")
+    store.pipe_file(f"/bucket/out/{names[1]}", b"x")
+    store.rm_file(f"/bucket/out/{names[3]}")
+    store.pipe_file("/bucket/out/data/shard-00099-0123456789ab.parquet", b"x")
+    store.pipe_file("/bucket/out/data/notes.txt", b"mine")
+    found = [line.split(": ")[0] for line in verify(stored)]
+    assert found == [f"{OUT}/{name}" for name in (
+        names[1], names[3], "data/notes.txt", "data/shard-00099-0123456789ab.parquet")]  # fmt: skip
+    with pytest.raises(StoreError, match=r"a shard cannot be read .*run the scene again"):
+        query.members(stored)
+    seen: list[Progress] = []
+    run_scene(scene, source, stored, workers=0, on_progress=seen.append)
+    assert sum(progress.last_shard is not None for progress in seen) == 2
+    assert objects_of(memory) == content(finished) | {"data/notes.txt": b"mine"}
+
+
+def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, content, memory, monkeypatch):
+    run_scene(scene, source, OUT, workers=0)
+    del memory["/bucket/out/manifest.json"]
+    with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
+        status(OUT)
+    monkeypatch.setattr("sim.simulate", None)  # nothing is computed
+    run_scene(scene, source, OUT, workers=0)
+    assert objects_of(memory) == content(finished)
+
+
+def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, content, memory, tmp_path, monkeypatch):
+    run_scene(scene, source, OUT, workers=0)
+    fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
+    assert content(tmp_path) == content(finished)
+    (tmp_path / "manifest.json").unlink()
+    monkeypatch.setattr("sim.simulate", None)
+    assert run_scene(scene, source, tmp_path, workers=0).is_complete
+
+
+def test_files_of_something_else_are_refused_and_left_alone(scene, source, memory):
+    fsspec.filesystem("memory").pipe_file("/bucket/out/thesis.tex", b"all of it")
+    with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
+        run_scene(scene, source, OUT, workers=0)
+    assert objects_of(memory) == {"thesis.tex": b"all of it"}
+
+
+# ------------------------------------------------------------------------------------------ one writer
+
+
+def leave_lock(seconds, owner="process 1234 on elsewhere"):
+    """What a driver leaves that was killed; its lease has so many seconds to go."""
+    lock = f"{owner}\nlease {time.time() + seconds:.3f} 0123\nbegan {time.time():.3f} 0 0.0\n"
+    fsspec.filesystem("memory").pipe_file("/bucket/out/.lock", lock.encode())
+
+
+def test_a_lock_that_holds_is_a_refusal_that_says_until_when(scene, source, stored, memory):
+    leave_lock(42.4)
+    before = objects_of(memory)
+    assert running(stored).owner == "process 1234 on elsewhere"
+    with pytest.raises(StoreError, match=r"held by process 1234 on elsewhere; .*its lease ends in 42 s"):
+        run_scene(scene, source, stored, workers=0)
+    assert objects_of(memory) == before
+
+
+def test_a_lock_that_ran_out_is_taken_over(scene, source, stored, memory, impatient):
+    leave_lock(-0.1)
+    assert running(stored) is None
+    assert run_scene(scene, source, stored, workers=0).is_complete
+    assert ".lock" not in objects_of(memory)
+
+
+def test_of_many_that_take_over_one_does(memory, impatient):
+    leave_lock(-0.1)
+    owner, got, ended = place.place_of(OUT), [], threading.Event()
+
+    def contend():
+        try:
+            with owner.own():
+                got.append(True)
+                ended.wait(10)
+        except StoreError as error:
+            got.append(str(error))
+            if len(got) == 8:
+                ended.set()
+
+    drivers = [threading.Thread(target=contend) for _ in range(8)]
+    for driver in drivers:
+        driver.start()
+    until = time.monotonic() + 10
+    while len(got) < 8 and time.monotonic() < until:
+        time.sleep(0.01)
+    ended.set()
+    for driver in drivers:
+        driver.join()
+    assert sorted(word is True for word in got) == [False] * 7 + [True]
+    assert all("expected to be its only writer" in word for word in got if word is not True)
+    assert ".lock" not in objects_of(memory)
+
+
+def test_a_lock_is_renewed_as_long_as_its_owner_lives(memory, impatient, monkeypatch):
+    monkeypatch.setattr(objects, "LEASE", 1.0)
+    with place.place_of(OUT).own() as hold:
+        hold.note("began 0 0 0")
+        time.sleep(1.5)
+        assert running(OUT).owner == place.this_process()
+        with pytest.raises(StoreError, match="expected to be its only writer"), place.place_of(OUT).own():
+            pass
+        hold.check()
+
+
+def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
+    scene, source, finished, content, memory, impatient, monkeypatch
+):
+    monkeypatch.setattr(objects, "LEASE", 0.2)
+
+    def stopped_for_a_while(progress):
+        if progress.n_shards_done == 2:
+            leave_lock(60.0, "process 77 on elsewhere")
+            time.sleep(0.25)
+
+    with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*run the same scene again when"):
+        run_scene(scene, source, OUT, workers=0, on_progress=stopped_for_a_while)
+    assert memory["/bucket/out/.lock"].getvalue().startswith(b"process 77")
+    assert status(OUT).n_shards == 2
+    leave_lock(-0.1)
+    run_scene(scene, source, OUT, workers=0)
+    assert objects_of(memory) == content(finished)
+
+
+# ------------------------------------------------------------------------------------------ requests that fail
+
+
+@pytest.fixture
+def requests(monkeypatch):
+    """What becomes of puts: `fate[k]`, an error, meets the k-th one, after it took effect if `late`."""
+    system = type(fsspec.filesystem("memory"))
+    put, fate = system.pipe_file, {}
+    calls = []
+
+    def pipe_file(self, path, value, mode="overwrite", **kwargs):
+        calls.append(path)
+        error, is_late = fate.get(len(calls), fate.get("from now on", (None, False)))
+        if error is None or is_late:
+            put(self, path, value, mode=mode)
+        if error is not None:
+            raise error
+
+    monkeypatch.setattr(system, "pipe_file", pipe_file)
+    return fate
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_what_fails_in_passing_is_tried_again(is_late, scene, source, finished, content, memory, impatient, requests):
+    requests |= {k: (OSError(5, "busy"), is_late) for k in range(1, 60, 2)}
+    assert run_scene(scene, source, OUT, workers=0).is_complete
+    assert objects_of(memory) == content(finished)
+
+
+def test_what_goes_on_failing_is_one_clear_error_and_resumes(
+    scene, source, finished, content, memory, impatient, requests
+):
+    def lost(progress):
+        if progress.n_shards_done == 3:
+            requests["from now on"] = (TimeoutError("no answer"), False)
+
+    with pytest.raises(StoreError, match=r"shard-00003-.* cannot be written \(no answer\).*run the same scene again"):
+        run_scene(scene, source, OUT, workers=0, on_progress=lost)
+    requests.clear()
+    assert status(OUT).n_shards == 3
+    run_scene(scene, source, OUT, workers=0)
+    assert objects_of(memory) == content(finished)
+
+
+@pytest.mark.parametrize("error", [PermissionError("Access Denied"), FileNotFoundError("no such bucket")])
+def test_what_is_refused_is_not_asked_again(error, scene, source, memory, requests):
+    requests["from now on"] = (error, False)
+    start = time.monotonic()
+    with pytest.raises(StoreError, match=rf"memory://bucket/out/\.lock: cannot be written \({error}\)"):
+        run_scene(scene, source, OUT, workers=0)
+    assert time.monotonic() - start < min(objects.PAUSES)
+
+
+def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    monkeypatch.delitem(sys.modules["fsspec.registry"]._registry, "s3", raising=False)
+    with pytest.raises(StoreError, match=r'package for s3://, got none; run: pip install "stickslip\[s3\]"'):
+        status("s3://bucket/out")
+    with pytest.raises(StoreError, match=r"got one that fsspec cannot open \(Protocol not known: nowhere\)"):
+        status("nowhere://bucket/out")
+
+
+def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
+    monkeypatch.setattr("pipeline.store._LAST_SECONDS", 0.1)
+    with Store(stored, scene, source) as store:
+        monkeypatch.setattr(objects.Prefix, "names", lambda self: time.sleep(0.5) or [])
+        start = time.monotonic()
+        store._sweep()
+        assert time.monotonic() - start < 0.4
+        monkeypatch.undo()
+
+
+def test_a_copy_of_a_directory_with_its_lock_is_no_obstacle(scene, source, finished, tmp_path, memory, impatient):
+    out = shutil.copytree(finished, tmp_path / "out")
+    (out / ".lock").write_text("process 1 on elsewhere\n")
+    fsspec.filesystem("memory").put(f"{out}/", "/bucket/out/", recursive=True)
+    assert run_scene(scene, source, OUT, workers=0).is_complete

@@ -1,0 +1,112 @@
+"""What a notebook shows of a run: short words, tables, drawings on the axes it is given."""
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import scipy.sparse
+from matplotlib.figure import Figure
+
+from sim import EventSeries, Samples, System, draw_system, show, simulate
+
+SYSTEM = draw_system("antisymmetric", n=30, seed=0)
+RUN = simulate(SYSTEM, -0.7, -0.4, 20.0, t_eval=[0.0, 10.0, 20.0])
+
+#: Block 0 sticks, slips right at 1, sticks at 3; block 1 slips left to the end, 4.
+PLANTED = EventSeries(
+    t=np.array([1.0, 3.0]),
+    block=np.array([0, 0], dtype=np.int32),
+    mode=np.array([1, 0], dtype=np.int8),
+    initial_mode=np.array([0, -1], dtype=np.int8),
+    t_start=0.0,
+    t_end=4.0,
+)
+
+
+@pytest.mark.parametrize(
+    "thing", [SYSTEM, RUN, RUN.events, RUN.samples, RUN.stats, Samples.blank(np.empty(0), 0), PLANTED]
+)
+def test_words_are_one_short_line(thing):
+    assert "\n" not in repr(thing)
+    assert len(repr(thing)) < 90
+    assert repr(thing).startswith(type(thing).__name__)
+
+
+def test_words_hold_the_numbers():
+    assert repr(RUN.samples) == "Samples(n=30, 3 times on [0, 20])"
+    assert f"{len(RUN.events)} events" in repr(RUN)
+
+
+def cells(thing):
+    import xml.etree.ElementTree as ET
+
+    table = ET.fromstring(thing._repr_html_().replace("colspan=2", 'colspan="2"'))  # well formed
+    return {row.find("th").text: row.find("td").text for row in table.find("tbody")}
+
+
+def test_tables():
+    assert cells(PLANTED) == {"events": "2", "entries": "1", "exits": "1", "crossings": "0"}
+    assert cells(RUN)["outcome"] == "finished at t = 20"
+    assert int(cells(RUN)["n_stick at the end"]) == RUN.n_stick(20.0)
+    sparse = System(stiffness=scipy.sparse.eye_array(3, format="csr"), damping=[1.0, 2.0, 3.0])
+    assert cells(sparse) == {
+        "stiffness K": "|K_ij| up to 1, sparse with 3 entries",
+        "damping R": "1 to 3",
+        "friction mu": "1",
+        "belt speed v": "-0.2",
+    }
+    assert "<b>" not in show.table("<b>", {"<b>": "<b>"})
+
+
+@pytest.fixture
+def clean():
+    """Nothing of pyplot's is touched but the figures that a test says."""
+    before, settings = plt.get_fignums(), dict(matplotlib.rcParams)
+    yield
+    assert dict(matplotlib.rcParams) == settings
+    assert plt.get_fignums() == before
+
+
+@pytest.mark.parametrize("plot", [RUN.plot, RUN.events.plot])
+def test_axes_given_are_drawn_on_and_returned(plot, clean):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert plot(ax=right) is right
+    assert not left.has_data()
+    assert right.has_data()
+    figure.savefig("/dev/null", format="png")
+
+
+@pytest.mark.parametrize("plot", [RUN.plot, RUN.events.plot])
+def test_without_axes_a_new_figure_is_drawn(plot, clean):
+    mine, _ = plt.subplots()
+    ax = plot()
+    assert ax.figure is not mine
+    assert plt.gcf() is ax.figure
+    plt.close(ax.figure)
+    plt.close(mine)
+
+
+def test_the_steps_are_n_stick(clean):
+    ax = RUN.plot(ax=Figure().subplots(), color="black", label="mine")
+    (line,) = ax.lines
+    assert (line.get_label(), line.get_color()) == ("mine", "black")
+    t, n_stick = line.get_data()
+    np.testing.assert_array_equal(n_stick, RUN.n_stick(t))
+    assert t[-1] == 20.0
+
+
+def test_rectangles_are_the_stays(clean):
+    """Area and place of each mode, by hand from the planted events."""
+    ax = PLANTED.plot(ax=Figure().subplots())
+    found = {
+        collection.get_label(): [path.get_extents().extents.tolist() for path in collection.get_paths()]
+        for collection in ax.collections
+    }
+    assert found == {
+        "sticks": [[0.0, -0.5, 1.0, 0.5], [3.0, -0.5, 4.0, 0.5]],
+        "slips right": [[1.0, -0.5, 3.0, 0.5]],
+        "slips left": [[0.0, 0.5, 4.0, 1.5]],
+    }
+    area = sum((right - left) * (top - low) for boxes in found.values() for left, low, right, top in boxes)
+    assert area == PLANTED.n * (PLANTED.t_end - PLANTED.t_start)

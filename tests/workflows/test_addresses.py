@@ -1,0 +1,76 @@
+"""The command with an address instead of a directory, from the first run to the report."""
+
+from __future__ import annotations
+
+import io
+
+import pandas as pd
+import pytest
+
+from tests.faults.bucket import ask, bucket
+from workflows.cli import main
+
+SOURCE = """\
+title = "in a bucket"
+[system]
+coupling = "antisymmetric"
+n = 5
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 8.0
+matrices = 2
+[[engine]]
+name = "coulomb"
+[analysis]
+t_burn = 1.0
+dt = 0.5
+resamples = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def server():
+    with bucket() as address:
+        yield address
+
+
+def test_run_status_verify_query_and_report_at_an_address(server, tmp_path, capsys):
+    scene, out = tmp_path / "scene.toml", "s3://bucket/deep/out"
+    scene.write_text(SOURCE)
+    assert main(["run", str(scene), "--out", out, "--workers", "1"]) == 0
+    said = capsys.readouterr().out
+    assert f"data    {out}/data: 2 members" in said
+    assert f"report  {out}/report.html" in said
+    kept = f"{server}/bucket/deep/out"
+    assert b"in a bucket" in ask(f"{kept}/report.html")
+    assert ask(f"{kept}/scene.toml").decode() == SOURCE
+    assert len(pd.read_parquet(io.BytesIO(ask(f"{kept}/report/law.parquet")))) > 0
+    assert main(["status", out]) == 0
+    assert "members 2 of 2 done" in capsys.readouterr().out
+    assert main(["verify", out]) == 0
+    assert capsys.readouterr().out == f"{out}: every shard is as the manifest says\n"
+    assert main(["query", out, "SELECT count(*) AS n FROM members", "--format", "csv"]) == 0
+    assert capsys.readouterr().out.split() == ['"n"', "2"]
+    assert main(["report", out]) == 0
+
+
+def test_what_the_store_refuses_is_one_line(server, tmp_path, capsys):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SOURCE)
+    assert main(["run", str(scene), "--out", "s3://nowhere/out", "--workers", "1"]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(
+        "stickslip: s3://nowhere/out/.lock: cannot be written (The specified bucket does not exist)"
+    )
+    assert err.count("\n") == 1
+    ask(f"{server}/_share/0/1/403", "PUT")
+    try:
+        assert main(["status", "s3://bucket/out"]) == 1
+        assert capsys.readouterr().err == (
+            "stickslip: s3://bucket/out/manifest.json: cannot be read (Forbidden); check the address, the "
+            "credentials and the network\n"
+        )
+    finally:
+        ask(f"{server}/_share/0/0/403", "PUT")

@@ -1,0 +1,165 @@
+"""On a cluster: what Slurm would be told, a run of the script that ends by SIGTERM and goes on, workers by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from distributed import Client
+
+from pipeline import parse_scene, run_scene, status, verify
+from workflows.cli import main
+
+SCRIPT = Path(__file__).parents[2] / "workflows" / "guide" / "slurm.py"
+SOURCE = b"""\
+[system]
+coupling = "antisymmetric"
+n = [100, 5]
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 300.0
+matrices = 60
+seed = 11
+[[engine]]
+name = "coulomb"
+[analysis]
+t_burn = 20.0
+dt = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def slurm():
+    specification = importlib.util.spec_from_file_location("slurm", SCRIPT)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    file = tmp_path_factory.mktemp("scene") / "mine.toml"
+    file.write_bytes(SOURCE)
+    return file
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    path = tmp_path_factory.mktemp("reference") / "out"
+    run_scene(parse_scene(SOURCE), SOURCE, path, workers=0)
+    return shards(path)
+
+
+def shards(path):
+    return {file.name: file.read_bytes() for file in (path / "data").iterdir()}
+
+
+def test_what_slurm_is_told(slurm):
+    before = signal.getsignal(signal.SIGINT)
+    jobqueue = pytest.importorskip("dask_jobqueue.slurm")
+    signal.signal(signal.SIGINT, before)  # it sets one of its own
+    asked = ["mine.toml", "--out", "x", "--per-job", "8", "--memory", "3", "--minutes", "90", "--queue", "long"]
+    arguments = slurm.parser().parse_args([*asked, "--account", "blocks", "--cache", "/scratch/kernels"])
+    with jobqueue.SLURMCluster(**slurm.slurm_settings(arguments)) as cluster:
+        script = cluster.job_script()
+    for line in (
+        "#SBATCH --cpus-per-task=8",
+        "#SBATCH -t 01:30:00",
+        "#SBATCH -p long",
+        "#SBATCH -A blocks",
+        "export OMP_NUM_THREADS=1",
+        "export OPENBLAS_NUM_THREADS=1",
+        "export MKL_NUM_THREADS=1",
+        "export NUMBA_NUM_THREADS=1",
+        "export NUMBA_CACHE_DIR=/scratch/kernels",
+    ):
+        assert line in script.splitlines()
+    assert re.search(r" --nthreads 1 .*--nworkers 8 ", script)
+    memory = int(re.search(r"--mem=(\d+)G", script)[1])
+    assert memory in (22, 23, 24)  # of 24 GB, in the units of Slurm
+    lifetime, stagger = (int(re.search(rf"--{name} (\d+)s", script)[1]) for name in ("lifetime", "lifetime-stagger"))
+    assert lifetime + stagger < 90 * 60 - 60  # the last worker leaves before the job ends
+
+
+def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = [str(scene_file), "--out", str(out), "--local", "--workers", "1"]
+    with subprocess.Popen([sys.executable, SCRIPT, *arguments], stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not list(out.glob("data/shard-*")):
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 143, err
+    assert "give the same command again to go on" in err
+    assert verify(out) == []
+    n_done = status(out).n_done
+    assert 0 < n_done < 120
+    assert slurm.main(arguments) == 0
+    assert f"{n_done} of 120 members are there already" in capsys.readouterr().err
+    assert shards(out) == reference
+
+
+@contextlib.contextmanager
+def by_hand(directory, *worker):
+    """A scheduler and a worker as the guide says to start them."""
+    dask = [sys.executable, "-m", "distributed.cli."]
+    connection = directory / "scheduler.json"
+    # what pytest was started with is not the worker's
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    running = []
+    for name, *more in (("scheduler", "--port", "0", "--dashboard-address", ":0"), ("worker", *worker)):
+        command = [*dask[:2], f"{dask[2]}dask_{name}", "--scheduler-file", str(connection), *more]
+        running.append(
+            subprocess.Popen(
+                command, cwd=directory, env=environment, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+            )
+        )
+    try:
+        yield connection
+    finally:
+        for process in reversed(running):
+            process.terminate()
+            process.wait(timeout=30)
+
+
+@pytest.mark.parametrize(
+    ("worker", "warned"),
+    [
+        (["--nthreads", "1"], []),
+        (
+            ["--nthreads", "2", "--no-nanny"],
+            ["expected workers of one thread each", "libraries have one thread each"],
+        ),
+    ],
+)
+def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, capsys, caplog):
+    """Threads that run members side by side, in one process, get the same bytes, and the driver says it is slow."""
+    monkeypatch.setattr("pipeline.members.TARGET_COST", 0.005)
+    source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 60", b"matrices = 6")
+    (tmp_path / "mine.toml").write_bytes(source)
+    run_scene(parse_scene(source), source, tmp_path / "reference", workers=0)
+    with by_hand(tmp_path, *worker) as connection:
+        while not (connection.exists() and connection.read_text().endswith("}")):  # it is not written at once
+            time.sleep(0.02)
+        address = json.loads(connection.read_text())["address"]
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=30)
+        command = ["run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--scheduler", address]
+        assert main(command) == 0
+    assert len(shards(tmp_path / "out")) > 3
+    assert shards(tmp_path / "out") == shards(tmp_path / "reference")
+    assert re.search(r"^dask    http://\S+:\d+/status$", capsys.readouterr().err, re.MULTILINE)
+    said = "\n".join(record.getMessage() for record in caplog.records)
+    assert [words for words in warned if words not in said] == []
+    assert bool(said) == bool(warned)

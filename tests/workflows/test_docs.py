@@ -1,0 +1,258 @@
+"""The guide says what works: its code runs, on small data, its words are the program's, its links lead somewhere."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import re
+import shlex
+import sys
+import tomllib
+import types
+from dataclasses import asdict
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import matplotlib
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+
+from analysis.section import Data
+from pipeline import parse_scene
+from sim import coupling, draw_system, perturb_system
+from workflows.cli import main
+
+ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "docs" / "guide"
+TEXTS = sorted(
+    file
+    for pattern in ("*.md", "docs/**/*.md", "workflows/**/*.md")
+    for file in ROOT.glob(pattern)
+    if "_build" not in file.parts
+)
+
+
+def page(name: str) -> str:
+    return (GUIDE / f"{name}.md").read_text()
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Fenced code of a language, without the indentation that a list gives it."""
+    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, flags=re.DOTALL | re.MULTILINE)
+    return [re.sub(rf"^{indent}", "", code, flags=re.MULTILINE) for indent, code in found]
+
+
+def run_python(name: str, number: int = 0) -> dict[str, object]:
+    sys.modules["guide"] = guide = types.ModuleType("guide")  # where a dataclass looks for its module
+    exec(compile(blocks(page(name), "python")[number], f"{name}.md, block {number + 1}", "exec"), guide.__dict__)
+    return guide.__dict__
+
+
+def commands(name: str) -> list[list[str]]:
+    lines = [line for block in blocks(page(name), "sh") for line in block.splitlines()]
+    return [shlex.split(line)[1:] for line in lines if line.startswith("stickslip ")]
+
+
+def edited(scene: str, changes: str) -> str:
+    """A scene with the lines of the same keys in place of its own."""
+    for line in changes.splitlines():
+        key = line.partition(" = ")[0]
+        scene, n = re.subn(rf"^{key} = .*$", lambda _, line=line: line, scene, flags=re.MULTILINE)
+        assert n == 1, line
+    return scene
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A directory in which the newcomer's page has been worked through, with fewer matrices and shuffles."""
+    place = tmp_path_factory.mktemp("first")
+    (changes,) = blocks(page("first-scene"), "toml")
+    assert changes.count("matrices = 6") == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        begin, *rest = commands("first-scene")
+        assert main(begin) == 0
+        scene = edited(Path("mine.toml").read_text(), changes)
+        Path("six.toml").write_text(scene)
+        Path("mine.toml").write_text(edited(scene, "matrices = 2\nresamples = 20"))
+        assert [main(command) for command in rest] == [0] * len(rest)
+    return place
+
+
+# ---------------------------------------------------------------------------------------------- the pages
+
+
+@pytest.mark.parametrize("name", [file.stem for file in sorted(GUIDE.glob("*.md")) if ">>> " in file.read_text()])
+def test_sessions(name):
+    """What follows >>> gives what is printed under it."""
+    test = doctest.DocTestParser().get_doctest("\n".join(blocks(page(name), "pycon")), {}, name, f"{name}.md", 0)
+    assert doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(test).failed == 0
+
+
+def test_first_scene_does_what_the_page_says(first):
+    said = [words[0] for words in commands("first-scene")]
+    assert {"init", "run", "status", "query"} <= set(said)
+    assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
+
+
+def test_first_scene_in_python(first, monkeypatch):
+    monkeypatch.chdir(first)
+    names = run_python("first-scene")
+    assert len(names["table"]) == 8
+    assert len(names["t"]) == len(names["count"]) > 1
+    monkeypatch.setitem(matplotlib.rcParams, "backend", "agg")
+    assert run_python("first-scene", 1)["run"].outcome == "finished"
+
+
+def test_first_scene_counts_the_members(first):
+    """The page's numbers are those of the scene that it makes."""
+    scene = parse_scene((first / "six.toml").read_bytes())
+    assert f"make {scene.n_members} members" in page("first-scene")
+    table = blocks(page("first-scene"), "text")[0].splitlines()[1:]
+    assert sum(int(row.split()[-1]) for row in table) == scene.n_members
+
+
+def test_the_sections_are_those_of_a_report(first):
+    listed = re.findall(r"^\| ([^|]+?) \|", page("report").partition("## Words")[0], flags=re.MULTILINE)[1:]
+    titles = re.findall(r"<h2[^>]*>(.*?)</h2>", (first / "runs" / "mine" / "report.html").read_text())
+    assert {name for name in listed if name not in ("head", "---")} <= set(titles)
+
+
+def test_the_verdicts_are_those_of_the_analysis():
+    source = "\n".join(file.read_text() for file in (ROOT / "analysis").rglob("*.py"))
+    verdicts = re.findall(r"^\| `(.+?)` \|", page("report"), flags=re.MULTILINE)
+    assert len(verdicts) == 6
+    assert [words for words in verdicts if words not in source] == []
+
+
+def test_the_numbers_of_a_report_in_python(first, monkeypatch):
+    monkeypatch.chdir(first)
+    names = run_python("report")
+    assert len(names["events"]) == 4
+    assert "law" in names["tables"]
+
+
+def test_matrices_from_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    k = np.diag([0.1, 0.2, 0.3])
+    np.save("dense.npy", k)
+    np.savez("several.npz", K=k)
+    scipy.sparse.save_npz("sparse.npz", scipy.sparse.csc_array(k))
+    scipy.io.mmwrite("matrix.mtx", scipy.sparse.csc_array(k))
+    np.testing.assert_array_equal(run_python("own-system")["K"].toarray(), k)
+
+
+def test_the_tolerances_are_those_that_are_picked():
+    from pipeline.scene import TOLERANCES
+
+    rows = re.findall(r"^\| .*? \| (1e-\d+) \| (1e-\d+) \|$", page("engines"), flags=re.MULTILINE)[:2]
+    assert [tuple(map(float, row)) for row in rows] == [(t["tol"], t["rtol"]) for t in TOLERANCES.values()]
+
+
+# ---------------------------------------------------------------------------------------------- extending
+
+
+def test_a_coupling_is_one_line(monkeypatch):
+    line = blocks(page("extending"), "python")[0]
+    rule = eval(f"{{{line}}}", vars(coupling))
+    monkeypatch.setattr(coupling, "_RULES", {**coupling._RULES, **rule})
+    (name,) = rule
+    system = draw_system(name, 9, 5)
+    off = system.stiffness - np.diag(np.diag(system.stiffness))
+    np.testing.assert_array_equal(off, -off.T)
+    assert np.count_nonzero(off) == 16
+    for reading in ("scale", "relative"):
+        moved = perturb_system(system, name, 0.1, 1, reading=reading)
+        np.testing.assert_array_equal(moved.stiffness == 0, system.stiffness == 0)
+
+
+def test_a_statistic_is_a_section(first):
+    from pipeline import query
+
+    data = Data(
+        query.members(first / "runs" / "mine"), {name: (t, n) for name, t, n in query.series(first / "runs" / "mine")}
+    )
+    section = run_python("extending", 1)["pauses_section"](data)
+    table = section.tables[0]
+    assert len(table.frame) == 8
+    assert all(column.text(row) for column in table.columns for row in table.frame.to_dict("records"))
+    assert "pause is" in section.statements[0]
+
+
+def test_a_chart_is_a_schema_a_measurement_and_a_page():
+    kind = run_python("extending", 2)["KIND"]
+    scene = kind.scene.model_validate(tomllib.loads(blocks(page("extending"), "toml")[0]))
+    measured = kind.restore(json.loads(json.dumps(asdict(kind.measure(scene, lambda line: None)))))
+    assert measured.products[0] > measured.products[1] > 0
+    built = kind.build(scene, measured)
+    assert scene.title in built.html
+    assert len(built.headline) == 3
+
+
+def test_what_the_steps_name_is_there():
+    """Names in the text; those of the examples stand in their code."""
+    text = re.sub(r"^ *```.*?^ *```", "", page("extending"), flags=re.DOTALL | re.MULTILINE)
+    files = (
+        file
+        for floor in ("sim", "pipeline", "analysis", "workflows", "tests")
+        for file in (ROOT / floor).rglob("*.py")
+    )
+    source = "\n".join(file.read_text() for file in files if file != Path(__file__))
+    named = set(re.findall(r"`(?:[a-z]+\.)*([A-Za-z_]\w+)`", text))
+    assert {"_RULES", "KINDS", "Section", "complete"} <= named
+    assert [name for name in sorted(named) if not re.search(rf"\b{name}\b", source)] == []
+
+
+# ---------------------------------------------------------------------------------------------- names and links
+
+
+def test_every_command_is_one_that_exists(capsys):
+    for file in TEXTS:
+        for block in blocks(file.read_text(), "sh"):
+            for line in block.splitlines():
+                words = shlex.split(line, comments=True)
+                if words and words[0].endswith("stickslip"):
+                    with pytest.raises(SystemExit) as ended:
+                        main([words[1], "--help"])
+                    assert ended.value.code == 0, f"{file.name}: {line}"
+
+
+def test_every_extra_is_one_that_exists():
+    extras = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+    for file in TEXTS:
+        for named in re.findall(r'(?:stickslip|\.)\[([\w,]+)\]"', file.read_text()):
+            assert set(named.split(",")) <= extras, f"{file.name}: {named}"
+
+
+def test_every_file_that_is_named_is_there():
+    for file in TEXTS:
+        if file.name != "CHANGELOG.md":  # which says what was, too
+            for named in re.findall(
+                r"`((?:sim|pipeline|analysis|workflows|tests|docs)/[a-z_/]+\.\w+)`", file.read_text()
+            ):
+                assert (ROOT / named).exists() or "width" in named, f"{file.name}: {named}"
+
+
+def anchors(file: Path) -> set[str]:
+    """Of the headings, as they are made into addresses."""
+    headings = re.findall(
+        r"^#+ (.*)$", re.sub(r"```.*?```", "", file.read_text(), flags=re.DOTALL), flags=re.MULTILINE
+    )
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("file", TEXTS, ids=lambda file: str(file.relative_to(ROOT)))
+def test_links(file):
+    """Inside the project: file and heading are there. Elsewhere: the form of an address, as no network is needed."""
+    text = re.sub(r"```.*?```", "", file.read_text(), flags=re.DOTALL)
+    for target in re.findall(r"\]\(<?([^)\s>]+)>?\)", text):
+        address = urlsplit(target)
+        if address.scheme:
+            assert address.scheme == "https", target
+            assert re.fullmatch(r"[\w-]+(\.[\w-]+)+", address.netloc), target
+            continue
+        where = (file.parent / address.path).resolve() if address.path else file
+        assert where.exists(), target
+        assert not address.fragment or address.fragment in anchors(where), target

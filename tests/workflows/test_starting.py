@@ -1,0 +1,171 @@
+"""Before the first run: a scene begun by the command, the schema that editors use, and completion in a shell."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import version
+
+import jsonschema
+import pytest
+
+import pipeline
+import sim
+import stickslip
+from pipeline import load_scene
+from pipeline.scene import json_schema
+from workflows.charts import KINDS, kind
+from workflows.cli import main
+from workflows.scenes import chart_of, find, shipped
+from workflows.starting import SCHEMA, schema_text
+
+
+def problems(schema, table):
+    return [error.message for error in jsonschema.Draft7Validator(schema).iter_errors(table)]
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_what_ships_is_as_the_schema_says(name):
+    chart = chart_of(find(name))
+    schema = json_schema() if chart is None else json_schema(kind(chart).scene)
+    jsonschema.Draft7Validator.check_schema(schema)
+    assert problems(schema, tomllib.loads(find(name).read_text())) == []
+
+
+# what is changed in a small scene: the schema must see it before the command does
+SEEN = {
+    "unknown key": ("matrices = 3", "matrixes = 3"),
+    "unknown table": ("[record]", "[recrod]"),
+    "key of the other engine": ('name = "coulomb"', 'name = "coulomb"\neps = 0.1'),
+    "missing table": ("[start]\nz = -0.7\nw = -0.4\n", ""),
+    "missing key": ("t_end = 40.0\n", ""),
+    "text for a number": ("t_end = 40.0", 't_end = "long"'),
+    "half a matrix": ("matrices = 3", "matrices = 3.5"),
+    "negative n": ("n = 12", "n = -12"),
+    "huge n": ("n = 12", "n = 1000000000"),
+    "empty grid": ("n = 12", "n = []"),
+    "negative step": ("dt = [0.5]", "dt = [-0.5]"),
+    "seed too large": ("seed = 1", "seed = 9223372036854775808"),
+    "unknown ensemble": ('"antisymmetric"', '"antisymetric"'),
+    "unknown engine": ('name = "coulomb"', 'name = "colomb"'),
+}
+
+
+@pytest.mark.parametrize("mistake", SEEN)
+def test_the_schema_sees(mistake, small_scene):
+    old, new = SEEN[mistake]
+    small = small_scene.read_text()
+    assert small.count(old) == 1
+    assert problems(json_schema(), tomllib.loads(small)) == []
+    assert problems(json_schema(), tomllib.loads(small.replace(old, new)))
+
+
+def test_every_form_that_the_scene_takes_the_schema_takes(small_scene, tmp_path):
+    """A number for a list, one engine as a plain table, what is left out."""
+    text = small_scene.read_text().replace('[[engine]]\nname = "sigmoid"\n', "").replace("[[engine]]", "[engine]")
+    text = text.replace("dt = [0.5]", "dt = 1").replace("n = 12", "n = [12, 13]")
+    text = text.replace("[record]\nevents = true\n", '[perturbation]\nreadings = "relative"\nsizes = 0.1\n')
+    file = tmp_path / "other.toml"
+    file.write_text(text)
+    assert load_scene(file).n_members == 2 * 3 * 2
+    assert problems(json_schema(), tomllib.loads(text)) == []
+
+
+def test_every_key_is_described():
+    """What an editor shows beside a key; tables are described by themselves."""
+    for schema in [json_schema(), *(json_schema(kind(chart).scene) for chart in KINDS)]:
+        tables = [schema, *schema.get("$defs", {}).values()]
+        for table in tables:
+            for key, found in table.get("properties", {}).items():
+                assert found.get("description") or "$ref" in found or "const" in found, key
+        assert "null" not in json.dumps(schema)  # TOML has none
+
+
+def test_init_writes_a_scene_that_runs_and_refuses_to_write_over_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "mine.toml"]) == 0
+    said = capsys.readouterr().out
+    text = (tmp_path / "mine.toml").read_text()
+    assert text.startswith(f"#:schema ./{SCHEMA}\n")
+    assert (tmp_path / SCHEMA).read_text() == schema_text(None)
+    assert load_scene("mine.toml").hash == load_scene(find("quick")).hash
+    assert "minutes" not in tomllib.loads(text)  # of the machine that measured `quick`
+    for line in text.splitlines():
+        assert re.match(r"\s*$|#|\[\[?\w+\]\]?|\w+ = .+ # .+|name = ", line), line  # every key has its comment
+    command = re.search(r"stickslip (run mine.toml --dry-run)", said)[1]
+    assert main(command.split()) == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["mine.toml", SCHEMA]
+    (tmp_path / "mine.toml").write_text("mine")
+    assert main(["init", "mine.toml"]) == 2
+    assert "which exists; name another" in capsys.readouterr().err
+    assert (tmp_path / "mine.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "words"),
+    [
+        (["init", "mine"], 2, "write mine.toml"),
+        (["init", "none/mine.toml"], 1, "none/mine.toml"),
+        (["schema", "stabilty"], 2, "expected one of paper, scaling"),
+    ],
+)
+def test_what_cannot_be_written(argv, code, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(argv) == code
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_schema_is_printed(capsys):
+    assert main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == json_schema()
+    assert main(["schema", "stability"]) == 0
+    assert "stiffness" in json.loads(capsys.readouterr().out)["properties"]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (["run", "qu"], {"quick"}),
+        (["run", "mi"], {"mine.toml"}),
+        (["status", "ru"], {"runs"}),
+        (["query", "--form"], {"--format"}),
+        (["comp"], {"completion"}),
+        (["completion", "z"], {"zsh"}),
+    ],
+)
+@pytest.mark.parametrize("shell", ["bash", "fish"])
+def test_a_shell_completes(shell, line, expected, tmp_path, capsys):
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    (tmp_path / "mine.toml").touch()
+    (tmp_path / "runs").mkdir()
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    words = " ".join(["stickslip", *line])
+    ask = {
+        "bash": f"COMP_WORDS=({words}); COMP_CWORD={len(line)}; _shtab_stickslip;"
+        " printf '%s\\n' \"${COMPREPLY[@]}\"",
+        "fish": f"complete -C '{words}'",
+    }
+    done = subprocess.run([shell, "-c", script + "\n" + ask[shell]], cwd=tmp_path, capture_output=True, text=True)
+    found = {answer.split("\t")[0].rstrip("/") for answer in done.stdout.splitlines()}
+    assert found == expected, done.stderr
+
+
+def test_one_import_has_the_contract():
+    assert set(stickslip.__all__) == {*sim.__all__, "__version__"}
+    assert all(getattr(stickslip, name) is getattr(sim, name) for name in sim.__all__)
+    assert stickslip.__version__ == version("stickslip")
+
+
+def test_the_pipeline_loads_its_rooms_as_they_are_asked_for():
+    assert set(pipeline.__all__) == {*pipeline._ROOM_OF, "query"}
+    assert all(getattr(pipeline, name).__name__.endswith(name) for name in pipeline.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'scenes'"):
+        pipeline.scenes  # noqa: B018  # asking is the test
+    code = "import sys, pipeline.scene; sys.exit(', '.join({'dask', 'pandas', 'pyarrow'} & set(sys.modules)) or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

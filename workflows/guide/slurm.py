@@ -1,0 +1,121 @@
+"""Run a scene on a Slurm cluster: ``python slurm.py SCENE --out DIR --workers 64``; see cluster.md beside this file.
+
+Give it where jobs may be submitted: on a login node, or in a small job of its own that lasts as long as the run.
+It asks Slurm for jobs of workers, hands them the scene, and replaces jobs whose time is over. Ended by Ctrl-C or
+SIGTERM, it takes its jobs back, and leaves a dataset that the same command goes on with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pipeline import Interrupted, SceneError, ScheduleError, StoreError, interruptible, load_scene, run_scene
+from pipeline.interrupt import unbroken
+from workflows.progress import Watch
+from workflows.scenes import find
+
+if TYPE_CHECKING:
+    from distributed.deploy import Cluster
+
+#: Seconds that a worker leaves before its job ends, to hand over what it holds, and by how much more some do: workers
+#: that started together are not all replaced at once.
+MARGIN, STAGGER = 300, 240
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    found = argparse.ArgumentParser(description="Run a scene on a Slurm cluster, or go on with it.")
+    found.add_argument("scene", metavar="SCENE", help="a scene file, or the name of one that ships")
+    found.add_argument("--out", required=True, metavar="DIR", help="directory of the dataset, or its address")
+    found.add_argument("--workers", type=int, default=64, metavar="N", help="processes in all (default: 64)")
+    found.add_argument("--per-job", type=int, default=16, metavar="N", help="processes in one job (default: 16)")
+    found.add_argument("--memory", type=float, default=2.0, metavar="GB", help="of each process (default: 2)")
+    found.add_argument("--minutes", type=int, default=120, help="time limit of a job (default: 120)")
+    found.add_argument("--queue", metavar="NAME", help="Slurm's partition")
+    found.add_argument("--account", metavar="NAME", help="whom Slurm charges")
+    found.add_argument(
+        "--cache", metavar="DIR", help="for compiled kernels, if home is not shared by the nodes or cannot be written"
+    )
+    found.add_argument("--local", action="store_true", help="processes of this machine instead, to try the rest")
+    return found
+
+
+def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What dask-jobqueue is told: jobs of so many processes, each of one thread, that leave before they are ended."""
+    prologue = [f"export {name}_NUM_THREADS=1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
+    if arguments.cache:
+        prologue.append(f"export NUMBA_CACHE_DIR={arguments.cache}")
+    hours, minutes = divmod(arguments.minutes, 60)
+    lifetime = max(60, 60 * arguments.minutes - MARGIN - STAGGER)
+    return {
+        "job_name": "stickslip",
+        "cores": arguments.per_job,
+        "processes": arguments.per_job,
+        "memory": f"{arguments.memory * arguments.per_job:g}GB",
+        "walltime": f"{hours:02d}:{minutes:02d}:00",
+        "queue": arguments.queue,
+        "account": arguments.account,
+        "job_script_prologue": prologue,
+        "worker_extra_args": ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{STAGGER}s"],
+    }
+
+
+def start(arguments: argparse.Namespace) -> Cluster:
+    """A cluster that keeps so many workers, as far as it gets them."""
+    if arguments.local:
+        from distributed import LocalCluster
+
+        return LocalCluster(n_workers=arguments.workers, threads_per_worker=1, dashboard_address=":0")
+    from dask_jobqueue.slurm import SLURMCluster
+
+    cluster = SLURMCluster(**slurm_settings(arguments))
+    # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
+    n_jobs = -(-arguments.workers // arguments.per_job)
+    cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
+    return cluster
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run; returns the exit code: 0 done, 1 not done or failed members, 2 a wrong scene, 130 or 143 interrupted."""
+    arguments = parser().parse_args(argv)
+    try:
+        file = find(arguments.scene)
+        scene = load_scene(file)
+        if not arguments.local:
+            import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
+        with interruptible():
+            with unbroken():  # a cluster that is half built would leave its jobs behind
+                cluster = start(arguments)
+            try:
+                print(f"dask    {cluster.dashboard_link}, waiting for the first of {arguments.workers} workers")
+                cluster.wait_for_workers(1)
+                with Watch(arguments.out) as watch:
+                    status = run_scene(
+                        scene,
+                        file.read_bytes(),
+                        arguments.out,
+                        scheduler=cluster.scheduler_address,
+                        on_progress=watch,
+                    )
+            finally:
+                with unbroken():
+                    cluster.close()
+    except Interrupted as interrupt:
+        print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
+        return interrupt.exit_code
+    except SceneError as error:
+        print(f"slurm.py: {error}", file=sys.stderr)
+        return 2
+    except (ScheduleError, StoreError) as error:
+        print(f"slurm.py: {error}", file=sys.stderr)
+        return 1
+    n_failed = sum(status.failures.values())
+    print(f"data    {arguments.out}: {status.n_done} of {status.n_members} members, {n_failed} failed")
+    return 1 if status.failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

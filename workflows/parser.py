@@ -1,0 +1,153 @@
+"""What may be typed after `stickslip`, and the help that says so. Loads nothing: --help must not wait."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+_CODES = """exit codes:
+  0    done
+  1    not finished, members failed, or the data are damaged: the same command goes on
+  2    what was asked for is wrong, and the message says how
+  130  interrupted by Ctrl-C (SIGINT)
+  143  ended by SIGTERM
+"""
+
+
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for; argparse's own action wants it before."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        print(f"stickslip {version('stickslip')}")
+        parser.exit()
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command."""
+    whole = argparse.ArgumentParser(
+        prog="stickslip",
+        description="Cascades of stick and slip in groups of blocks held by dry friction.",
+        epilog=_examples(
+            ("stickslip scenes", "what can be run"),
+            ("stickslip run cascades", "run it, write runs/cascades and its report"),
+            ("stickslip init mine.toml", "begin a scene of your own"),
+            ("stickslip run mine.toml --workers 4", "run it on four cores"),
+            ('stickslip query runs/cascades "SELECT engine, avg(n_exits) FROM members GROUP BY engine"', ""),
+        )
+        + "\n"
+        + _CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    whole.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, words: str, *examples: tuple[str, str]) -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name,
+            help=words,
+            description=f"{words[0].upper()}{words[1:]}.",
+            epilog=_examples(*examples),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    _run(
+        command(
+            "run",
+            "run a scene, or what is missing of it, and write its report",
+            ("stickslip run quick", "a scene that ships, into runs/quick"),
+            ("stickslip run mine.toml --dry-run", "what your own would take"),
+            ("stickslip run mine.toml --out data/first --workers 4", ""),
+            ("stickslip run mine.toml", "after an interruption: goes on where it was"),
+        )
+    )
+    status = command(
+        "status",
+        "how far a run is, how fast it goes, and what failed",
+        ("stickslip status runs/quick", ""),
+        ("stickslip status runs/quick --watch --plot", "until it ends"),
+    )
+    status.add_argument("directory", metavar="DIR")
+    status.add_argument("--watch", action="store_true", help="go on saying so until the run ends")
+    status.add_argument("--plot", action="store_true", help="draw n_stick(t) of the newest member, on a terminal")
+
+    verify = command("verify", "check every byte of a dataset", ("stickslip verify runs/quick", ""))
+    verify.add_argument("directory", metavar="DIR")
+
+    report = command(
+        "report",
+        "write the report of a dataset anew, or compare it with another",
+        ("stickslip report runs/quick", "writes runs/quick/report.html"),
+        ("stickslip report runs/a --compare runs/b", "are their statistics the same?"),
+    )
+    report.add_argument("directory", metavar="DIR")
+    report.add_argument("--compare", metavar="DIR2", help="set the statistics of DIR2 beside those of DIR")
+    report.add_argument("--out", metavar="DIR3", help="of the comparison (default: DIR/compared/<name of DIR2>)")
+
+    query = command(
+        "query",
+        "ask a dataset in SQL (views: members, n_stick, cascades, ...)",
+        ('stickslip query runs/quick "SELECT outcome, count(*) FROM members GROUP BY outcome"', ""),
+        ('stickslip query runs/quick "SELECT * FROM n_stick" --out n_stick.parquet', ""),
+    )
+    query.add_argument("directory", metavar="DIR")
+    query.add_argument("sql", metavar="SQL")
+    query.add_argument(
+        "--format", choices=("table", "csv", "parquet"), help="of the answer (default: as FILE ends; else a table)"
+    )
+    query.add_argument("--out", type=Path, metavar="FILE", help="where the answer goes (default: here)")
+
+    command("scenes", "list the scenes that ship, with members and time", ("stickslip scenes", ""))
+    init = command(
+        "init",
+        "write a commented scene to start from",
+        ("stickslip init", "writes scene.toml"),
+        ("stickslip init mine.toml", ""),
+    )
+    init.add_argument("file", type=Path, nargs="?", default=Path("scene.toml"), metavar="FILE")
+    schema = command(
+        "schema",
+        "print the JSON Schema of scene files, by which editors complete and check them",
+        ("stickslip schema > stickslip.schema.json", "of ensembles, as `stickslip init` writes it"),
+        ("stickslip schema stability", "of the scenes of a chart"),
+    )
+    schema.add_argument("chart", nargs="?", metavar="CHART", help="a kind of chart, the key `chart` of its scenes")
+    completion = command(
+        "completion",
+        "print what makes a shell complete this command",
+        ('eval "$(stickslip completion bash)"', "in ~/.bashrc"),
+        ('eval "$(stickslip completion zsh)"', "in ~/.zshrc, after compinit"),
+        ("stickslip completion fish | source", "in ~/.config/fish/config.fish"),
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "fish"), metavar="SHELL", help="bash, zsh or fish")
+    return whole
+
+
+def _run(run: argparse.ArgumentParser) -> None:
+    run.add_argument("scene", metavar="SCENE", help="a scene file, or the name of one that ships")
+    run.add_argument(
+        "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
+    )
+    where = run.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, default=2, metavar="N", help="local processes (default: 2)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster")
+    run.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
+    run.add_argument("--accept-version", action="store_true", help="go on with data that another version began")
+    run.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
+    run.add_argument("--dry-run", action="store_true", help="say what would be run, and run nothing")
+
+
+def _examples(*examples: tuple[str, str]) -> str:
+    width = max(len(line) for line, words in examples if words) if any(words for _, words in examples) else 0
+    lines: Sequence[str] = [f"  {line:{width}}  {words}".rstrip() for line, words in examples]
+    return "\n".join(["examples:", *lines, ""])
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isascii() and text.isdigit() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
+    return value

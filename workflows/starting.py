@@ -1,0 +1,130 @@
+"""Before the first run: which scenes there are, a scene of one's own, what completes it in an editor or a shell."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from workflows.scenes import shipped
+
+#: The schema that a new scene's first line names, beside the scene.
+SCHEMA = "stickslip.schema.json"
+
+_HEAD = """#:schema ./{schema}
+# A scene: which systems, run how, what is kept, and what to make of it. All quantities are dimensionless.
+# `stickslip run {file} --dry-run` says what it would take.
+"""
+
+
+class NotWritten(ValueError):
+    """A file that cannot be written where it was asked for; the message says why and what to do."""
+
+
+def listing() -> list[str]:
+    """A line for each scene that ships: name, members, time, what it is for."""
+    lines = [f"{'scene':16}{'members':>8}{'time':>8}  about"]
+    for name, file in shipped().items():
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        lines.append(f"{name:16}{_members(table, file):>8}{_time(table.get('minutes')):>8}  {table['about']}")
+    return [*lines, "\ntime: on two cores, with the report and without compilation; a chart is no ensemble"]
+
+
+def _members(table: dict[str, Any], file: Path) -> str:
+    if "chart" in table:
+        return "chart"
+    from pipeline import load_scene
+
+    return str(load_scene(file).n_members)
+
+
+def _time(minutes: float | None) -> str:
+    if minutes is None:
+        return ""
+    return f"{60 * minutes:.0f} s" if minutes < 1 else f"{minutes:g} min"
+
+
+def new_scene(file: Path) -> list[str]:
+    """Write a commented scene to start from, and the schema by which an editor completes it; lines that say so.
+
+    Raises
+    ------
+    NotWritten
+        If there is a file of that name, or it would not be found as a scene.
+    OSError
+        If it cannot be written.
+    """
+    if file.suffix != ".toml":
+        raise NotWritten(f"FILE: expected a name that ends in .toml, got {str(file)!r}; write {file}.toml")
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(_HEAD.format(schema=SCHEMA, file=file.name) + _body())
+    except FileExistsError:
+        raise NotWritten(
+            f"FILE: expected a name that is free, got {str(file)!r}, which exists; name another, or remove it"
+        ) from None
+    schema, named = file.with_name(SCHEMA), shlex.quote(str(file))
+    if not schema.exists():
+        schema.write_text(schema_text(None), encoding="utf-8")
+    return [
+        f"scene   {file}",
+        f"schema  {schema}: editors with a TOML language server complete and check the scene by it",
+        "next    edit the scene, then",
+        f"  stickslip run {named} --dry-run    what it would take",
+        f"  stickslip run {named}              run it, into runs/{file.stem}",
+    ]
+
+
+def _body() -> str:
+    """The scene `quick` without what is about itself: its head, and how long it took."""
+    lines = shipped()["quick"].read_text(encoding="utf-8").splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if not line.startswith("#"))
+    return "".join(line for line in lines[first:] if not line.startswith("minutes"))
+
+
+def schema_text(chart: str | None) -> str:
+    """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
+    from pipeline.scene import json_schema
+
+    if chart is None:
+        return json.dumps(json_schema(), indent=1) + "\n"
+    from workflows.charts import kind
+
+    return json.dumps(json_schema(kind(chart).scene), indent=1) + "\n"
+
+
+def completion(parser: argparse.ArgumentParser, shell: str) -> str:
+    """A script by which a shell completes the command: commands, options, names of scenes, files and directories."""
+    import shtab
+
+    names = " ".join(shipped())
+    complete: dict[str, Any] = {
+        "DIR": shtab.DIRECTORY,
+        "FILE": shtab.FILE,
+        "SCENE": {
+            "bash": "_stickslip_scene",
+            "zsh": "_stickslip_scene",
+            "fish": f"(string split ' ' '{names}'; __fish_complete_suffix .toml)",
+            "preamble": {
+                "bash": '_stickslip_scene() { compgen -W "' + names + "\" -- $1; compgen -f -X '!*.toml' -- $1;"
+                " compgen -d -- $1; }\n",
+                "zsh": f"_stickslip_scene() {{ compadd {names}; _files -g '*.toml' }}\n",
+            },
+        },
+    }
+    for action in _actions(parser):
+        if action.metavar in complete:
+            action.complete = complete[str(action.metavar)]  # type: ignore[attr-defined]  # shtab looks for it
+    return str(shtab.complete(parser, shell=shell))
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from _actions(sub)
