@@ -53,7 +53,7 @@ _MACHINE, _OTHERS = 0.08, 0.3
 
 # The start of a worker of dask's, which loads more, beside that of a process of the pilot, and its spread on its own;
 # seconds of a batch beside its members.
-_DASK, _START_SPREAD, _PER_BATCH = 1.4, 0.3, 0.02
+_DASK, _START_SPREAD, _PER_BATCH = 1.0, 0.3, 0.02
 
 #: The part of the runs that lies between the bounds of an interval.
 _LEVEL = 0.9

@@ -3,66 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from analysis import words
 from analysis.change import figures as twin_figures
-from analysis.change.pairs import CONSTANTS, START, Comparison, Setting, settings
-from analysis.change.sensitivity import (
-    BLOCKS,
-    CEILING,
-    FLOOR,
-    Growth,
-    amplification_gap,
-    growth,
-    horizon,
-    mean_difference,
-    median_interval,
-    redraw_difference,
-    saturation,
+from analysis.change.growth_rates import (
+    ABOVE_ERROR,
+    GROWTH_COLUMNS,
+    RATE_COLUMNS,
+    Rows,
+    best,
+    growth_rows,
+    saturations,
 )
-from analysis.fits import over_matrices, ratio
-from analysis.section import Column, Data, Picture, Section, Separation, Table
-from analysis.tables import F, I, S, typed
+from analysis.change.pairs import CONSTANTS, START, Setting, settings
+from analysis.change.parting import HORIZON_COLUMNS, PARTING_COLUMNS, WINDOW, distances, parting_rows, paths_of
+from analysis.change.sensitivity import BLOCKS, CEILING, FLOOR
+from analysis.section import Column, Data, Picture, Section, Table
+from analysis.tables import typed
 
-Rows = list[dict[str, Any]]
-WINDOW = 1.0  # width of the windows in which n_stick is compared
-_DRAWN = 120  # points of a curve
 _PROPORTIONAL = 0.1  # amplifications apart by less than this (of their logarithm) count as equal
-
-_GROWTH = {
-    "setting": S, "n": I, "engine": S, "eps": F, "size": F, "n_pairs": I, "n_runaway": I, "n_fitted": I, "rate": F,
-    "low": F, "high": F, "between_matrices": F, "slowest": F, "fastest": F, "e_fold": F, "e_fold_low": F,
-    "e_fold_high": F, "t_first": F, "t_last": F, "late_minus_early": F, "late_low": F, "late_high": F,
-    "amplification_gap": F, "ceiling": F, "is_above_error": "boolean", "n_growing": I, "n_shrinking": I, "n_open": I,
-    "runaways": S, "reason": S,
-}  # fmt: skip
-_RATES = {
-    "setting": S, "n": I, "engine": S, "eps": F, "size": F, "matrix": I, "rate": F, "low": F, "high": F, "verdict": S,
-}  # fmt: skip
-GROWS, SHRINKS, OPEN, RUNAWAY = "grows", "shrinks", "within its error", "run away"  # of one draw
-_ABOVE_ERROR = 10.0  # a displacement of so many tolerances of the sigmoid engine stands out from its errors
-_PARTING = {
-    "setting": S, "kind": S, "reading": S, "size": F, "change": S, "t_from": F, "t_to": F, "n_matrices": I,
-    "difference": F, "low": F, "high": F, "redraw": F, "of_redraw": F, "of_late": F,
-}  # fmt: skip
-_HORIZON = {
-    "setting": S, "kind": S, "reading": S, "size": F, "change": S, "n_pairs": I, "n_runaway": I, "n_matrices": I,
-    "n_parted": I, "level": F, "median": F, "low": F, "high": F, "statement": S,
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Paths:
-    """What a setting's series give: the level of parting, and how two different matrices differ in each window."""
-
-    edges: np.ndarray
-    redraw: np.ndarray  # (windows,)
-    late: float
 
 
 def sensitivity_section(
@@ -102,12 +64,12 @@ def sensitivity_section(
     statements: list[str] = []
     notes: list[str] = []
     panels = []
-    scales = {} if scale is not None else _scales(data, some, outcome)
+    scales = {} if scale is not None else saturations(data, some, outcome)
     for setting in some:
-        paths = _paths(data, setting, outcome, t_burn)
+        paths = paths_of(data, setting, outcome, t_burn)
         at = scales.get(setting.key["n"]) if scale is None else scale
-        own_growth, own_rates = _growth_rows(data, setting, outcome, at, confidence)
-        own_parting, own_horizons, differences = _parting_rows(
+        own_growth, own_rates = growth_rows(data, setting, outcome, at, confidence)
+        own_parting, own_horizons, differences = parting_rows(
             data, setting, outcome, paths, (t_burn, confidence, level, bands)
         )
         growths += own_growth
@@ -117,7 +79,7 @@ def sensitivity_section(
         answers, less = _statements(setting, own_growth, own_parting, own_horizons, (t_burn, level, confidence))
         statements += answers
         notes += less
-        panels.append((setting.label, _distances(data, setting, outcome), differences, paths.late if paths else None))
+        panels.append((setting.label, distances(data, setting, outcome), differences, paths.late if paths else None))
     across = _across(growths)
     statements = across + statements + notes
     largest = max(some, key=lambda setting: setting.key["n"])  # and of these the first engine
@@ -135,247 +97,6 @@ def sensitivity_section(
     )
 
 
-def _is_kept(outcome: Mapping[str, str], *member_ids: str) -> bool:
-    """Whether all of these runs can be compared to the end: a runaway is kept apart, a failed run has no series."""
-    return all(outcome[member] not in ("diverged", "failed") for member in member_ids)
-
-
-def _paths(data: Data, setting: Setting, outcome: Mapping[str, str], t_burn: float) -> _Paths | None:
-    bases = [data.series[base] for base in setting.bases.values() if _is_kept(outcome, base)]
-    if len(bases) < 2:
-        return None
-    edges = np.arange(0.0, float(setting.key["t_end"]) + 0.5 * WINDOW, WINDOW)
-    redraw = redraw_difference(bases, edges[:-1] + 0.5 * WINDOW)
-    late = redraw[edges[:-1] >= t_burn]
-    return _Paths(edges, redraw, float(late.mean()) if len(late) else 0.0)
-
-
-def _growth_rows(
-    data: Data, setting: Setting, outcome: Mapping[str, str], scale: float | None, confidence: float
-) -> tuple[Rows, Rows]:
-    """Growth rates of displaced starts, and by matrix; the amplification against that of the size to be read."""
-    kept = _kept(data, setting, outcome)
-    twins = [comparison for comparison in setting.comparisons if comparison.change.kind == START]
-    if not twins or not kept or scale is None:
-        return [], []
-    rtol = setting.key["rtol"]
-    above = [one for one in twins if rtol is None or one.change.size >= _ABOVE_ERROR * rtol]
-    reference = (above or twins)[0]
-    ceiling = CEILING * scale
-    rows, rates = [], []
-    t_half = float(stats.t.ppf(0.5 + confidence / 2, BLOCKS - 1))
-    identity = {"setting": setting.label, **{name: setting.key[name] for name in ("n", "engine", "eps")}}
-    for comparison in twins:
-        found = growth(comparison, kept, ceiling, confidence)
-        size = comparison.change.size
-        away = [pair.matrix for pair in comparison.pairs if not _is_kept(outcome, pair.base, pair.changed)]
-        draws: Rows = [
-            {
-                **identity, "size": size, "matrix": matrix, "rate": rate, "low": rate - t_half * found.errors[matrix],
-                "high": rate + t_half * found.errors[matrix],
-            }
-            for matrix, rate in found.rates.items()
-        ]  # fmt: skip
-        for draw in draws:
-            draw["verdict"] = GROWS if draw["low"] > 0 else SHRINKS if draw["high"] < 0 else OPEN
-        verdicts = [draw["verdict"] for draw in draws]
-        rows.append(
-            {
-                **identity, "size": size, "n_pairs": len(comparison.pairs), "n_runaway": len(away),
-                "runaways": ", ".join(str(matrix) for matrix in away) or None, "ceiling": ceiling,
-                "is_above_error": comparison in above,
-                "amplification_gap": _gap(reference, comparison, kept, ceiling), **_rate_columns(found),
-                "n_growing": verdicts.count(GROWS), "n_shrinking": verdicts.count(SHRINKS),
-                "n_open": verdicts.count(OPEN),
-            }
-        )  # fmt: skip
-        rates += draws
-        rates += [{**identity, "size": size, "matrix": matrix, "rate": None, "verdict": RUNAWAY} for matrix in away]
-    return rows, rates
-
-
-def _kept(data: Data, setting: Setting, outcome: Mapping[str, str]) -> dict[str, Separation]:
-    """Separations by changed member, runaways left out."""
-    found = {
-        pair.changed: data.separations[pair.changed]
-        for comparison in setting.comparisons
-        for pair in comparison.pairs
-        if _is_kept(outcome, pair.base, pair.changed) and pair.changed in data.separations
-    }
-    return {member: one for member, one in found.items() if len(one[1])}
-
-
-def _scales(data: Data, some: Sequence[Setting], outcome: Mapping[str, str]) -> dict[int, float]:
-    """By n, the largest over its settings: where growth is slow, no pair of a setting may live to saturate."""
-    scales: dict[int, float] = {}
-    for setting in some:
-        kept = {member: distance for member, (_, distance) in _kept(data, setting, outcome).items()}
-        if kept:
-            n = int(setting.key["n"])
-            scales[n] = max(scales.get(n, 0.0), _scale(setting, kept))
-    return scales
-
-
-def _scale(setting: Setting, distances: Mapping[str, np.ndarray]) -> float:
-    """The largest, over the changes, of the distance at which pairs saturate."""
-    by_change = [
-        [distances[pair.changed] for pair in comparison.pairs if pair.changed in distances]
-        for comparison in setting.comparisons
-    ]
-    return max(saturation(some) for some in by_change if some)
-
-
-def _gap(first: Comparison, second: Comparison, kept: Mapping[str, Any], ceiling: float) -> float | None:
-    if first is second:
-        return None
-    of_first = {pair.matrix: pair.changed for pair in first.pairs}
-    gaps = [
-        amplification_gap(kept[of_first[pair.matrix]], kept[pair.changed], ceiling)
-        for pair in second.pairs
-        if pair.changed in kept and of_first.get(pair.matrix) in kept
-    ]
-    known = [gap for gap in gaps if gap is not None]
-    return max(known) if known else None
-
-
-def _rate_columns(found: Growth) -> dict[str, Any]:
-    rate, values = found.rate, list(found.rates.values())
-    row: dict[str, Any] = {
-        "n_fitted": len(values), "rate": rate.value, "low": rate.low, "high": rate.high,
-        "between_matrices": float(np.std(values, ddof=1)) if len(values) > 1 else None,
-        "slowest": min(values, default=None), "fastest": max(values, default=None), "t_first": found.t_first,
-        "t_last": found.t_last, "late_minus_early": found.change.value, "late_low": found.change.low,
-        "late_high": found.change.high, "reason": rate.reason or None,
-    }  # fmt: skip
-    if rate.value is not None and rate.value > 0:
-        row["e_fold"] = 1 / rate.value
-        if rate.low is not None and rate.high is not None and rate.low > 0:
-            row["e_fold_low"], row["e_fold_high"] = 1 / rate.high, 1 / rate.low
-    return row
-
-
-def _parting_rows(
-    data: Data,
-    setting: Setting,
-    outcome: Mapping[str, str],
-    paths: _Paths | None,
-    declared: tuple[float, float, float, tuple[float, ...]],
-) -> tuple[Rows, Rows, list[twin_figures.Line]]:
-    """Differences of n_stick by band of time, horizons, and curves."""
-    t_burn, confidence, level, bands = declared
-    t_end = float(setting.key["t_end"])
-    edges = paths.edges if paths else np.arange(0.0, t_end + 0.5 * WINDOW, WINDOW)
-    starts = [start for start in bands if start < t_burn] + [t_burn]
-    parting: Rows = []
-    horizons: Rows = []
-    curves = []
-    for comparison in setting.comparisons:
-        change = comparison.change
-        identity = {
-            "setting": setting.label, "kind": change.kind, "reading": change.reading, "size": change.size or None,
-            "change": str(change),
-        }  # fmt: skip
-        by_matrix: dict[int, list[np.ndarray]] = {}
-        for pair in comparison.pairs:
-            if _is_kept(outcome, pair.base, pair.changed):
-                first, second = data.series[pair.base], data.series[pair.changed]
-                by_matrix.setdefault(pair.matrix, []).append(mean_difference(first, second, edges))
-        horizons.append(identity | _horizon_row(comparison, by_matrix, paths, edges, (level, confidence)))
-        if not by_matrix:
-            continue
-        gaps = np.array([np.mean(some, axis=0) for some in by_matrix.values()])
-        for t_from, t_to in zip(starts, [*starts[1:], t_end], strict=True):
-            inside = (edges[:-1] >= t_from) & (edges[:-1] < t_to)
-            if inside.any():
-                parting.append(identity | _band_row(gaps, inside, paths, (t_from, t_to), confidence))
-        step = -(-gaps.shape[1] // _DRAWN)
-        whole = gaps.shape[1] // step * step
-        coarse = gaps.mean(axis=0)[:whole].reshape(-1, step).mean(axis=1)
-        curves.append((_family(comparison), str(change), edges[:whole:step] + 0.5 * step * WINDOW, coarse))
-    return parting, horizons, curves
-
-
-def _band_row(
-    gaps: np.ndarray, inside: np.ndarray, paths: _Paths | None, band: tuple[float, float], confidence: float
-) -> dict[str, Any]:
-    mean = gaps[:, inside].mean(axis=1)
-    found = over_matrices(ratio, np.column_stack([mean, np.ones_like(mean)]), confidence)
-    redraw = float(paths.redraw[inside].mean()) if paths else None
-    assert found.value is not None
-    return {
-        "t_from": band[0], "t_to": band[1], "n_matrices": len(gaps), "difference": found.value, "low": found.low,
-        "high": found.high, "redraw": redraw, "of_redraw": found.value / redraw if redraw else None,
-        "of_late": found.value / paths.late if paths and paths.late else None,
-    }  # fmt: skip
-
-
-def _horizon_row(
-    comparison: Comparison,
-    by_matrix: Mapping[int, Sequence[np.ndarray]],
-    paths: _Paths | None,
-    edges: np.ndarray,
-    declared: tuple[float, float],
-) -> dict[str, Any]:
-    """Median over matrices (of each, over its draws) of the horizon; what is beyond the run is null."""
-    level, confidence = declared
-    kept = sum(len(some) for some in by_matrix.values())
-    row: dict[str, Any] = {
-        "n_pairs": len(comparison.pairs), "n_runaway": len(comparison.pairs) - kept, "n_matrices": len(by_matrix),
-    }  # fmt: skip
-    if paths is None or not paths.late or not by_matrix:
-        why = (
-            "fewer than two matrices have a run to compare" if paths is None
-            else "late in the run two different matrices do not differ" if not paths.late
-            else "no pair reaches its end without running away"
-        )  # fmt: skip
-        return row | {"statement": f"not enough data: {why}"}
-    bar = level * paths.late
-    times = [[horizon(gap, edges, bar) for gap in some] for some in by_matrix.values()]
-    middle, low, high = median_interval([float(np.median(some)) for some in times], confidence)
-    row |= {
-        "n_parted": sum(bool(np.isfinite(t)) for some in times for t in some), "level": bar,
-        **{
-            name: value if value is not None and np.isfinite(value) else None
-            for name, value in (("median", middle), ("low", low), ("high", high))
-        },
-    }  # fmt: skip
-    end = f"{edges[-1]:g}"
-    if not np.isfinite(middle):
-        return row | {"statement": f"n_stick can be foretold to the end, t = {end}, in the median of matrices"}
-    if low is None or high is None:
-        return row | {"statement": f"parted at t = {middle:.0f} in the median; too few matrices for an interval"}
-    upto = f"{high:.0f}" if np.isfinite(high) else f"beyond {end}"
-    return row | {"statement": f"parted at t = {middle:.0f} ({low:.0f} to {upto}) in the median of matrices"}
-
-
-def _distances(data: Data, setting: Setting, outcome: Mapping[str, str]) -> list[twin_figures.Line]:
-    """Median distance over the pairs that are still watched, where at least half of them are."""
-    lines = []
-    for comparison in setting.comparisons:
-        some = [
-            data.separations[pair.changed]
-            for pair in comparison.pairs
-            if _is_kept(outcome, pair.base, pair.changed) and pair.changed in data.separations
-        ]
-        some = [one for one in some if len(one[0])]
-        if not some:
-            continue
-        longest = sorted(some, key=lambda one: len(one[0]))[len(some) // 2]
-        m = len(longest[0])
-        stack = np.full((len(some), m), np.nan)
-        for k, (_, distance) in enumerate(some):
-            stack[k, : min(m, len(distance))] = distance[:m]
-        middle = np.nanmedian(stack, axis=0)
-        pick = np.unique(np.linspace(0, m - 1, _DRAWN).astype(int))
-        pick = pick[middle[pick] > 0]
-        lines.append((_family(comparison), str(comparison.change), longest[0][pick], middle[pick]))
-    return lines
-
-
-def _family(comparison: Comparison) -> str:
-    return f"{comparison.change.kind} {comparison.change.reading}"
-
-
 def _across(rows: Rows) -> list[str]:
     """Growth rate against n and engine, one sentence; nothing with a single setting that has a rate."""
     read = best(rows)
@@ -387,15 +108,6 @@ def _across(rows: Rows) -> list[str]:
         for row in read
     ]
     return ["Growth rate of small displacements, per unit time: " + "; ".join(parts)]
-
-
-def best(rows: Rows) -> Rows:
-    """Of each setting the row to be read: the smallest displacement above the errors has the longest linear range."""
-    found: dict[str, dict[str, Any]] = {}
-    for row in rows:
-        if row["rate"] is not None and row["is_above_error"]:
-            found.setdefault(row["setting"], row)
-    return list(found.values())
 
 
 def _within(row: Mapping[str, Any]) -> str:
@@ -539,7 +251,7 @@ def _method(t_burn: float, level: float, confidence: float) -> str:
         f"{FLOOR:g} times up to {words.percent(CEILING)} of the distance at which runs saturate; one mean slope a "
         f"matrix, {words.percent(confidence)} jackknife interval over matrices. A draw's own error comes from the "
         f"growth rates of {BLOCKS} consecutive blocks of its range. Under the sigmoid only displacements of at least "
-        f"{_ABOVE_ERROR:g} tolerances are read, which stand out from its errors. n_stick is compared as the mean of "
+        f"{ABOVE_ERROR:g} tolerances are read, which stand out from its errors. n_stick is compared as the mean of "
         "|difference| "
         f"over windows of {WINDOW:g}; a pair has parted when that first exceeds {words.percent(level)} of what two "
         f"different matrices show after t = {t_burn:g}. Medians have intervals by order statistics over matrices; "
@@ -576,7 +288,7 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
             "growth",
             "Growth rate of displaced starts; draws that grow, shrink, or do neither beyond their own error. Gap: "
             "how far the amplification departs from that of the smallest size above the errors of integration.",
-            typed(_GROWTH, growths),
+            typed(GROWTH_COLUMNS, growths),
             (
                 Column("setting", "setting"), Column("size", "size", show=lambda size: f"{size:g}"),
                 Column("pairs", "n_pairs"),
@@ -590,7 +302,7 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
         Table(
             "horizons",
             "Until when n_stick of the base foretells that of the changed run.",
-            typed(_HORIZON, horizons),
+            typed(HORIZON_COLUMNS, horizons),
             (
                 Column("setting", "setting"), Column("change", "change"), Column("pairs", "n_pairs"),
                 Column("parted", "n_parted"), Column("level, blocks", "level"), Column("horizon", "statement"),
@@ -599,7 +311,7 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
         Table(
             "parting",
             "Mean |difference of n_stick| in bands of time, beside that of two different matrices.",
-            typed(_PARTING, parting),
+            typed(PARTING_COLUMNS, parting),
             (
                 Column("setting", "setting"), Column("change", "change"),
                 Column("from", "t_from"), Column("to", "t_to"),
@@ -611,7 +323,7 @@ def _tables(growths: Rows, rates: Rows, parting: Rows, horizons: Rows) -> tuple[
         Table(
             "growth_rates",
             "Growth rate by draw of the matrix, with the interval of its own error.",
-            typed(_RATES, rates),
+            typed(RATE_COLUMNS, rates),
             (
                 Column("setting", "setting"), Column("size", "size"), Column("matrix", "matrix"),
                 Column("rate", "rate"), Column("interval", ("low", "high")), Column("verdict", "verdict"),
