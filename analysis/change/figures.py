@@ -32,7 +32,7 @@ def _figure(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figu
 
 
 def parting(panels: Sequence[Panel]) -> Picture:
-    """Distance of states (log) and difference of n_stick against time; one row a setting.
+    """Distance of states (log), if recorded, and difference of n_stick against time; one row a setting.
 
     Parameters
     ----------
@@ -41,30 +41,36 @@ def parting(panels: Sequence[Panel]) -> Picture:
     """
     lines = [line for _, *both, _ in panels for some in both for line in some]
     style = _styles(list(dict.fromkeys((family, label) for family, label, *_ in lines)))
+    with_states = any(distances for _, distances, *_ in panels)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(len(panels), 2, 1.1 + 2.0 * len(panels), sharex=True)
-        for (left, right), (title, distances, differences, level) in zip(axes, panels, strict=True):
-            for ax, some in ((left, distances), (right, differences)):
+        figure, axes = _figure(len(panels), 1 + with_states, 1.1 + 2.0 * len(panels), sharex=True)
+        for row, (title, distances, differences, level) in zip(axes, panels, strict=True):
+            right = row[-1]
+            for ax, some in zip(row, (distances, differences) if with_states else (differences,), strict=True):
                 for _, label, t, values in some:
                     ax.plot(t, values, linewidth=1.0, label=label, **style[label])
             if level:
                 right.axhline(level, color="black", linestyle=":", linewidth=1.0)
-            left.set_title(title)
-            left.set_ylabel("distance of states")
-            if any((values > 0).any() for *_, values in distances):  # copies that never left it are no curve
-                left.set_yscale("log")
+            row[0].set_title(title)
             right.set_ylabel("mean |difference of $n_{stick}$|")
             right.set_ylim(bottom=0)
+            if with_states:
+                row[0].set_ylabel("distance of states")
+                if any((values > 0).any() for *_, values in distances):  # copies that never left it are no curve
+                    row[0].set_yscale("log")
         for ax in axes[-1]:
             ax.set_xlabel("time t (dimensionless)")
         handles: list[Any] = [Line2D([], [], label=label, **look) for label, look in style.items()]
         handles.append(Line2D([], [], color="black", linestyle=":", label="two different matrices, late"))
         figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
+    left = "Left: distance of a changed run's state from its base, median over matrices. Right: "
     return Picture(
         figure,
-        "Left: distance of a changed run's state from its base, median over matrices. Right: difference of n_stick, "
-        "mean over pairs in windows of time; dotted, what two different matrices give after t_burn.",
-        "Curves of distance and of the difference of n_stick over time, one for each kind and size of change.",
+        (left if with_states else "")
+        + "|Difference of n_stick|, mean over pairs in windows of time; dotted, what two different matrices give "
+        "after t_burn.",
+        f"Curves of {'distance and of ' if with_states else ''}the difference of n_stick over time, one for each "
+        "kind and size of change.",
     )
 
 

@@ -10,13 +10,15 @@ from analysis.change.survival import (
     ENDS,
     SILENT,
     SUSTAINED,
+    TITLE,
     fate,
     fates,
     median,
     survival,
     survival_section,
 )
-from analysis.section import Data
+from analysis.report import _leading
+from analysis.section import Data, Section
 
 
 def test_survival_against_the_textbook():
@@ -113,3 +115,14 @@ def test_linear_growth_is_set_beside_the_fate(planted):
     )
     table = {one.name: one.frame for one in section.tables}["fates"]
     assert table["fate"].tolist() == [COLLAPSED] * 4 + [SILENT] + [SUSTAINED] * 5
+
+
+def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
+    parted = Section("Changes", "?", (), (), "", of_changes=True)
+    for outcomes, expected in (
+        ([COLLAPSED] * 6 + [SUSTAINED] * 4, [TITLE, "Changes"]),
+        ([COLLAPSED] * 4 + [SUSTAINED] * 6, ["Changes"]),
+    ):
+        data = _data(planted, outcomes)
+        answered = [parted, survival_section(data, confidence=0.95)]
+        assert [section.title for section in _leading(answered, data)] == expected
