@@ -222,11 +222,13 @@ ENDLESS = "SELECT sum(a.range * b.range) FROM range(1000000) a, range(1000000) b
 
 @pytest.mark.parametrize("text", [ENDLESS, "SELECT sum(a.t * b.t) FROM n_stick a, n_stick b, n_stick c, n_stick d"])
 def test_a_query_without_end_can_be_interrupted(text, finished):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have its background deaf to it
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
         query.sql(finished, text)
     timer.join()
+    signal.signal(signal.SIGINT, before)
 
 
 def test_cascades_by_hand(finished, scene):
