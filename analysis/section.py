@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from analysis import words
 
 Row = Mapping[str, Any]
+Rows = list[dict[str, Any]]
 #: Change points of n_stick of a run: t, shape (m,), and n_stick, shape (m,), n_stick[k] on [t[k], t[k+1]).
 ChangePoints = tuple[np.ndarray, np.ndarray]
 #: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).

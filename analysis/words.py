@@ -45,6 +45,11 @@ def signed(value: float) -> str:
     return f"{value:+.0f}" if abs(value) >= 100 else f"{value:+.2g}"
 
 
+def signed_percent(value: float) -> str:
+    """A relative difference with its sign."""
+    return f"{100 * value:+.2g}%" if abs(value) < 1 else f"{100 * value:+.0f}%"
+
+
 def percent(value: float) -> str:
     return f"{100 * value:.0f}%" if abs(value) >= 1 else f"{100 * value:.{2 if abs(value) < 0.1 else 3}g}%"
 
@@ -223,6 +228,10 @@ def many_rows(n_rows: int, confidence: float) -> str:
     )
 
 
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def sentence(text: str) -> str:
     """Capital letter and full stop."""
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    return capital(text) + ("" if text.endswith(".") else ".")

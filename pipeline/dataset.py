@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 from collections.abc import Iterator, Sequence
 
 import pandas as pd
@@ -12,6 +11,7 @@ import pyarrow.dataset as ds
 
 from pipeline.manifest import dataset_scene, read_manifest
 from pipeline.place import DATA, Directory, StoreError, Where, place_of
+from pipeline.scene import did_you_mean
 from pipeline.shards import Recording
 
 # pandas' plain numbers have no null but NaN; these do, and keep integers integers
@@ -73,5 +73,4 @@ def frame(table: pa.Table) -> pd.DataFrame:
 
 def near(word: str, known: Sequence[str]) -> str:
     """What `word` may have been meant for, as the end of a message."""
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(known[:10])}"
+    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}"

@@ -10,7 +10,7 @@ import difflib
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -62,7 +62,7 @@ def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
 
 def _coupling(name: str) -> str:
     if name not in COUPLINGS:
-        raise ValueError(f"expected one of {', '.join(COUPLINGS)}, got {name!r}{_did_you_mean(name, COUPLINGS)}")
+        raise ValueError(f"expected one of {', '.join(COUPLINGS)}, got {name!r}{did_you_mean(name, COUPLINGS)}")
     return name
 
 
@@ -537,7 +537,8 @@ _TABLES: dict[str, type[BaseModel]] = {
 _ENGINES: dict[str, type[BaseModel]] = {"coulomb": Coulomb, "sigmoid": Sigmoid}
 
 
-def _did_you_mean(word: object, known: tuple[str, ...]) -> str:
+def did_you_mean(word: object, known: Sequence[str]) -> str:
+    """What `word` may have been meant for, as the end of a message; empty if nothing is near."""
     close = difflib.get_close_matches(str(word), known, n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 
@@ -580,7 +581,7 @@ def problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDet
         return f"{path}: {message}" if key else f"{path}.{message}".lstrip(".")
     if kind == "extra_forbidden":
         parent, _, word = path.rpartition(".")
-        remedy = _did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
+        remedy = did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
         return f"{path}: unknown key of {f'[{parent}]' if parent else 'a scene'}{remedy}"
     if kind == "missing" and example:
         return f"{path}: expected the {field.description if field else key}, found nothing; add {example}"
@@ -588,7 +589,7 @@ def problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDet
         return f"{path}: expected a table, found none; add {'[[engine]]' if key else f'[{path}]'} and its keys"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         name = value.get("name")
-        remedy = _did_you_mean(name, tuple(_ENGINES)) or '; write `name = "coulomb"`'
+        remedy = did_you_mean(name, tuple(_ENGINES)) or '; write `name = "coulomb"`'
         return f"{path}.name: expected one of {', '.join(_ENGINES)}, got {_shown(name)}{remedy}"
     if kind in ("model_type", "model_attributes_type"):
         table_line = "[[engine]]" if key else f"[{path}]"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 import shlex
 import sys
@@ -25,16 +24,16 @@ def _run(arguments: argparse.Namespace) -> int:
     from pipeline import Interrupted, load_scene, run_scene
     from pipeline.interrupt import last_act
     from pipeline.place import DATA, SCENE, Directory, place_of
-    from workflows.progress import Watch, clock, in_words
+    from pipeline.scene import did_you_mean
+    from workflows.progress import Watch, clock
     from workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
-        close = difflib.get_close_matches(arguments.scene, names, n=1)
         raise _Wrong(
-            f"SCENE: expected a file or one of the scenes {', '.join(shipped())}, got {arguments.scene!r}; "
-            + (f"did you mean {close[0]!r}?" if close else "`stickslip scenes` says what they are")
+            f"SCENE: expected a file or one of the scenes {', '.join(shipped())}, got {arguments.scene!r}"
+            + (did_you_mean(arguments.scene, names) or "; `stickslip scenes` says what they are")
         )
     out = place_of(arguments.out if arguments.out is not None else Path("runs") / file.stem)
     if isinstance(out, Directory):
@@ -43,19 +42,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return _run_chart(arguments, file, out)
     scene = load_scene(file)
     if arguments.dry_run:
-        from pipeline.estimate import estimate
-        from pipeline.store import Store
-
-        store = Store(out, scene, file.read_bytes(), arguments.retry_failed, arguments.accept_version)
-        planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
-        shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
-        print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
-        n_to_go = sum(len(batch.members) for batch in to_go)
-        if n_to_go < scene.n_members:
-            print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
-        if to_go:
-            print("\n".join(in_words(estimate(scene, to_go, arguments.workers))))
-        return _DONE
+        return _say_estimate(arguments, scene, file, out)
     if arguments.only is not None:
         return _run_member(scene, arguments.only)
 
@@ -88,6 +75,23 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
     print(f"time    {clock(watch.elapsed)}, report apart")
     return _UNFINISHED if status.failures else _DONE
+
+
+def _say_estimate(arguments: argparse.Namespace, scene: Scene, file: Path, out: Place) -> int:
+    from pipeline.estimate import estimate
+    from pipeline.store import Store
+    from workflows.progress import in_words
+
+    store = Store(out, scene, file.read_bytes(), arguments.retry_failed, arguments.accept_version)
+    planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
+    shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
+    print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
+    n_to_go = sum(len(batch.members) for batch in to_go)
+    if n_to_go < scene.n_members:
+        print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
+    if to_go:
+        print("\n".join(in_words(estimate(scene, to_go, arguments.workers))))
+    return _DONE
 
 
 def _run_member(scene: Scene, member_id: str) -> int:
@@ -173,10 +177,9 @@ def _report(arguments: argparse.Namespace) -> int:
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
     from pipeline.place import MANIFEST, place_of
-    from workflows.reporting import compared, write
+    from workflows.reporting import compared, name_of, write
 
-    of_second = str(place_of(second)).rstrip("/").rpartition("/")[2]
-    place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{of_second}" if out is None else out)
+    place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
     if MANIFEST in place.names():
         raise _Wrong(f"--out: {place} holds an ensemble, whose report would be lost; name another directory")
     try:

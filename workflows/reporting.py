@@ -36,7 +36,7 @@ def report(path: Where) -> tuple[Report, Status]:
         separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
         thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
     )
-    return build(data, _settings(scene), scene.title or _name(path), scene.about, provenance), found
+    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance), found
 
 
 def compared(path: Where, other: Where) -> Report:
@@ -51,7 +51,7 @@ def compared(path: Where, other: Where) -> Report:
     """
     places = (path, other)
     opened = [_opened(where) for where in places]
-    names = [_name(where) for where in places]
+    names = [name_of(where) for where in places]
     if names[0] == names[1]:
         names = [str(place_of(where)) for where in places]
     ensembles = [
@@ -74,7 +74,8 @@ def _opened(path: Where) -> tuple[Scene, Status]:
     return scene, found
 
 
-def _name(path: Where) -> str:
+def name_of(path: Where) -> str:
+    """The last part of a directory or an address."""
     return str(place_of(path)).rstrip("/").rpartition("/")[2]
 
 

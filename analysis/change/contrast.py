@@ -288,13 +288,8 @@ def in_words(row: Mapping[str, Any]) -> str:
 
 def size_in_words(row: Mapping[str, Any]) -> str:
     """The relative difference of a row with its interval; of shares the difference, in points of a hundred."""
-    show = _points if row["is_share"] else signed_percent
+    show = _points if row["is_share"] else words.signed_percent
     return f"{show(row['relative'])} ({show(row['relative_low'])} to {show(row['relative_high'])})"
-
-
-def signed_percent(value: float) -> str:
-    """A relative difference with its sign."""
-    return f"{100 * value:+.2g}%" if abs(value) < 1 else f"{100 * value:+.0f}%"
 
 
 def _points(value: float) -> str:

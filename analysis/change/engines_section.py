@@ -21,13 +21,12 @@ from analysis.change.contrast import (
     in_words,
     judged,
     sample,
-    signed_percent,
     size_in_words,
     statistics,
 )
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group
-from analysis.section import Column, Data, Section, Table
+from analysis.section import Column, Data, Rows, Section, Table
 from analysis.tables import F, I, S, typed
 
 LAW, TOLERANCE, THRESHOLD = "engines", "tolerances", "thresholds"
@@ -39,7 +38,6 @@ _SCHEMA = {
     "in_errors": F, "is_within_error": "boolean", "p_equivalent": F, "p_different": F, "p_equivalent_holm": F,
     "p_different_holm": F, "verdict": S, "statement": S,
 }  # fmt: skip
-Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -263,7 +261,7 @@ def _threshold_words(rows: Rows) -> str:
     for quantity in ("mean n_stick", "exit rate", "gamma (events)"):
         some = [row["relative"] for row in known if row["quantity"] == quantity]
         if some:
-            parts.append(f"{quantity} by {signed_percent(min(some))} to {signed_percent(max(some))}")
+            parts.append(f"{quantity} by {words.signed_percent(min(some))} to {words.signed_percent(max(some))}")
     return f"{head}, move {', '.join(parts)}"
 
 

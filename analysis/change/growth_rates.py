@@ -10,10 +10,8 @@ from scipy import stats
 
 from analysis.change.pairs import START, Comparison, Setting
 from analysis.change.sensitivity import BLOCKS, CEILING, Growth, amplification_gap, growth, saturation
-from analysis.section import Data, Separation
+from analysis.section import Data, Rows, Separation
 from analysis.tables import F, I, S
-
-Rows = list[dict[str, Any]]
 
 GROWTH_COLUMNS = {
     "setting": S, "n": I, "engine": S, "eps": F, "size": F, "n_pairs": I, "n_runaway": I, "n_fitted": I, "rate": F,

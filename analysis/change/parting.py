@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from analysis.change.figures import Line
-from analysis.change.growth_rates import Rows, is_kept
+from analysis.change.growth_rates import is_kept
 from analysis.change.pairs import Comparison, Setting
 from analysis.change.sensitivity import horizon, mean_difference, median_interval, redraw_difference
 from analysis.fits import over_matrices, ratio
-from analysis.section import Data
+from analysis.section import Data, Rows
 from analysis.tables import F, I, S
 
 WINDOW = 1.0  # width of the windows in which n_stick is compared

@@ -25,10 +25,10 @@ from analysis.change.robustness import (
     redrawn,
     summary,
 )
-from analysis.change.robustness_words import ENDS, Rows, lead_words, signed, statements_of, verdict_words
+from analysis.change.robustness_words import ENDS, lead_words, statements_of, verdict_words
 from analysis.change.survival import fates
 from analysis.groups import generator
-from analysis.section import Column, Data, Section, Table
+from analysis.section import Column, Data, Rows, Section, Table
 from analysis.tables import F, I, S, typed
 
 _SCHEMA = {
@@ -336,7 +336,7 @@ def _tables(tests: Rows, runs_rows: Rows, frequencies: Rows) -> tuple[Table, ...
             (
                 Column("setting", "setting"), Column("change", "change"), Column("quantity", "quantity"),
                 Column("matrices", "n_matrices"), Column("base", "base"),
-                Column("difference", "difference", show=signed),
+                Column("difference", "difference", show=words.signed_percent),
                 Column("typical", "typical", show=percent), Column("noise", "noise", show=percent),
                 Column("redraw", "redraw", show=percent), Column("typical / redraw", "against_redraw", 2),
                 Column("verdict", "statement"),

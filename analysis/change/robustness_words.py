@@ -10,15 +10,16 @@ from analysis import words
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.change.pairs import CONSTANTS, RATIOS, START, Setting
 from analysis.change.robustness import QUANTITIES
+from analysis.section import Rows
 
-Rows = list[dict[str, Any]]
 ENDS = {"collapsed": "total collapse", "silent": "silent, not certified", "diverged": "runaway"}
 _SAME_PATH = 0.5  # below so many times the noise of the window, runs have hardly left each other's path
 
 
 def verdict_words(row: Mapping[str, Any]) -> str:
     """A verdict with what it rests on: difference, interval, margin, and how many matrices more it takes."""
-    value = f"{signed(row['difference'])} ({signed(row['low'])} to {signed(row['high'])})"
+    difference, low, high = (words.signed_percent(row[name]) for name in ("difference", "low", "high"))
+    value = f"{difference} ({low} to {high})"
     margin = words.percent(row["margin"])
     if row["verdict"] == EQUIVALENT:
         apart = not row["low"] <= 0 <= row["high"]
@@ -36,11 +37,6 @@ def verdict_words(row: Mapping[str, Any]) -> str:
     else:
         more = ""
     return f"not enough data: {value} against a margin of {margin}{more}"
-
-
-def signed(value: float) -> str:
-    """A relative difference in per cent, with its sign."""
-    return f"{100 * value:+.2g}%" if abs(value) < 1 else f"{100 * value:+.0f}%"
 
 
 def lead_words(setting: Setting, rows: Rows, frequencies: Rows, is_first: bool) -> list[str]:
@@ -138,11 +134,7 @@ def _verdicts(rows: Rows) -> str:
                 listed = ", ".join(words.percent(size) if is_share else f"{size:g}" for size in sizes)
                 by_verdict.append(f"{verdict} at {'every size' if len(sizes) == len(some) else listed}")
         alike.setdefault("; ".join(by_verdict), []).append(QUANTITIES[quantity])
-    return ". ".join(f"{_capital(found)}: {', '.join(names)}" for found, names in alike.items())
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return ". ".join(f"{words.capital(found)}: {', '.join(names)}" for found, names in alike.items())
 
 
 def _yardstick(setting: Setting, name: str, rows: Rows) -> list[str]:

@@ -13,7 +13,6 @@ from analysis.change.growth_rates import (
     ABOVE_ERROR,
     GROWTH_COLUMNS,
     RATE_COLUMNS,
-    Rows,
     best,
     growth_rows,
     saturations,
@@ -21,7 +20,7 @@ from analysis.change.growth_rates import (
 from analysis.change.pairs import CONSTANTS, START, Setting, settings
 from analysis.change.parting import HORIZON_COLUMNS, PARTING_COLUMNS, WINDOW, distances, parting_rows, paths_of
 from analysis.change.sensitivity import BLOCKS, CEILING, FLOOR
-from analysis.section import Column, Data, Picture, Section, Table
+from analysis.section import Column, Data, Picture, Rows, Section, Table
 from analysis.tables import typed
 
 _PROPORTIONAL = 0.1  # amplifications apart by less than this (of their logarithm) count as equal

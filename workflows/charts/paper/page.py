@@ -10,6 +10,7 @@ from jinja2 import Environment
 
 from analysis import Report, paper_figures
 from analysis.report import embedded, page_environment
+from analysis.words import capital
 from workflows.charts import Kind
 from workflows.charts.paper import claim_words, words
 from workflows.charts.paper.claims import Survival
@@ -117,7 +118,7 @@ def _lines(scene: PaperScene, measured: Measured, one: words.Drawing) -> list[st
         return words.change_words(measured.figure4)
     if one.number == 5:
         return words.law_words(measured.cascades)
-    return [words.capital(one.same), *(text for _, text in one.beside)]
+    return [capital(one.same), *(text for _, text in one.beside)]
 
 
 def _environment() -> Environment:

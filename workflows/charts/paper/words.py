@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from analysis import paper_figures
-from analysis.words import PAPER_GAMMA
+from analysis.words import PAPER_GAMMA, capital
 from workflows.charts.paper.blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
 from workflows.charts.paper.hidden import FORCE, SlowRun, Undetermined
 from workflows.charts.paper.measure import Measured
@@ -74,10 +74,6 @@ def minus(text: str) -> str:
 
 def number(count: int) -> str:
     return str(count) if count else "none"
-
-
-def capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 # ---------------------------------------------------------------------------------------------- figures 1, 2, 6
