@@ -3,29 +3,8 @@
 Takes arrays and data frames; knows no files but those the report writes. All quantities are dimensionless.
 """
 
-from analysis.cascades import DEFINITIONS, Law, Window, laws, sample, sizes, window
-from analysis.chance.nulls import random_order
-from analysis.fits import Estimate, correlation_time, gamma, over_matrices
-from analysis.report import Report, build
-from analysis.section import Data, Section
-from analysis.settings import AnalysisSettings
+import lazy_loader
 
-__all__ = [
-    "DEFINITIONS",
-    "AnalysisSettings",
-    "Data",
-    "Estimate",
-    "Law",
-    "Report",
-    "Section",
-    "Window",
-    "build",
-    "correlation_time",
-    "gamma",
-    "laws",
-    "over_matrices",
-    "random_order",
-    "sample",
-    "sizes",
-    "window",
-]
+# Each room is loaded when a name of it is first asked for: who draws needs no statistics.
+# The names are in __init__.pyi.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

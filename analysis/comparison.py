@@ -21,8 +21,9 @@ from analysis.change.contrast import (
 )
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.change.pairs import is_changed
+from analysis.figures import embedded
 from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group, check, groups
-from analysis.report import Report, embedded, page_environment
+from analysis.report import Report, page_environment
 from analysis.section import Data
 from analysis.settings import AnalysisSettings
 from analysis.tables import F, I, S, records, typed
@@ -177,7 +178,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     html = page_environment("analysis").get_template("compare.html").render(
         title=f"{first.name} and {second.name}",
         lead=lead,
-        src=embedded(picture.figure) if picture else None,
+        src=embedded(picture.draw()) if picture else None,
         picture=picture,
         settings_rows=[(match, _differs(match), _pairing(match)) for match in matches],
         blocks=[(label, [_shown(row) for row in rows if row["setting"] == label]) for label in

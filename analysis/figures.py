@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -50,6 +51,13 @@ def svg(figure: Figure) -> str:
             figure.set_layout_engine("none")
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None})
     return buffer.getvalue()
+
+
+def embedded(figure: Figure) -> str:
+    """A figure as the address of an image that is part of a page."""
+    # As an image, not inline: two inline SVGs would share, and mix up, the ids of their glyphs and clips.
+    encoded = base64.b64encode(svg(figure).encode("utf-8")).decode("ascii")
+    return f"data:image/svg+xml;base64,{encoded}"
 
 
 def _axes(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft
 
+from analysis import student
 from analysis.cascades import Window
 
 LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
@@ -128,7 +129,7 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
         _, error = jackknife(statistic, sums)
     except Undefined as undefined:
         return Estimate(value, reason=f"no interval: with one of the matrices left out, {undefined}")
-    half = float(stats.t.ppf(0.5 + confidence / 2, len(sums) - 1)) * error
+    half = student.half_width(confidence, len(sums) - 1) * error
     return Estimate(value, value - half, value + half)
 
 

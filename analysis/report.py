@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from analysis import figures, words
 from analysis.cascades import DEFINITIONS, SAMPLED
@@ -26,7 +25,7 @@ from analysis.change.survival import TITLE as FATES
 from analysis.change.survival import survival_section
 from analysis.groups import Group, check, fill, groups
 from analysis.law.section import law_section
-from analysis.section import LABELS, Data, Section, Series
+from analysis.section import LABELS, Data, Recipe, Section, Series
 from analysis.settings import AnalysisSettings
 from analysis.tables import (
     burn_in_table,
@@ -103,21 +102,32 @@ def _replace(path: Path, content: str | pd.DataFrame) -> None:
         partial.unlink(missing_ok=True)
 
 
-def sections(data: Data, found: list[Group], settings: AnalysisSettings) -> list[Section]:
+#: Gives a figure as the address of an image.
+Image = Callable[[], str]
+
+
+def on_demand(recipe: Recipe) -> Image:
+    """A figure that is drawn when its image is asked for."""
+    return lambda: figures.embedded(recipe())
+
+
+def sections(data: Data, found: list[Group], settings: AnalysisSettings) -> Iterator[Section]:
     """Every question that the data can be asked, answered; `found` are the filled groups of unchanged members."""
-    t_burn, confidence, seed = settings.t_burn, settings.confidence, settings.seed
-    answered = [
-        sensitivity_section(data, t_burn=t_burn, confidence=confidence),
-        robustness_section(data, t_burn=t_burn, margins=settings.margins, confidence=confidence, seed=seed),
-        law_section(found, k_min=settings.smallest, confidence=confidence, seed=seed),
-        map_section(
-            data, found, t_burn=t_burn, dt=settings.map_dt, taus=settings.tau, confidence=confidence, seed=seed
-        ),
-        clustering_section(data, found, t_burn=t_burn, taus=settings.tau, confidence=confidence, seed=seed),
-        engines_section(data, found, t_burn=t_burn, dt=settings.dt, margins=settings.margins, confidence=confidence),
-        survival_section(data, confidence=confidence),
-    ]
-    return [section for section in answered if section is not None]
+    sampled: dict[str, Any] = {"t_burn": settings.t_burn, "confidence": settings.confidence}
+    seeded = sampled | {"seed": settings.seed}
+    answers: tuple[Callable[[], Section | None], ...] = (
+        partial(sensitivity_section, data, **sampled),
+        partial(robustness_section, data, margins=settings.margins, **seeded),
+        partial(law_section, found, k_min=settings.smallest, confidence=settings.confidence, seed=settings.seed),
+        partial(map_section, data, found, dt=settings.map_dt, taus=settings.tau, **seeded),
+        partial(clustering_section, data, found, taus=settings.tau, **seeded),
+        partial(engines_section, data, found, dt=settings.dt, margins=settings.margins, **sampled),
+        partial(survival_section, data, confidence=settings.confidence),
+    )
+    for answer in answers:
+        section = answer()
+        if section is not None:
+            yield section
 
 
 def build(
@@ -126,6 +136,7 @@ def build(
     title: str,
     about: str,
     provenance: Mapping[str, str],
+    draw: Callable[[Recipe], Image] = on_demand,
 ) -> Report:
     """Analyse an ensemble and say what was found.
 
@@ -138,6 +149,9 @@ def build(
         Shown at the head of the page, escaped.
     provenance : mapping of str to str
         What the data came from, shown as given, escaped.
+    draw : callable, optional
+        Given each figure's recipe as soon as its data are there, returns what gives the image when the page is
+        filled: by default it is drawn then.
 
     Raises
     ------
@@ -159,10 +173,16 @@ def build(
         "sizes": sizes_table(found, settings),
     }
     rows = {name: records(table) for name, table in tables.items()}
-    answered = sections(data, found, settings)
+    law = rows["law"]
+    trajectories = _trajectories(found, data.series, settings, draw)
+    forests = _forests(law, draw)
+    distributions = _distributions(found, rows["sizes"], settings, draw)
+    answered, images = [], {}
+    for section in sections(data, found, settings):
+        answered.append(section)
+        images[section.title] = [draw(picture.draw) for picture in section.pictures]
     tables |= {table.name: table.frame for section in answered for table in section.tables}
     answer = {group.label: _answer(group.label, rows, settings) for group in found}
-    law = rows["law"]
     paper = words.paper_sentence(law)
     leading = _leading(answered, data)
     lead = [line for section in leading for line in section.lead] or _cascade_lead(law, answered, settings)
@@ -173,8 +193,8 @@ def build(
         question=" ".join(section.question for section in leading) or QUESTION,
         lead=lead,
         answer=answer,
-        leading=[_rendered(section) for section in leading],
-        sections=[_rendered(section) for section in answered if section not in leading],
+        leading=[_rendered(section, images[section.title]) for section in leading],
+        sections=[_rendered(section, images[section.title]) for section in answered if section not in leading],
         paper=paper,
         paper_gamma=words.PAPER_GAMMA,
         sampled={
@@ -188,9 +208,9 @@ def build(
         settings=settings,
         level=words.percent(settings.confidence),
         definitions={name: DEFINITIONS[name] for name in dict.fromkeys(row["definition"] for row in rows["law"])},
-        trajectories=_trajectories(found, data.series, settings),
-        forests=_forests(law),
-        distributions=_distributions(found, rows["sizes"], settings),
+        trajectories=trajectories,
+        forests=forests,
+        distributions=distributions,
         provenance=provenance,
     )
     return Report(html, tables, [title, *lead])
@@ -219,7 +239,7 @@ def _cascade_lead(law: list[dict[str, Any]], answered: Sequence[Section], settin
     return lines
 
 
-def _rendered(section: Section) -> dict[str, Any]:
+def _rendered(section: Section, images: Sequence[Image]) -> dict[str, Any]:
     """A section in the plain values that the page is filled with."""
     shown = []
     for table in section.tables:
@@ -248,7 +268,7 @@ def _rendered(section: Section) -> dict[str, Any]:
         "statements": section.statements,
         "method": section.method,
         "assumptions": section.assumptions,
-        "pictures": [(embedded(picture.figure), picture) for picture in section.pictures],
+        "pictures": list(zip(images, section.pictures, strict=True)),
         "tables": shown,
     }
 
@@ -268,7 +288,9 @@ def _answer(label: str, rows: Mapping[str, list[dict[str, Any]]], settings: Anal
     return [words.sentence(words.events_sentence(events, settings.confidence)), words.sentence(about_runs)]
 
 
-def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings) -> dict[str, str] | None:
+def _trajectories(
+    shown: list[Group], series: Series, settings: AnalysisSettings, draw: Callable[[Recipe], Image]
+) -> dict[str, Any] | None:
     """n_stick(t) of the first draws for the first group of each n and engine."""
     firsts: dict[tuple[Any, Any], Group] = {}
     for group in shown:
@@ -296,10 +318,10 @@ def _trajectories(shown: list[Group], series: Series, settings: AnalysisSettings
     )
     if left:
         caption += f" {words.count(left, 'further group')} not drawn."
-    return {"caption": caption, "src": embedded(figures.trajectories(panels, settings.t_burn))}
+    return {"caption": caption, "src": draw(partial(figures.trajectories, panels, settings.t_burn))}
 
 
-def _forests(law: list[dict[str, Any]]) -> list[dict[str, str]]:
+def _forests(law: list[dict[str, Any]], draw: Callable[[Recipe], Image]) -> list[dict[str, Any]]:
     """One figure of gamma for each n that has any."""
     found = []
     for n in sorted({row["n"] for row in law}):
@@ -309,12 +331,12 @@ def _forests(law: list[dict[str, Any]]) -> list[dict[str, str]]:
                 f"n = {n}: gamma by definition and sampling step, with intervals over matrices; black ticks: "
                 "the same definition on the same change times in random order."
             )
-            found.append({"caption": caption, "src": embedded(figures.forest(some))})
+            found.append({"caption": caption, "src": draw(partial(figures.forest, some))})
     return found
 
 
 def _distributions(
-    shown: list[Group], sizes: list[dict[str, Any]], settings: AnalysisSettings
+    shown: list[Group], sizes: list[dict[str, Any]], settings: AnalysisSettings, draw: Callable[[Recipe], Image]
 ) -> list[dict[str, Any]]:
     """Figure and table of the sizes of each group that has cascades; sampled definitions at the first dt."""
     dt = settings.dt[0]
@@ -328,20 +350,13 @@ def _distributions(
         found.append(
             {
                 "label": group.label,
-                "src": embedded(figures.distributions(rows, titles)),
+                "src": draw(partial(figures.distributions, rows, titles)),
                 "fit": words.sentence(f"events: {words.fit_sentence(events)}"),
                 "rows": events[:SIZES_SHOWN],
                 "n_more": max(len(events) - SIZES_SHOWN, 0),
             }
         )
     return found
-
-
-def embedded(figure: Figure) -> str:
-    """A figure as the address of an image that is part of the page."""
-    # As an image, not inline: two inline SVGs would share, and mix up, the ids of their glyphs and clips.
-    encoded = base64.b64encode(figures.svg(figure).encode("utf-8")).decode("ascii")
-    return f"data:image/svg+xml;base64,{encoded}"
 
 
 def page_environment(package: str) -> Environment:

@@ -112,11 +112,15 @@ class Table:
     is_open: bool = False
 
 
+#: Draws a figure when it is called: a `functools.partial` of a room's function on plain data, to be sent elsewhere.
+Recipe = Callable[[], Figure]
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure with its caption; `alt` is what it shows, for who cannot see it."""
 
-    figure: Figure
+    draw: Recipe
     caption: str
     alt: str
 

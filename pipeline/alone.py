@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from typing import Any
 
+from pipeline.child import Child, answering
 from pipeline.members import Batch, Member
 from pipeline.shards import Recording, Result, as_result, failed_row, row
 
@@ -36,22 +35,13 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
 
 def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple[list[dict[str, Any]], str]:
     """The rows of the members that were run before the process ended, and how it ended."""
-    with subprocess.Popen(
-        [sys.executable, "-c", "from pipeline.alone import serve; serve()"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        start_new_session=True,  # Ctrl-C is the driver's to answer
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
+    with Child("from pipeline.alone import serve; serve()") as process:
         rows = []
         try:
-            pickle.dump((tuple(members), recording), process.stdin)
-            process.stdin.close()
+            pickle.dump((tuple(members), recording), process.to_it)
+            process.to_it.close()
             for _ in members:
-                rows.append(pickle.load(process.stdout))
+                rows.append(pickle.load(process.from_it))
         except (BrokenPipeError, EOFError, pickle.UnpicklingError):  # it is dead, perhaps in the middle of a row
             pass
     code = process.returncode
@@ -60,8 +50,7 @@ def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple
 
 def serve() -> None:
     """Run the members that come in, and write the row of each at once."""
-    answer = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints is no row
+    answer = answering()
     members, recording = pickle.load(sys.stdin.buffer)
     for member in members:
         pickle.dump(row(member, recording), answer)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import shlex
 import sys
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from workflows.parser import parser
 
 if TYPE_CHECKING:
-    from pipeline import Scene
     from pipeline.place import Place, Where
+    from workflows.drawing import Drawing
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
@@ -21,15 +24,14 @@ _DONE, _UNFINISHED, _WRONG, _INTERRUPTED = 0, 1, 2, 130
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pipeline import Interrupted, load_scene, run_scene
-    from pipeline.interrupt import last_act
-    from pipeline.place import DATA, SCENE, Directory, place_of
-    from pipeline.scene import did_you_mean
-    from workflows.progress import Watch, clock
+    from pipeline.place import Directory, place_of
+    from workflows.drawing import Drawing
     from workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
+        from pipeline.scene import did_you_mean
+
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
         raise _Wrong(
             f"SCENE: expected a file or one of the scenes {', '.join(shipped())}, got {arguments.scene!r}"
@@ -40,17 +42,28 @@ def _run(arguments: argparse.Namespace) -> int:
         _check_directory(out.path, file)
     if chart_of(file) is not None:
         return _run_chart(arguments, file, out)
-    scene = load_scene(file)
     if arguments.dry_run:
-        return _say_estimate(arguments, scene, file, out)
+        return _say_estimate(arguments, file, out)
     if arguments.only is not None:
-        return _run_member(scene, arguments.only)
+        return _run_member(file, arguments.only)
+    with Drawing() as drawing:  # before all else: what it loads, and what is loaded here, takes a second each
+        return _run_ensemble(arguments, file, out, drawing)
+
+
+def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing) -> int:
+    from pipeline import Interrupted, load_scene, run_scene
+    from pipeline.interrupt import last_act
+    from pipeline.place import DATA, SCENE, Directory
+    from workflows.progress import Watch, clock
+
+    scene = load_scene(file)
 
     def how_to_go_on() -> None:
         print(f"\ninterrupted; what is done is kept. Go on with:\n  {_again(arguments, out)}", file=sys.stderr)
 
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
+            Thread(target=import_module, args=("workflows.reporting",), daemon=True).start()  # while workers compute
             status = run_scene(
                 scene,
                 file.read_bytes(),
@@ -61,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 retry_failed=arguments.retry_failed,
                 accept_version=arguments.accept_version,
             )
-            _write_report(out)
+            _write_report(out, drawing)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
@@ -77,11 +90,13 @@ def _run(arguments: argparse.Namespace) -> int:
     return _UNFINISHED if status.failures else _DONE
 
 
-def _say_estimate(arguments: argparse.Namespace, scene: Scene, file: Path, out: Place) -> int:
+def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
+    from pipeline import load_scene
     from pipeline.estimate import estimate
     from pipeline.store import Store
     from workflows.progress import in_words
 
+    scene = load_scene(file)
     store = Store(out, scene, file.read_bytes(), arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
@@ -94,9 +109,10 @@ def _say_estimate(arguments: argparse.Namespace, scene: Scene, file: Path, out: 
     return _DONE
 
 
-def _run_member(scene: Scene, member_id: str) -> int:
-    from pipeline import run_member
+def _run_member(file: Path, member_id: str) -> int:
+    from pipeline import load_scene, run_member
 
+    scene = load_scene(file)
     try:
         row = run_member(scene, member_id)
     except ValueError as error:
@@ -154,10 +170,11 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
     return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *retry])
 
 
-def _write_report(directory: Where) -> None:
+def _write_report(directory: Where, drawing: Drawing) -> None:
     from workflows.reporting import report, write
 
-    built, status = report(directory)
+    gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
+    built, status = report(directory, drawing)
     page = write(built, directory)
     if not status.is_complete:
         print(f"note: {status.n_members - status.n_done} of {status.n_members} members are still to run")
@@ -166,10 +183,13 @@ def _write_report(directory: Where) -> None:
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from workflows.drawing import Drawing
+
     if arguments.compare is None:
         if arguments.out is not None:
             raise _Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-        _write_report(arguments.directory)
+        with Drawing() as drawing:
+            _write_report(arguments.directory, drawing)
     else:
         _write_comparison(arguments.directory, arguments.compare, arguments.out)
     return _DONE
@@ -294,15 +314,26 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _on_data(arguments: argparse.Namespace) -> int:
-    from pipeline import QueryError, SceneError, ScheduleError, StoreError
-
     try:
         return _ON_DATA[arguments.command](arguments)
-    except (SceneError, QueryError) as error:
+    except _mistakes() as error:
         raise _Wrong(error) from error
-    except (StoreError, ScheduleError) as error:
+    except _mishaps() as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _UNFINISHED
+
+
+# Asked for when there is an error: the rooms that they are in take a second to load.
+def _mistakes() -> tuple[type[Exception], ...]:
+    from pipeline import QueryError, SceneError
+
+    return SceneError, QueryError
+
+
+def _mishaps() -> tuple[type[Exception], ...]:
+    from pipeline import ScheduleError, StoreError
+
+    return StoreError, ScheduleError
 
 
 if __name__ == "__main__":

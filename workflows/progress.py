@@ -5,16 +5,18 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
-from pipeline import Progress
-from pipeline.estimate import Estimate
 from pipeline.live import Follower, View
 from pipeline.place import Where
-from pipeline.query import reasons
-from workflows.sparkline import newest
+
+if TYPE_CHECKING:
+    from pipeline import Progress
+    from pipeline.estimate import Estimate
+
+# What reads data loads pandas: only who is told of data waits for it, and no run does before it starts.
 
 #: Seconds between two lines where there is no terminal.
 _EVERY = 10.0
@@ -48,7 +50,7 @@ def in_words(found: Estimate) -> list[str]:
 
 def say(directory: Where, plot: bool = False) -> None:
     """Print the status of a dataset; and draw its newest member, on a terminal."""
-    print("\n".join(_status_lines(Follower(directory).look()) + (newest(directory) if plot else [])))
+    print("\n".join(_status_lines(Follower(directory).look()) + _drawn(directory, plot)))
 
 
 def watch(directory: Where, plot: bool = False) -> None:
@@ -57,7 +59,7 @@ def watch(directory: Where, plot: bool = False) -> None:
     last: list[str] = []
     while True:
         view = follower.look()
-        lines = _status_lines(view) + (newest(directory) if plot else [])
+        lines = _status_lines(view) + _drawn(directory, plot)
         if sys.stdout.isatty() and last:
             print(f"\x1b[{len(last)}F\x1b[J", end="")  # over the last ones
         if lines != last or sys.stdout.isatty():
@@ -66,6 +68,14 @@ def watch(directory: Where, plot: bool = False) -> None:
         if view.running is None:
             return
         time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
+
+
+def _drawn(directory: Where, plot: bool) -> list[str]:
+    if not plot:
+        return []
+    from workflows.sparkline import newest
+
+    return newest(directory)
 
 
 def _status_lines(view: View) -> list[str]:
@@ -115,6 +125,8 @@ class Watch:
         elif progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
+            from pipeline.query import reasons
+
             for reason, count in reasons(self._directory, progress.last_shard).items():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress

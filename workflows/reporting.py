@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 from analysis import AnalysisSettings, Report, build
 from analysis.comparison import Ensemble, compare
-from analysis.section import Data
+from analysis.report import Image, on_demand
+from analysis.section import Data, Recipe
 from pipeline import Scene, Status, dataset_scene, status
 from pipeline.place import Directory, Where, place_of
 from pipeline.query import all_events, by_threshold, members, separations, series
 
 
-def report(path: Where) -> tuple[Report, Status]:
+def report(path: Where, draw: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
+
+    `draw` has the figures drawn, as in `analysis.build`: `workflows.drawing.Drawing` does it beside the statistics.
 
     Raises
     ------
@@ -36,7 +40,7 @@ def report(path: Where) -> tuple[Report, Status]:
         separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
         thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
     )
-    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance), found
+    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance, draw), found
 
 
 def compared(path: Where, other: Where) -> Report:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -311,7 +312,7 @@ def _pictures(
     if panels:
         found.append(
             Picture(
-                chance_figures.clustering(panels),
+                partial(chance_figures.clustering, panels),
                 "Left: excess of pairs of exits over chance, with intervals over matrices, and what shares of "
                 "triggered exits would have shown (linear within ±2%, logarithmic beyond). Right: Fano factor of "
                 "exits against the length of the windows.",
@@ -321,7 +322,7 @@ def _pictures(
     if tails:
         found.append(
             Picture(
-                chance_figures.tails(tails),
+                partial(chance_figures.tails, tails),
                 "Durations of cascades of two exits and more, and times between starts of cascades, by events.",
                 "Share of durations and waiting times longer than a multiple of their mean.",
             )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from analysis import student
 from analysis.cascades import Law, Spans, Window, spans
 from analysis.chance.clustering import (
     Clustering,
@@ -191,7 +191,7 @@ def _shares(found: Gathered, k: int, one: Estimate, confidence: float) -> tuple[
     n_matrices = len(found.rows)
     if n_matrices < 2 or one.low is None or one.high is None or not shares:
         return None, None
-    t_half = float(stats.t.ppf(0.5 + confidence / 2, n_matrices - 1))
+    t_half = student.half_width(confidence, n_matrices - 1)
     for share in shares:
         effects = [
             over_matrices(excess, np.array([row["pairs"][k] for row in rows.values()]), confidence)
@@ -203,7 +203,7 @@ def _shares(found: Gathered, k: int, one: Estimate, confidence: float) -> tuple[
             return None, None
         means.append(float(np.mean([value for value, _ in ends])))
         errors.append(float(np.mean([value - low for value, low in ends])) / t_half)
-    needed = (t_half + float(stats.t.ppf(POWER, n_matrices - 1))) * max((one.high - one.low) / 2 / t_half, errors[0])
+    needed = (t_half + student.quantile(POWER, n_matrices - 1)) * max((one.high - one.low) / 2 / t_half, errors[0])
     if (np.diff(means) <= 0).any():  # the controls do not rank: this tau is no measure of triggering
         return None, None
 

@@ -12,14 +12,14 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
 
 from analysis.cascades import SAMPLED
 from analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, WIDTH
 from analysis.words import PAPER_GAMMA
 
 Row = Mapping[str, Any]
-_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+_PLAIN = StrMethodFormatter("{x:g}")
 
 
 def gamma_curves(rows: Sequence[Row]) -> Figure:
@@ -194,6 +194,7 @@ def clustering(panels: Sequence[tuple[str, Sequence[Row], Sequence[Row], Sequenc
             for ax in (left, right):
                 ax.set_xscale("log")
                 ax.xaxis.set_major_formatter(_PLAIN)
+                ax.xaxis.set_minor_locator(NullLocator())
         drawn: dict[str, Any] = {}
         for ax in axes.flat:
             drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
@@ -242,6 +243,7 @@ def tails(panels: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.nda
             ax.plot(x, chance, color="black", linewidth=0.8, label="chance")
             ax.plot(x, observed, color=BLUE, linestyle="none", marker="o", markersize=2.5, label="observed")
             ax.set(title=label, yscale="log", ylim=(2e-4, 1.3), xlabel="length / mean length")
+            ax.yaxis.set_minor_locator(NullLocator())
             ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         for ax in axes[:, 0]:
             ax.set_ylabel("share that is longer")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -364,7 +365,7 @@ def _check(own: Sequence[Row], confidence: float) -> str:
 def _pictures(rows: Sequence[Row], own: Sequence[Row]) -> Iterable[Picture]:
     if any(row["gamma"] is not None and row["definition"] in SAMPLED for row in own):
         yield Picture(
-            chance_figures.gamma_curves(own),
+            partial(chance_figures.gamma_curves, own),
             "gamma against the sampling step (the gap for clusters), with intervals over matrices. Dashed: "
             "independent exits and entries at the same rates, sampled the same way.",
             "Curves of gamma over dt by definition, beside chance and the paper's value.",
@@ -373,7 +374,7 @@ def _pictures(rows: Sequence[Row], own: Sequence[Row]) -> Iterable[Picture]:
         some = [row for row in rows if row["group"] == label and row["threshold"] is not None]
         if any(row["gamma"] is not None and row["dt"] is not None for row in some):
             yield Picture(
-                chance_figures.gamma_map(some),
+                partial(chance_figures.gamma_map, some),
                 f"{label}: gamma over dt and the threshold c of |w - v| < c r eps. White: the paper's "
                 f"{words.PAPER_GAMMA}; dashed: where chance gives it.",
                 "Maps of gamma over dt and threshold by definition, with the paper's value as a contour.",

@@ -14,7 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
+
+from analysis import student
 
 EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
 POWER = 0.8  # of the equivalence test, for the number of matrices that would be needed
@@ -42,7 +44,7 @@ class Compared:
 
     def interval(self, level: float) -> tuple[float, float]:
         """difference +- t error at a level of confidence."""
-        half = float(stats.t.ppf(0.5 + level / 2, self.dof)) * self.error
+        half = student.half_width(level, self.dof) * self.error
         return self.difference - half, self.difference + half
 
 
@@ -66,9 +68,8 @@ def compare(difference: float, error: float, dof: float, margin: float) -> Compa
     size = abs(difference)
     if error == 0:
         return Compared(difference, error, dof, margin, float(size >= margin), float(size == 0))
-    p_equivalent = stats.t.cdf((size - margin) / error, dof)
-    p_different = 2 * stats.t.sf(size / error, dof)
-    return Compared(difference, error, dof, margin, float(p_equivalent), float(p_different))
+    p_equivalent = student.below((size - margin) / error, dof)
+    return Compared(difference, error, dof, margin, p_equivalent, student.two_sided(size / error, dof))
 
 
 def unpaired(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
@@ -119,8 +120,8 @@ def power(n_matrices: int, spread: float, margin: float, alpha: float) -> float:
     (measured: 0.28), 1.00 for the rate of changes within 10% and for gamma within 5%.
     """
     dof = n_matrices - 1
-    reach = margin * np.sqrt(n_matrices) / spread - stats.t.ppf(1 - alpha, dof)
-    return max(2 * float(stats.t.cdf(reach, dof)) - 1, 0.0)
+    reach = margin * np.sqrt(n_matrices) / spread - student.quantile(1 - alpha, dof)
+    return max(2 * student.below(reach, dof) - 1, 0.0)
 
 
 def matrices_needed(spread: float, margin: float, alpha: float) -> int | None:
@@ -149,7 +150,7 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     """
     if not (trials > 0 and 0 <= successes <= trials):
         raise ValueError(f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}")
-    z = float(stats.norm.ppf(0.5 + confidence / 2))
+    z = float(special.ndtri(0.5 + confidence / 2))
     share, z2 = successes / trials, z * z / trials
     centre = (share + z2 / 2) / (1 + z2)
     half = z / (1 + z2) * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials))

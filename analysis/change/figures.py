@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -39,6 +40,19 @@ def parting(panels: Sequence[Panel]) -> Picture:
     panels : sequence of (label, distances, differences, level)
         Medians over matrices; `level` is the late difference of two matrices.
     """
+    with_states = any(distances for _, distances, *_ in panels)
+    left = "Left: distance of a changed run's state from its base, median over matrices. Right: "
+    return Picture(
+        partial(_parting, panels),
+        (left if with_states else "")
+        + "|Difference of n_stick|, mean over pairs in windows of time; dotted, what two different matrices give "
+        "after t_burn.",
+        f"Curves of {'distance and of ' if with_states else ''}the difference of n_stick over time, one for each "
+        "kind and size of change.",
+    )
+
+
+def _parting(panels: Sequence[Panel]) -> Figure:
     lines = [line for _, *both, _ in panels for some in both for line in some]
     style = _styles(list(dict.fromkeys((family, label) for family, label, *_ in lines)))
     with_states = any(distances for _, distances, *_ in panels)
@@ -63,15 +77,7 @@ def parting(panels: Sequence[Panel]) -> Picture:
         handles: list[Any] = [Line2D([], [], label=label, **look) for label, look in style.items()]
         handles.append(Line2D([], [], color="black", linestyle=":", label="two different matrices, late"))
         figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
-    left = "Left: distance of a changed run's state from its base, median over matrices. Right: "
-    return Picture(
-        figure,
-        (left if with_states else "")
-        + "|Difference of n_stick|, mean over pairs in windows of time; dotted, what two different matrices give "
-        "after t_burn.",
-        f"Curves of {'distance and of ' if with_states else ''}the difference of n_stick over time, one for each "
-        "kind and size of change.",
-    )
+    return figure
 
 
 def growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Picture:
@@ -81,6 +87,15 @@ def growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Picture:
     ----------
     groups : sequence of (row of the table `growth`, its rows of `growth_rates`)
     """
+    return Picture(
+        partial(_growth_rates, groups),
+        "Growth rate of small differences of the start by draw of the matrix, each with the interval of its own "
+        "error, in order of size; runaway draws have none and are counted below.",
+        "Growth rate of each draw, one column for each setting.",
+    )
+
+
+def _growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure, axes = _figure(1, 1, 3.0)
         ax = axes[0, 0]
@@ -110,12 +125,7 @@ def growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Picture:
             Line2D([], [], marker="D", color="black", markersize=4, label="mean over draws, interval"),
         ]  # fmt: skip
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return Picture(
-        figure,
-        "Growth rate of small differences of the start by draw of the matrix, each with the interval of its own "
-        "error, in order of size; runaway draws have none and are counted below.",
-        "Growth rate of each draw, one column for each setting.",
-    )
+    return figure
 
 
 def _styles(names: Sequence[tuple[str, str]]) -> dict[str, dict[str, Any]]:
@@ -139,6 +149,18 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
     panels : sequence of (setting, rows)
         Rows of the table `robustness` that have a difference.
     """
+    return Picture(
+        partial(_forest, panels),
+        "Differences between changed runs and their bases in units of the declared margin (band), with the "
+        "interval of "
+        "the equivalence test (not adjusted for the number of tests). Ticks: how far two different matrices "
+        "typically "
+        "lie apart.",
+        "Forest plot: one row for each change, one column for each quantity.",
+    )
+
+
+def _forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
     quantities = list(dict.fromkeys(row["quantity"] for _, rows in panels for row in rows))
     n_lines = [len({row["change"] for row in rows}) for _, rows in panels]
     with matplotlib.rc_context(STYLE):
@@ -175,15 +197,7 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
         ]
         handles.append(Line2D([], [], marker="|", linestyle="", color="black", label="a redraw of the matrix"))
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    return Picture(
-        figure,
-        "Differences between changed runs and their bases in units of the declared margin (band), with the "
-        "interval of "
-        "the equivalence test (not adjusted for the number of tests). Ticks: how far two different matrices "
-        "typically "
-        "lie apart.",
-        "Forest plot: one row for each change, one column for each quantity.",
-    )
+    return figure
 
 
 _FATES = {
@@ -206,6 +220,15 @@ def fates(rows: Sequence[Row], draws: Sequence[Row]) -> Picture:
     draws : sequence of mapping
         Rows of the table `fates`.
     """
+    return Picture(
+        partial(_fates, rows, draws),
+        "Above: what became of the runs. Below: largest real part of the eigenvalues of the state in which all "
+        "blocks slip, one mark a draw in order of size; above zero that state is linearly unstable.",
+        "Bars of the fates of runs by number of blocks, and growth rates of the draws marked by fate.",
+    )
+
+
+def _fates(rows: Sequence[Row], draws: Sequence[Row]) -> Figure:
     labels = [row["setting"] for row in rows]
     with matplotlib.rc_context(STYLE):
         figure, axes = _figure(2, 1, 4.6, sharex=True)
@@ -232,12 +255,7 @@ def fates(rows: Sequence[Row], draws: Sequence[Row]) -> Picture:
             for name in shown
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    return Picture(
-        figure,
-        "Above: what became of the runs. Below: largest real part of the eigenvalues of the state in which all "
-        "blocks slip, one mark a draw in order of size; above zero that state is linearly unstable.",
-        "Bars of the fates of runs by number of blocks, and growth rates of the draws marked by fate.",
-    )
+    return figure
 
 
 def _place(draw: Row, draws: Sequence[Row]) -> float:
@@ -256,6 +274,12 @@ def contrasts(panels: Sequence[tuple[str, Sequence[Row]]], caption: str) -> Pict
         Rows of `analysis.change.contrast.judged` that have a difference.
     caption : str
     """
+    return Picture(
+        partial(_contrasts, panels), caption, "Forest plot: one panel for each setting, one line for each statistic."
+    )
+
+
+def _contrasts(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
     by_length = sorted(panels, key=lambda panel: -len(panel[1]))  # the fullest panel has the order of the table
     names = list(dict.fromkeys(row["quantity"] for _, rows in by_length for row in rows))
     columns = min(len(panels), 3)
@@ -284,7 +308,7 @@ def contrasts(panels: Sequence[tuple[str, Sequence[Row]]], caption: str) -> Pict
             for verdict, (mark, colour) in _MARKS.items()
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return Picture(figure, caption, "Forest plot: one panel for each setting, one line for each statistic.")
+    return figure
 
 
 def _reach(row: Row) -> float:
@@ -307,6 +331,15 @@ def survival_curves(panels: Sequence[tuple[str, Curve, float]]) -> Picture:
     ----------
     panels : sequence of (label, curve, t_end)
     """
+    return Picture(
+        partial(_survival_curves, panels),
+        "Share of runs in self-sustained motion, Kaplan and Meier's estimate with its interval, and the shares that "
+        "have met each end, over time (dimensionless).",
+        "Survival curves and cumulative incidences, one panel for each setting.",
+    )
+
+
+def _survival_curves(panels: Sequence[tuple[str, Curve, float]]) -> Figure:
     columns = min(len(panels), 4)
     n_rows = -(-len(panels) // columns)
     ends = [end for end in ("collapsed", "silent", "diverged") if any(c.incidence[end][-1] > 0 for _, c, _ in panels)]
@@ -333,12 +366,7 @@ def survival_curves(panels: Sequence[tuple[str, Curve, float]]) -> Picture:
         handles: list[Any] = [Line2D([], [], color=_FATES["sustained"][1], label="in motion, with interval")]
         handles += [Line2D([], [], color=_FATES[end][1], linestyle=_ENDS[end], label=_FATES[end][0]) for end in ends]
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    return Picture(
-        figure,
-        "Share of runs in self-sustained motion, Kaplan and Meier's estimate with its interval, and the shares that "
-        "have met each end, over time (dimensionless).",
-        "Survival curves and cumulative incidences, one panel for each setting.",
-    )
+    return figure
 
 
 def _held(values: np.ndarray) -> np.ndarray:

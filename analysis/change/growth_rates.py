@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from analysis import student
 from analysis.change.pairs import START, Comparison, Setting
 from analysis.change.sensitivity import BLOCKS, CEILING, Growth, amplification_gap, growth, saturation
 from analysis.section import Data, Rows, Separation
@@ -45,7 +45,7 @@ def growth_rows(
     reference = (above or twins)[0]
     ceiling = CEILING * scale
     rows, rates = [], []
-    t_half = float(stats.t.ppf(0.5 + confidence / 2, BLOCKS - 1))
+    t_half = student.half_width(confidence, BLOCKS - 1)
     identity = {"setting": setting.label, **{name: setting.key[name] for name in ("n", "engine", "eps")}}
     for comparison in twins:
         found = growth(comparison, kept, ceiling, confidence)

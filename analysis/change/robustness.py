@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal, stats
+from scipy import signal
 
+from analysis import student
 from analysis.cascades import Law, Window, sizes
 from analysis.change import equivalence
 from analysis.change.equivalence import Compared
@@ -318,7 +319,7 @@ def _against(
     if root:
         ratio, ratios = np.sqrt(ratio), np.sqrt(ratios)
     error = np.sqrt((g - 1) / g * np.sum((ratios - ratios.mean()) ** 2))
-    half = float(stats.t.ppf(0.5 + confidence / 2, g - 1)) * error
+    half = student.half_width(confidence, g - 1) * error
     return float(ratio), max(float(ratio - half), 0.0), float(ratio + half)
 
 

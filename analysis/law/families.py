@@ -32,6 +32,7 @@ from analysis.fits import Undefined
 LogWeights = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
+STEP = 1e-4  # of internal parameters, in differences of the likelihood
 FLAT = 0.01  # nats of the whole histogram: a border as near to the maximum as this is where the likelihood runs to
 
 
@@ -218,7 +219,12 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     def cost(theta: np.ndarray) -> float:
         return -float(np.dot(shares, log_shares(family, sizes, theta)))
 
-    found = [optimize.minimize(cost, start, method="L-BFGS-B", bounds=family.bounds) for start in family.starts]
+    def slope(theta: np.ndarray) -> np.ndarray:
+        return np.array([cost(theta + step) - cost(theta - step) for step in STEP * np.eye(len(theta))]) / (2 * STEP)
+
+    found = [
+        optimize.minimize(cost, start, jac=slope, method="L-BFGS-B", bounds=family.bounds) for start in family.starts
+    ]
     theta = min(found, key=lambda one: one.fun).x
     every = tuple(range(len(theta)))
     at = {i: side for i in every for side in (0, 1) if abs(theta[i] - family.bounds[i][side]) < 1e-9}
@@ -264,7 +270,7 @@ def derivatives(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of one cascade of each size in the free internal parameters.
 
-    Central differences with steps 1e-4 of internal parameters of order one: an error of order 1e-8.
+    Central differences with steps `STEP` of internal parameters of order one: an error of order 1e-8.
 
     Returns
     -------
@@ -273,7 +279,7 @@ def derivatives(
     information : ndarray, shape (K, f, f)
         -d^2 ln P(k) / d theta^2.
     """
-    steps = 1e-4 * np.eye(len(theta))[list(free)]
+    steps = STEP * np.eye(len(theta))[list(free)]
 
     def at(move: np.ndarray) -> np.ndarray:
         return log_shares(family, sizes, theta + move)
@@ -284,9 +290,9 @@ def derivatives(
     centre = at(np.zeros(len(theta)))
     for i in range(f):
         up, down = at(steps[i]), at(-steps[i])
-        score[:, i] = (up - down) / 2e-4
-        information[:, i, i] = -(up - 2 * centre + down) / 1e-8
+        score[:, i] = (up - down) / (2 * STEP)
+        information[:, i, i] = -(up - 2 * centre + down) / STEP**2
         for j in range(i):
             mixed = at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i])
-            information[:, i, j] = information[:, j, i] = -(mixed + at(-steps[i] - steps[j])) / 4e-8
+            information[:, i, j] = information[:, j, i] = -(mixed + at(-steps[i] - steps[j])) / (4 * STEP**2)
     return score, information

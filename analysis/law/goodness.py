@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
-from analysis import words
+from analysis import student, words
 from analysis.fits import Estimate, Statistic, Undefined, gamma, jackknife, over_matrices
 from analysis.law.families import EXPONENTIAL, log_shares
 
@@ -246,7 +246,7 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
     parts /= total * shares[judged]
     values = 1.0 + parts.sum(axis=0)
     if n > 1:
-        half = stats.t.ppf(0.5 + confidence / 2, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
+        half = student.half_width(confidence, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
     pooled = seen.sum(axis=0)
     return [
         Quotient(
@@ -355,6 +355,6 @@ def between_share(parts: list[np.ndarray], confidence: float) -> Estimate:
         return Estimate(reason="the matrices' gammas do not scatter")
     ratio = float(values.var(ddof=1) / np.mean(errors**2))
     tail = 0.5 - confidence / 2
-    quantiles = stats.f.ppf([1 - tail, tail], len(known) - 1, freedom)
+    quantiles = special.fdtri(len(known) - 1, freedom, [1 - tail, tail])
     share, low, high = (float(np.clip(1 - q / ratio, 0.0, 1.0)) for q in (1.0, *quantiles))
     return Estimate(share, low, high)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
 
+from analysis import student
 from analysis.fits import Estimate, Undefined, over_matrices, ratio
 from analysis.law.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
 
@@ -116,8 +116,8 @@ def _p_value(estimate: Estimate, n_matrices: int, confidence: float) -> float:
     assert estimate.value is not None
     assert estimate.high is not None
     half = estimate.high - estimate.value
-    error = half / stats.t.ppf(0.5 + confidence / 2, n_matrices - 1)
-    return float(2 * stats.t.sf(abs(estimate.value) / error, n_matrices - 1)) if error else float(estimate.value == 0)
+    error = half / student.half_width(confidence, n_matrices - 1)
+    return student.two_sided(estimate.value / error, n_matrices - 1) if error else float(estimate.value == 0)
 
 
 def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
@@ -136,7 +136,7 @@ def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estim
     except np.linalg.LinAlgError:
         raise Undefined("the likelihood is flat at its maximum") from None
     error = float(np.sqrt((n - 1) / n * np.sum((moved - moved.mean()) ** 2)))
-    half = float(stats.t.ppf(0.5 + confidence / 2, n - 1)) * error
+    half = student.half_width(confidence, n - 1) * error
     value = float(fit.theta[which])
     return Estimate(value, value - half, value + half)
 

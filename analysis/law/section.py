@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -347,7 +348,7 @@ def _pictures(events: Sequence[Judged], confidence: float) -> list[Picture]:
     left = f" The first {PANELS} of {len(panels)} groups." if len(panels) > PANELS else ""
     return [
         Picture(
-            quotient_panels(panels[:PANELS]),
+            partial(quotient_panels, panels[:PANELS]),
             "Share of cascades of each size, event by event, over the share that the fitted exponential gives: 1 is "
             "the exponential. Intervals over matrices; a rival that leaves the panel is far off." + left,
             "Observed over fitted share against size, with rival laws as lines.",

@@ -32,7 +32,7 @@ def undrawn(request, monkeypatch):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
     if any(name in request.node.name for name in DRAWN):
         return
-    monkeypatch.setattr("analysis.report.embedded", lambda figure: "data:image/svg+xml;base64,")
+    monkeypatch.setattr("analysis.figures.embedded", lambda figure: "data:image/svg+xml;base64,")
     for module in (figures, chance_figures, law_figures):
         for name, one in vars(module).items():
             if inspect.isfunction(one) and one.__module__ == module.__name__:

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 INJECT = Path(__file__).parent / "inject"
 
 #: The command without its report, which takes longer than the small scene.
-COMMAND = "import sys; from workflows import cli; cli._write_report = lambda out: None; sys.exit(cli.main())"
+COMMAND = "import sys; from workflows import cli; cli._write_report = lambda *_: None; sys.exit(cli.main())"
 
 #: Small batches: a small scene then has many shards.
 TARGET_COST = 3.5e-3

@@ -11,6 +11,7 @@ from importlib.metadata import version
 import jsonschema
 import pytest
 
+import analysis
 import pipeline
 import sim
 import stickslip
@@ -161,11 +162,18 @@ def test_one_import_has_the_contract():
     assert stickslip.__version__ == version("stickslip")
 
 
-def test_the_pipeline_loads_its_rooms_as_they_are_asked_for():
-    assert set(pipeline.__all__) == {*pipeline._ROOM_OF, "query"}
-    assert all(getattr(pipeline, name).__name__.endswith(name) for name in pipeline.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'scenes'"):
-        pipeline.scenes  # noqa: B018  # asking is the test
-    code = "import sys, pipeline.scene; sys.exit(', '.join({'dask', 'pandas', 'pyarrow'} & set(sys.modules)) or 0)"
+@pytest.mark.parametrize(
+    ("package", "room", "heavy"),
+    [
+        (pipeline, "pipeline.scene", {"dask", "pandas", "pyarrow"}),
+        (analysis, "analysis.figures", {"pandas", "scipy.stats", "jinja2"}),
+    ],
+)
+def test_a_package_loads_its_rooms_as_they_are_asked_for(package, room, heavy):
+    assert len(package.__all__) > 10
+    assert all(getattr(package, name) is not None for name in package.__all__)
+    with pytest.raises(AttributeError, match="nonesuch"):
+        package.nonesuch  # noqa: B018  # asking is the test
+    code = f"import sys, {room}; sys.exit(', '.join({heavy!r} & set(sys.modules)) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
 from analysis import Report, figures
-from analysis.report import embedded, page_environment
+from analysis.figures import embedded
+from analysis.report import page_environment
 from workflows.charts import Kind
 from workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
 

@@ -11,7 +11,8 @@ import pandas as pd
 from jinja2 import Environment
 
 from analysis import Report, figures
-from analysis.report import embedded, page_environment
+from analysis.figures import embedded
+from analysis.report import page_environment
 from workflows.charts import Kind
 from workflows.charts.peers import METHODS, Model
 from workflows.charts.speed import Cost, Measured, Reference, SpeedScene, measure

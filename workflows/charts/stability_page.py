@@ -13,7 +13,8 @@ import pandas as pd
 from jinja2 import Environment
 
 from analysis import Report, figures
-from analysis.report import embedded, page_environment
+from analysis.figures import embedded
+from analysis.report import page_environment
 from workflows.charts import Kind
 from workflows.charts.hard_cases import EPS, EXACT_TOLERANCE, TOLERANCE, Verdict
 from workflows.charts.peers import METHODS

@@ -12,8 +12,9 @@ import pandas as pd
 from jinja2 import Environment
 
 from analysis import Report, figures
+from analysis.figures import embedded
 from analysis.fits import Estimate
-from analysis.report import embedded, page_environment
+from analysis.report import page_environment
 from analysis.words import count, number, percent, sentence, signed
 from workflows.charts import Kind
 from workflows.charts.peers import Model

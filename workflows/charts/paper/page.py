@@ -9,7 +9,8 @@ import pandas as pd
 from jinja2 import Environment
 
 from analysis import Report, paper_figures
-from analysis.report import embedded, page_environment
+from analysis.figures import embedded
+from analysis.report import page_environment
 from analysis.words import capital
 from workflows.charts import Kind
 from workflows.charts.paper import claim_words, words

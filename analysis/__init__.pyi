@@ -1,0 +1,17 @@
+from .cascades import DEFINITIONS as DEFINITIONS
+from .cascades import Law as Law
+from .cascades import Window as Window
+from .cascades import laws as laws
+from .cascades import sample as sample
+from .cascades import sizes as sizes
+from .cascades import window as window
+from .chance.nulls import random_order as random_order
+from .fits import Estimate as Estimate
+from .fits import correlation_time as correlation_time
+from .fits import gamma as gamma
+from .fits import over_matrices as over_matrices
+from .report import Report as Report
+from .report import build as build
+from .section import Data as Data
+from .section import Section as Section
+from .settings import AnalysisSettings as AnalysisSettings

@@ -1,0 +1,83 @@
+"""The report's figures, drawn beside its statistics: in a process of their own, and here once these are done."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import pickle
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from pipeline.child import Child, answering
+
+if TYPE_CHECKING:
+    from analysis.report import Image
+    from analysis.section import Recipe
+
+
+class Drawing:
+    """Give a figure's recipe, get its image when it is needed; a context manager. The images are those drawn here.
+
+    The process is there from the start, and loads what it needs meanwhile. Should it die, all is drawn here.
+    """
+
+    def __init__(self) -> None:
+        self._process = Child("from workflows.drawing import serve; serve()")
+        self._asking = ThreadPoolExecutor(1)
+        self._asked: list[tuple[Future[str | None], Recipe]] = []
+        self._drawn_here: dict[Future[str | None], str] = {}
+
+    def __enter__(self) -> Drawing:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._process.kill()
+        self._asking.shutdown(cancel_futures=True)
+        with contextlib.suppress(BrokenPipeError):  # of what it no longer reads
+            self._process.__exit__(kind, error, trace)
+
+    def __call__(self, recipe: Recipe) -> Image:
+        """Have a figure drawn; what is returned gives its image."""
+        from analysis.figures import embedded
+
+        asked = self._asking.submit(self._ask, recipe)
+        self._asked.append((asked, recipe))
+
+        def image() -> str:
+            while self._asked:  # nothing but images is missing: from the last on, draw here what is not begun there
+                last, its_recipe = self._asked.pop()
+                if last.cancel():
+                    self._drawn_here[last] = embedded(its_recipe())
+            return self._drawn_here.get(asked) or asked.result() or embedded(recipe())
+
+        return image
+
+    def _ask(self, recipe: Recipe) -> str | None:
+        try:
+            pickle.dump(recipe, self._process.to_it)
+            self._process.to_it.flush()
+            return str(pickle.load(self._process.from_it))
+        except (OSError, EOFError, pickle.UnpicklingError):  # it is dead, or was killed half-way through an answer
+            return None
+
+
+def serve() -> None:
+    """Draw the figures whose recipes come in, until no more can come."""
+    answers = answering()
+    from matplotlib.figure import Figure
+
+    from analysis.figures import embedded
+
+    gc.disable()  # a figure is full of cycles, which are looked for again and again; the process ends soon
+    embedded(Figure())  # meanwhile: the first figure has to find the fonts
+    while True:
+        try:
+            recipe = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        pickle.dump(embedded(recipe()), answers)
+        answers.flush()
