@@ -13,9 +13,9 @@ from .members import expand as expand
 from .place import StoreError as StoreError
 from .query import QueryError as QueryError
 from .scene import Scene as Scene
-from .scene import SceneError as SceneError
 from .scene import load_scene as load_scene
 from .scene import parse_scene as parse_scene
 from .schedule import Progress as Progress
 from .schedule import run_member as run_member
 from .schedule import run_scene as run_scene
+from .tables import SceneError as SceneError

@@ -11,8 +11,8 @@ import pyarrow.dataset as ds
 
 from pipeline.manifest import dataset_scene, read_manifest
 from pipeline.place import DATA, Directory, StoreError, Where, place_of
-from pipeline.scene import did_you_mean
 from pipeline.shards import Recording
+from pipeline.tables import did_you_mean
 
 # pandas' plain numbers have no null but NaN; these do, and keep integers integers
 NULLABLE = {

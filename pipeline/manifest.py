@@ -23,8 +23,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pipeline.place import MANIFEST, SCENE, TIMINGS, StoreError, Where, place_of
 from pipeline.plan import PlanError, Task, tasks
-from pipeline.scene import Scene, SceneError, parse_scene
+from pipeline.scene import Scene, parse_scene
 from pipeline.shards import SCHEMA_VERSION
+from pipeline.tables import SceneError
 
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 

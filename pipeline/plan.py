@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from itertools import islice
 
 from pipeline.members import Batch, Member, as_batch, batches, expand
-from pipeline.scene import Scene, SceneError, parse_scene
+from pipeline.scene import Scene, parse_scene
 from pipeline.shards import Recording
+from pipeline.tables import SceneError
 
 #: A shard to be: its members, and what to keep of them.
 Task = tuple[Batch, Recording]

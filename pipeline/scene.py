@@ -1,93 +1,40 @@
-"""The scene file: which ensemble, run how, kept and analysed how; with errors that name the key.
+"""The scene file: which ensemble, run how, kept and analysed how.
 
 All quantities are dimensionless.
 """
 
 from __future__ import annotations
 
-import codecs
-import difflib
 import hashlib
 import json
-import tomllib
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    model_validator,
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+
+from pipeline.tables import (
+    BlockNumbers,
+    Count,
+    Natural,
+    Positive,
+    PositiveNumbers,
+    StrictTable,
+    as_scene,
+    as_tuple,
+    did_you_mean,
+    parse_toml,
+    read_source,
 )
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core import ErrorDetails, core_schema
-
 from sim import COUPLINGS
 
 #: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
 MAX_MEMBERS = 1_000_000
-
-#: A dense K of this many blocks is 80 GB.
-MAX_BLOCKS = 100_000
-
-
-class SceneError(ValueError):
-    """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
-
-
-# ---------------------------------------------------------------------------------------------- the tables
-
-Value = TypeVar("Value", int, float)
-
-
-def as_tuple(value: object) -> object:
-    """A single number stands for a list of one; a list becomes a tuple, as frozen models hold."""
-    if isinstance(value, list):
-        return tuple(value)
-    return value if isinstance(value, tuple) else (value,)
-
-
-def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
-    """Ascending and without duplicates: the order in the file means nothing."""
-    doubled = sorted({value for value in values if values.count(value) > 1})
-    if doubled:
-        raise ValueError(f"expected each value once, got {doubled[0]!r} more than once; remove the duplicates")
-    return tuple(sorted(values))
 
 
 def _coupling(name: str) -> str:
     if name not in COUPLINGS:
         raise ValueError(f"expected one of {', '.join(COUPLINGS)}, got {name!r}{did_you_mean(name, COUPLINGS)}")
     return name
-
-
-Blocks = Annotated[int, Field(ge=1, le=MAX_BLOCKS)]
-Positive = Annotated[float, Field(gt=0)]
-Natural = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
-BlockNumbers = Annotated[
-    tuple[Blocks, ...],
-    Field(min_length=1),
-    BeforeValidator(as_tuple, json_schema_input_type=Blocks | Annotated[list[Blocks], Field(min_length=1)]),
-    AfterValidator(distinct),
-]
-PositiveNumbers = Annotated[
-    tuple[Positive, ...],
-    Field(min_length=1),
-    BeforeValidator(as_tuple, json_schema_input_type=Positive | Annotated[list[Positive], Field(min_length=1)]),
-    AfterValidator(distinct),
-]
-
-
-class StrictTable(BaseModel):
-    """A table of a TOML file: nothing unknown, nothing converted, nothing infinite."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class SystemTable(StrictTable):
@@ -447,9 +394,6 @@ class Scene(StrictTable):
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-# ---------------------------------------------------------------------------------------------- reading
-
-
 def load_scene(path: str | Path) -> Scene:
     """Read a scene file.
 
@@ -458,16 +402,7 @@ def load_scene(path: str | Path) -> Scene:
     SceneError
         If the file cannot be read, is not TOML, or is not a scene; one line a problem.
     """
-    path = Path(path)
-    try:
-        source = path.read_bytes()
-    except IsADirectoryError:
-        raise SceneError(f"{path}: expected a scene file, got a directory; name the .toml file in it") from None
-    except FileNotFoundError:
-        raise SceneError(f"{path}: expected a scene file, found nothing there; check the path") from None
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    return parse_scene(source, str(path))
+    return parse_scene(read_source(path), str(path))
 
 
 def parse_scene(source: bytes, name: str = "scene") -> Scene:
@@ -478,126 +413,4 @@ def parse_scene(source: bytes, name: str = "scene") -> Scene:
     SceneError
         As `load_scene`.
     """
-    if source.startswith(codecs.BOM_UTF8):
-        raise SceneError(f"{name}: expected plain UTF-8, got a byte order mark; save the file as UTF-8 without it")
-    try:
-        text = source.decode()
-    except UnicodeDecodeError as error:
-        line = source.count(b"\n", 0, error.start) + 1
-        raise SceneError(f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; "
-                         f"save the file as UTF-8") from None  # fmt: skip
-    try:
-        tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
-        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
-    try:
-        return Scene.model_validate(tables)
-    except ValidationError as error:
-        raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error))) from None
-
-
-class _OfToml(GenerateJsonSchema):
-    """JSON Schema of TOML, which has no null: what may be left out is just that."""
-
-    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
-        return self.generate_inner(schema["schema"])
-
-    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        found = super().default_schema(schema)
-        if isinstance(found.get("default"), dict | None):  # of a table the keys have their own
-            found.pop("default", None)
-        return found
-
-    def field_title_should_be_set(self, schema: Any) -> bool:
-        return False  # the names of the keys with a capital
-
-
-def json_schema(table: type[StrictTable] = Scene) -> dict[str, Any]:
-    """JSON Schema (draft 7) of the scene files of one kind, an ensemble's by default, for editors.
-
-    It has keys, types, ranges, choices, defaults and examples. What keys demand of each other is `load_scene`'s to
-    check: it refuses all that the schema refuses, and more.
-    """
-    found = table.model_json_schema(schema_generator=_OfToml)
-    return {"$schema": "http://json-schema.org/draft-07/schema#", **found}
-
-
-# ---------------------------------------------------------------------------------------------- errors
-
-_TABLES: dict[str, type[BaseModel]] = {
-    "system": SystemTable,
-    "start": StartTable,
-    "run": RunTable,
-    "perturbation": PerturbationTable,
-    "twins": TwinsTable,
-    "record": RecordTable,
-    "analysis": AnalysisTable,
-    "analysis.margins": MarginsTable,
-}
-_ENGINES: dict[str, type[BaseModel]] = {"coulomb": Coulomb, "sigmoid": Sigmoid}
-
-
-def did_you_mean(word: object, known: Sequence[str]) -> str:
-    """What `word` may have been meant for, as the end of a message; empty if nothing is near."""
-    close = difflib.get_close_matches(str(word), known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _place(location: tuple[int | str, ...]) -> tuple[str, type[BaseModel], str | None]:
-    """Path as the file has it, the table it is in, and the key there (None: the table itself is meant)."""
-    path, key = "", None
-    table: type[BaseModel] = Scene
-    for part in location:
-        if isinstance(part, int):
-            path += f"[{part}]"
-        elif key == "engine":  # the name that chose among the engines is no part of the path
-            table, key = _ENGINES[part], None
-        else:
-            path += f".{part}" if path else part
-            table, key = (_TABLES[path], None) if path in _TABLES else (table, part)
-    return path, table, key
-
-
-def _problems(error: ValidationError) -> Iterator[str]:
-    """One line a problem: key, expected, got, remedy."""
-    for detail in error.errors():
-        path, table, key = _place(detail["loc"])
-        yield problem(path, table, key, detail)
-
-
-def problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDetails) -> str:
-    kind, value = detail["type"], detail["input"]
-    fields = {field.alias or name: field for name, field in table.model_fields.items()}
-    field = fields.get(key) if key is not None else None
-    example = f"`{key} = {json.dumps(field.examples[0])}`" if field and field.examples else ""
-
-    if kind == "value_error":  # our own words, which name the key where a whole table was looked at
-        message = str(detail["ctx"]["error"])
-        return f"{path}: {message}" if key else f"{path}.{message}".lstrip(".")
-    if kind == "extra_forbidden":
-        parent, _, word = path.rpartition(".")
-        remedy = did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
-        return f"{path}: unknown key of {f'[{parent}]' if parent else 'a scene'}{remedy}"
-    if kind == "missing" and example:
-        return f"{path}: expected the {field.description if field else key}, found nothing; add {example}"
-    if kind == "missing":
-        return f"{path}: expected a table, found none; add {'[[engine]]' if key else f'[{path}]'} and its keys"
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        name = value.get("name")
-        remedy = did_you_mean(name, tuple(_ENGINES)) or '; write `name = "coulomb"`'
-        return f"{path}.name: expected one of {', '.join(_ENGINES)}, got {_shown(name)}{remedy}"
-    if kind in ("model_type", "model_attributes_type"):
-        table_line = "[[engine]]" if key else f"[{path}]"
-        return f"{path}: expected a table, got {_shown(value)}; write {table_line} on a line, its keys below"
-
-    expected = "at least one value" if kind == "too_short" else detail["msg"].removeprefix("Input should be ")
-    if expected.startswith(("greater", "less")):
-        expected = f"a value {expected}"
-    got = _shown(list(value) if isinstance(value, tuple) else value)
-    remedy = f"; write {example and f'{example}, say: '}the {field.description}" if field else ""
-    return f"{path}: expected {expected}, got {got}{remedy}"
+    return as_scene(Scene, parse_toml(source, name), name)

@@ -35,8 +35,9 @@ from pipeline.place import (
     place_of,
 )
 from pipeline.plan import PlanError, Task, grows, pack, tasks
-from pipeline.scene import Scene, SceneError
+from pipeline.scene import Scene
 from pipeline.shards import Result, program
+from pipeline.tables import SceneError
 
 log = logging.getLogger(__name__)
 

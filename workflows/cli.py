@@ -30,7 +30,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
-        from pipeline.scene import did_you_mean
+        from pipeline.tables import did_you_mean
 
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
         raise _Wrong(

@@ -88,13 +88,11 @@ def _body() -> str:
 
 def schema_text(chart: str | None) -> str:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
-    from pipeline.scene import json_schema
-
-    if chart is None:
-        return json.dumps(json_schema(), indent=1) + "\n"
+    from pipeline import Scene
+    from pipeline.tables import json_schema
     from workflows.charts import kind
 
-    return json.dumps(json_schema(kind(chart).scene), indent=1) + "\n"
+    return json.dumps(json_schema(Scene if chart is None else kind(chart).scene), indent=1) + "\n"
 
 
 def completion(parser: argparse.ArgumentParser, shell: str) -> str:

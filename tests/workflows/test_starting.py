@@ -15,8 +15,8 @@ import analysis
 import pipeline
 import sim
 import stickslip
-from pipeline import load_scene
-from pipeline.scene import json_schema
+from pipeline import Scene, load_scene
+from pipeline.tables import json_schema
 from workflows.charts import KINDS, kind
 from workflows.cli import main
 from workflows.scenes import chart_of, find, shipped
@@ -30,7 +30,7 @@ def problems(schema, table):
 @pytest.mark.parametrize("name", shipped())
 def test_what_ships_is_as_the_schema_says(name):
     chart = chart_of(find(name))
-    schema = json_schema() if chart is None else json_schema(kind(chart).scene)
+    schema = json_schema(Scene if chart is None else kind(chart).scene)
     jsonschema.Draft7Validator.check_schema(schema)
     assert problems(schema, tomllib.loads(find(name).read_text())) == []
 
@@ -59,8 +59,8 @@ def test_the_schema_sees(mistake, small_scene):
     old, new = SEEN[mistake]
     small = small_scene.read_text()
     assert small.count(old) == 1
-    assert problems(json_schema(), tomllib.loads(small)) == []
-    assert problems(json_schema(), tomllib.loads(small.replace(old, new)))
+    assert problems(json_schema(Scene), tomllib.loads(small)) == []
+    assert problems(json_schema(Scene), tomllib.loads(small.replace(old, new)))
 
 
 def test_every_form_that_the_scene_takes_the_schema_takes(small_scene, tmp_path):
@@ -71,12 +71,12 @@ def test_every_form_that_the_scene_takes_the_schema_takes(small_scene, tmp_path)
     file = tmp_path / "other.toml"
     file.write_text(text)
     assert load_scene(file).n_members == 2 * 3 * 2
-    assert problems(json_schema(), tomllib.loads(text)) == []
+    assert problems(json_schema(Scene), tomllib.loads(text)) == []
 
 
 def test_every_key_is_described():
     """What an editor shows beside a key; tables are described by themselves."""
-    for schema in [json_schema(), *(json_schema(kind(chart).scene) for chart in KINDS)]:
+    for schema in [json_schema(Scene), *(json_schema(kind(chart).scene) for chart in KINDS)]:
         tables = [schema, *schema.get("$defs", {}).values()]
         for table in tables:
             for key, found in table.get("properties", {}).items():
@@ -121,7 +121,7 @@ def test_what_cannot_be_written(argv, code, words, tmp_path, monkeypatch, capsys
 
 def test_schema_is_printed(capsys):
     assert main(["schema"]) == 0
-    assert json.loads(capsys.readouterr().out) == json_schema()
+    assert json.loads(capsys.readouterr().out) == json_schema(Scene)
     assert main(["schema", "stability"]) == 0
     assert "stiffness" in json.loads(capsys.readouterr().out)["properties"]
 

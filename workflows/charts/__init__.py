@@ -6,16 +6,16 @@ dataclass, which crosses from the process that measures as JSON.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from pipeline.scene import MINUTES, Positive, SceneError, StrictTable, problem
+from pipeline.scene import MINUTES
+from pipeline.tables import Positive, SceneError, StrictTable, as_scene, parse_toml, read_source
 
 if TYPE_CHECKING:
     from analysis import Report
@@ -82,19 +82,11 @@ def load_chart(file: Path) -> tuple[Kind, Any]:
     SceneError
         If it is not a scene of a known chart; one line a problem.
     """
-    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    table = parse_toml(read_source(file), str(file))
     if table["chart"] not in KINDS:
         raise SceneError(
             f"{file}: chart: expected {' or '.join(map(repr, KINDS))}, got {table['chart']!r}; without the key"
             " `chart` it is an ensemble"
         )
     found = kind(table["chart"])
-    try:
-        return found, found.scene.model_validate(table)
-    except ValidationError as error:
-        lines = []
-        for detail in error.errors():
-            key, *places = detail["loc"] or (None,)
-            path = f"{key or ''}{''.join(f'[{place}]' for place in places if isinstance(place, int))}"
-            lines.append(f"{file}: {problem(path, found.scene, key if isinstance(key, str) else None, detail)}")
-        raise SceneError("\n".join(lines)) from None
+    return found, as_scene(found.scene, table, str(file))

@@ -27,7 +27,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 import sim
 from pipeline import parse_scene, run_scene
 from pipeline.members import MATRIX
-from pipeline.scene import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
+from pipeline.tables import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
 from workflows.charts import ChartScene, Say
 from workflows.charts.alone import Product, versions
 from workflows.charts.peers import W0, Z0, Floats

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 import sim
-from pipeline.scene import BlockNumbers, Count, Positive, as_tuple, distinct
+from pipeline.tables import BlockNumbers, Count, Positive, as_tuple, distinct
 from workflows.charts import ChartScene, Say
 from workflows.charts.alone import Product, versions
 from workflows.charts.peers import (

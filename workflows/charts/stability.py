@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 import sim
-from pipeline.scene import Blocks, Count, Positive, as_tuple, distinct
+from pipeline.tables import Blocks, Count, Positive, as_tuple, distinct
 from workflows.charts import ChartScene, Say
 from workflows.charts.alone import versions
 from workflows.charts.fixed import whole_steps

@@ -22,7 +22,7 @@ from scipy import stats
 import sim
 from analysis.cascades import Law, sizes, window
 from analysis.fits import Estimate, gamma, gamma_difference, over_matrices, ratio
-from pipeline.scene import Blocks, Natural, Positive, as_tuple, distinct
+from pipeline.tables import Blocks, Natural, Positive, as_tuple, distinct
 from workflows.charts import ChartScene, Say
 from workflows.charts.alone import Product, versions
 from workflows.charts.fixed import moreau_jean

@@ -12,17 +12,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 import sim
 from pipeline.members import MATRIX, PERTURBATION, RATIO
-from pipeline.scene import (
-    TOLERANCES,
-    BlockNumbers,
-    Blocks,
-    Count,
-    Positive,
-    PositiveNumbers,
-    Purpose,
-    as_tuple,
-    distinct,
-)
+from pipeline.scene import TOLERANCES, Purpose
+from pipeline.tables import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
 from workflows.charts import ChartScene
 from workflows.charts.peers import W0, Z0, Floats
 

@@ -1,0 +1,236 @@
+"""What every scene file is made of, an ensemble's or a chart's: strict tables of TOML; errors name the key."""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+import json
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import ErrorDetails, core_schema
+
+#: A dense K of this many blocks is 80 GB.
+MAX_BLOCKS = 100_000
+
+
+class SceneError(ValueError):
+    """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
+
+
+# ---------------------------------------------------------------------------------------------- tables
+
+
+class StrictTable(BaseModel):
+    """A table of a TOML file: nothing unknown, nothing converted, nothing infinite."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Value = TypeVar("Value", int, float)
+Table = TypeVar("Table", bound=StrictTable)
+
+
+def as_tuple(value: object) -> object:
+    """A single number stands for a list of one; a list becomes a tuple, as frozen models hold."""
+    if isinstance(value, list):
+        return tuple(value)
+    return value if isinstance(value, tuple) else (value,)
+
+
+def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
+    """Ascending and without duplicates: the order in the file means nothing."""
+    doubled = sorted({value for value in values if values.count(value) > 1})
+    if doubled:
+        raise ValueError(f"expected each value once, got {doubled[0]!r} more than once; remove the duplicates")
+    return tuple(sorted(values))
+
+
+Blocks = Annotated[int, Field(ge=1, le=MAX_BLOCKS)]
+Positive = Annotated[float, Field(gt=0)]
+Natural = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+BlockNumbers = Annotated[
+    tuple[Blocks, ...],
+    Field(min_length=1),
+    BeforeValidator(as_tuple, json_schema_input_type=Blocks | Annotated[list[Blocks], Field(min_length=1)]),
+    AfterValidator(distinct),
+]
+PositiveNumbers = Annotated[
+    tuple[Positive, ...],
+    Field(min_length=1),
+    BeforeValidator(as_tuple, json_schema_input_type=Positive | Annotated[list[Positive], Field(min_length=1)]),
+    AfterValidator(distinct),
+]
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+def read_source(path: str | Path) -> bytes:
+    """The bytes of a scene file.
+
+    Raises
+    ------
+    SceneError
+        If it cannot be read.
+    """
+    path = Path(path)
+    try:
+        return path.read_bytes()
+    except IsADirectoryError:
+        raise SceneError(f"{path}: expected a scene file, got a directory; name the .toml file in it") from None
+    except FileNotFoundError:
+        raise SceneError(f"{path}: expected a scene file, found nothing there; check the path") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def parse_toml(source: bytes, name: str) -> dict[str, Any]:
+    """The tables that a scene file holds, as they are written; `name` is what errors call it.
+
+    Raises
+    ------
+    SceneError
+        If it is not TOML.
+    """
+    if source.startswith(codecs.BOM_UTF8):
+        raise SceneError(f"{name}: expected plain UTF-8, got a byte order mark; save the file as UTF-8 without it")
+    try:
+        text = source.decode()
+    except UnicodeDecodeError as error:
+        line = source.count(b"\n", 0, error.start) + 1
+        raise SceneError(f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; "
+                         f"save the file as UTF-8") from None  # fmt: skip
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
+        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
+
+
+def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
+    """A scene of one kind from what its file holds.
+
+    Raises
+    ------
+    SceneError
+        If it is none; one line a problem.
+    """
+    try:
+        return kind.model_validate(tables)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error, kind))) from None
+
+
+class _OfToml(GenerateJsonSchema):
+    """JSON Schema of TOML, which has no null: what may be left out is just that."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        found = super().default_schema(schema)
+        if isinstance(found.get("default"), dict | None):  # of a table the keys have their own
+            found.pop("default", None)
+        return found
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False  # the names of the keys with a capital
+
+
+def json_schema(kind: type[StrictTable]) -> dict[str, Any]:
+    """JSON Schema (draft 7) of the scene files of one kind, for editors.
+
+    It has keys, types, ranges, choices, defaults and examples. What keys demand of each other is `as_scene`'s to
+    check: it refuses all that the schema refuses, and more.
+    """
+    return {"$schema": "http://json-schema.org/draft-07/schema#", **kind.model_json_schema(schema_generator=_OfToml)}
+
+
+# ---------------------------------------------------------------------------------------------- errors
+
+
+def did_you_mean(word: object, known: Sequence[str]) -> str:
+    """What `word` may have been meant for, as the end of a message; empty if nothing is near."""
+    close = difflib.get_close_matches(str(word), known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _keys(table: type[BaseModel]) -> dict[str, Any]:
+    return {field.alias or name: field for name, field in table.model_fields.items()}
+
+
+def _tables(annotation: Any) -> dict[str, type[BaseModel]]:
+    """The tables that may stand at a key, by what their key `name` has to be; "" where there is no choice."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        name = annotation.model_fields.get("name")
+        return dict.fromkeys(get_args(name.annotation) if name else ("",), annotation)
+    found: dict[str, type[BaseModel]] = {}
+    for part in get_args(annotation):
+        found |= _tables(part)
+    return found
+
+
+def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str, type[BaseModel], str | None]:
+    """Path as the file has it, the table it is in, and the key there (None: the table itself is meant)."""
+    path, key = "", None
+    choices: dict[str, type[BaseModel]] = {}
+    for part in location:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif part in choices:  # the name that chose among several is no part of the path
+            table, key, choices = choices[part], None, {}
+        else:
+            path += f".{part}" if path else part
+            field = _keys(table).get(part)
+            choices = _tables(field.annotation) if field else {}
+            table, key = (choices.pop(""), None) if "" in choices else (table, part)
+    return path, table, key
+
+
+def _problems(error: ValidationError, kind: type[BaseModel]) -> Iterator[str]:
+    """One line a problem: key, expected, got, remedy."""
+    for detail in error.errors():
+        path, table, key = _place(detail["loc"], kind)
+        yield _problem(path, table, key, detail)
+
+
+def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDetails) -> str:
+    kind, value = detail["type"], detail["input"]
+    fields = _keys(table)
+    field = fields.get(key) if key is not None else None
+    example = f"`{key} = {json.dumps(field.examples[0])}`" if field and field.examples else ""
+
+    if kind == "value_error":  # our own words, which name the key where a whole table was looked at
+        message = str(detail["ctx"]["error"])
+        return f"{path}: {message}" if key else f"{path}.{message}".lstrip(".")
+    if kind == "extra_forbidden":
+        parent, _, word = path.rpartition(".")
+        remedy = did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
+        return f"{path}: unknown key of {f'[{parent}]' if parent else 'a scene'}{remedy}"
+    if kind == "missing" and example:
+        return f"{path}: expected the {field.description if field else key}, found nothing; add {example}"
+    if kind == "missing":
+        return f"{path}: expected a table, found none; add {f'[[{path}]]' if key else f'[{path}]'} and its keys"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        names, name = tuple(_tables(field.annotation)) if field else (), value.get("name")
+        remedy = did_you_mean(name, names) or f'; write `name = "{names[0]}"`'
+        return f"{path}.name: expected one of {', '.join(names)}, got {_shown(name)}{remedy}"
+    if kind in ("model_type", "model_attributes_type"):
+        table_line = f"[[{key}]]" if key else f"[{path}]"
+        return f"{path}: expected a table, got {_shown(value)}; write {table_line} on a line, its keys below"
+
+    expected = "at least one value" if kind == "too_short" else detail["msg"].removeprefix("Input should be ")
+    if expected.startswith(("greater", "less")):
+        expected = f"a value {expected}"
+    got = _shown(list(value) if isinstance(value, tuple) else value)
+    remedy = f"; write {example and f'{example}, say: '}the {field.description}" if field else ""
+    return f"{path}: expected {expected}, got {got}{remedy}"
