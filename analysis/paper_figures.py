@@ -11,16 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, WIDTH
+from analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, subplots
 from analysis.words import PAPER_GAMMA
 
 #: Line styles beside the colours, so that grey print tells curves apart.
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-
-
-def _grid(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
 
 
 # ---------------------------------------------------------------------------------------------- figure 1
@@ -39,7 +34,7 @@ class Portrait(NamedTuple):
 def phase_portraits(portraits: Sequence[Portrait]) -> Figure:
     """Figure 1: z against z' for each v; the stick interval thick, the exit point E marked, its path bold."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(1, len(portraits), 3.4, sharey=True)
+        figure, axes = subplots(1, len(portraits), 3.4, sharey=True)
         for ax, one in zip(axes[0], portraits, strict=True):
             ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9)
             for z, w, is_exit in one.paths:
@@ -106,7 +101,7 @@ def parallelograms(signs: Sequence[Parallelogram]) -> Figure:
     """
     first = signs[0]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 6.0), layout="constrained")
+        figure = blank(6.0)
         grid = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
         for k, one in enumerate(signs):
             ax = figure.add_subplot(grid[0, 3 * k : 3 * k + 3])
@@ -185,7 +180,7 @@ def n_stick_panels(panels: Sequence[tuple[str, Sequence[Curve]]], columns: int =
     """
     rows = -(-len(panels) // columns)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(rows, columns, 0.4 + 1.9 * rows)
+        figure, axes = subplots(rows, columns, 0.4 + 1.9 * rows)
         for ax in axes.flat[len(panels) :]:
             ax.set_axis_off()
         for ax, (title, curves) in zip(axes.flat, panels, strict=False):
@@ -225,7 +220,7 @@ def long_runs(
         the paper's are drawn through the mean of the sizes 1. None: no fit, no line.
     """
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 1.0 + 1.05 * len(runs) + 2.6), layout="constrained")
+        figure = blank(1.0 + 1.05 * len(runs) + 2.6)
         grid = figure.add_gridspec(len(runs) + 1, len(laws), height_ratios=[1.0] * len(runs) + [2.3])
         above: list[Axes] = []
         for k, (title, curve) in enumerate(runs):
@@ -271,7 +266,7 @@ def blow_ups(
         `rate`, shape (2, m, m): lambda_1' and lambda_2' at rate[:, j, i] for lambda = (axis[i], axis[j]).
     """
     with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(1, len(panels), 3.7, sharey=True)
+        figure, axes = subplots(1, len(panels), 3.7, sharey=True)
         for ax, (title, axis, rate, modes) in zip(axes[0], panels, strict=True):
             ax.streamplot(
                 np.asarray(axis), np.asarray(axis), *rate, color=BLUE, density=0.7, linewidth=0.8,
@@ -308,7 +303,7 @@ def slow_modes(
     t_end = max(t[-1] for _, t, _ in runs)
     lost = max((t for t, *_, is_stable in points if not is_stable), default=0.0)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(1, 2, 3.0, sharey=True)
+        figure, axes = subplots(1, 2, 3.0, sharey=True)
         kinds = ((True, "o", 3.5, "mode, stable"), (False, "x", 3.0, "mode, saddle"))
         panels = (("(c) at first", 2.0 * lost or t_end), ("(d) to the exit", 1.05 * t_end))
         for ax, (title, end) in zip(axes[0], panels, strict=True):
@@ -341,7 +336,7 @@ def futures(
     """
     axis, resistance, target, modes = law
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
+        figure = blank(2.9)
         left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
         left.plot(axis, resistance, color=BLUE, label="s(λ)")
         left.axhline(target, color=GREY, linestyle="--", linewidth=0.9, label="−F/μ")
@@ -375,7 +370,7 @@ def survival(moving: Sequence[Share], stable: Sequence[Share], diverged: Sequenc
         (diverged, ORANGE, "^", ":", "diverged"),
     )
     with matplotlib.rc_context(STYLE):
-        figure, axes = _grid(1, 1, 2.9)
+        figure, axes = subplots(1, 1, 2.9)
         ax = axes[0, 0]
         for k, (shares, colour, marker, dash, label) in enumerate(curves):
             value = np.array([share.value for share in shares])

@@ -14,7 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, WIDTH, svg
+from analysis.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, svg
 from sim import System, simulate
 from sim.geometry import sticking_lambda, two_blocks
 
@@ -32,7 +32,7 @@ def exact_engine() -> Figure:
     run = simulate(system, 0.0, -1.0, _T_END, t_eval=t, tol=1e-13, stop_early=False)
     modes = np.array([run.events.mode_at(time) for time in t])
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        figure = blank(4.2)
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         speeds = figure.add_subplot(grid[0, 0])
         forces = figure.add_subplot(grid[1, 0], sharex=speeds)

@@ -138,7 +138,7 @@ def _local_cluster(workers: int, loop: LoopRunner) -> LocalCluster:
         raise ScheduleError(
             f"expected {workers} workers on this machine, could not start them ({error}); see that "
             f"{dask.config.get('temporary-directory') or tempfile.gettempdir()} can be written, then run the same "
-            f"scene again"
+            f'scene again; in a script, which every worker loads, call run_scene under if __name__ == "__main__":'
         ) from error
 
 

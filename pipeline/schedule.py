@@ -79,6 +79,8 @@ def run_scene(
 ) -> Status:
     """Run a scene into the dataset at `out`, or what is missing of it; the same bytes whatever the workers.
 
+    In a script call it under ``if __name__ == "__main__":``, for workers of this machine load the script too.
+
     Parameters
     ----------
     scene : Scene

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
 
 from analysis.cascades import SAMPLED
-from analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, WIDTH
+from analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, subplots
 from analysis.words import PAPER_GAMMA
 
 Row = Mapping[str, Any]
@@ -35,8 +35,8 @@ def gamma_curves(rows: Sequence[Row]) -> Figure:
     names = [name for name in (*SAMPLED, "clusters") if name in known]
     n_rows = -(-(len(names) + 1) // 3)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.7 + 2.1 * n_rows), layout="constrained")
-        axes = list(figure.subplots(n_rows, 3, squeeze=False, sharey=True).flat)
+        figure, grid = subplots(n_rows, 3, 0.7 + 2.1 * n_rows, sharey=True)
+        axes = list(grid.flat)
         for name, ax in zip(names, axes, strict=False):
             for k, group in enumerate(groups):
                 some = [row for row in rows if (row["group"], row["definition"]) == (group, name)]
@@ -110,8 +110,7 @@ def gamma_map(rows: Sequence[Row]) -> Figure:
     shown = [row["gamma"] for row in rows if row["gamma"] is not None and row["dt"] is not None]
     norm = LogNorm(min(shown), max(shown))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
-        axes = figure.subplots(2, 2, squeeze=False, sharex=True, sharey=True)
+        figure, axes = subplots(2, 2, 5.2, sharex=True, sharey=True)
         image = None
         for name, ax in zip(names, axes.flat, strict=False):
             cell = {(row["threshold"], row["dt"]): row for row in rows if row["definition"] == name}
@@ -174,8 +173,7 @@ def clustering(panels: Sequence[tuple[str, Sequence[Row], Sequence[Row], Sequenc
         Rows of the tables of those names of one group, the pairs of one null model.
     """
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.6 + 2.4 * len(panels)), layout="constrained")
-        axes = figure.subplots(len(panels), 2, squeeze=False)
+        figure, axes = subplots(len(panels), 2, 0.6 + 2.4 * len(panels))
         for (left, right), (label, pair_rows, fano_rows, control_rows) in zip(axes, panels, strict=True):
             _effects(left, pair_rows, "tau", "excess", "excess_low", "excess_high", "observed, with interval")
             _effects(right, fano_rows, "window", "fano", "fano_low", "fano_high", "observed, with interval")
@@ -236,8 +234,7 @@ def tails(panels: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.nda
         `chance` is what rotation (or independence) gives, each at the same x.
     """
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.5 + 2.2 * -(-len(panels) // 2)), layout="constrained")
-        axes = figure.subplots(-(-len(panels) // 2), 2, squeeze=False, sharey=True)
+        figure, axes = subplots(-(-len(panels) // 2), 2, 0.5 + 2.2 * -(-len(panels) // 2), sharey=True)
         for ax, (label, x, observed, chance, exponential) in zip(axes.flat, panels, strict=False):
             ax.plot(x, exponential, color=GREY, linestyle=":", label="exponential of the same mean")
             ax.plot(x, chance, color="black", linewidth=0.8, label="chance")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.figures import CYCLE, GREY, STYLE, WIDTH
+from analysis.figures import CYCLE, GREY, STYLE, subplots
 from analysis.section import Picture
 
 if TYPE_CHECKING:
@@ -25,11 +25,6 @@ Panel = tuple[str, Sequence[Line], Sequence[Line], float | None]  # setting, dis
 _DASHES = ("-", "--", "-.", ":")
 _MARKS = {EQUIVALENT: ("o", CYCLE[0]), DIFFERENT: ("s", CYCLE[1]), OPEN: ("D", GREY)}
 _NARROW = ("narrow_low", "narrow_high")
-
-
-def _figure(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
 
 
 def parting(panels: Sequence[Panel]) -> Picture:
@@ -57,7 +52,7 @@ def _parting(panels: Sequence[Panel]) -> Figure:
     style = _styles(list(dict.fromkeys((family, label) for family, label, *_ in lines)))
     with_states = any(distances for _, distances, *_ in panels)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(len(panels), 1 + with_states, 1.1 + 2.0 * len(panels), sharex=True)
+        figure, axes = subplots(len(panels), 1 + with_states, 1.1 + 2.0 * len(panels), sharex=True)
         for row, (title, distances, differences, level) in zip(axes, panels, strict=True):
             right = row[-1]
             for ax, some in zip(row, (distances, differences) if with_states else (differences,), strict=True):
@@ -97,7 +92,7 @@ def growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Picture:
 
 def _growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Figure:
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(1, 1, 3.0)
+        figure, axes = subplots(1, 1, 3.0)
         ax = axes[0, 0]
         ax.axhline(0, color=GREY, linewidth=0.6)
         for k, (row, draws) in enumerate(groups):
@@ -164,7 +159,7 @@ def _forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
     quantities = list(dict.fromkeys(row["quantity"] for _, rows in panels for row in rows))
     n_lines = [len({row["change"] for row in rows}) for _, rows in panels]
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(
+        figure, axes = subplots(
             len(panels), len(quantities), 0.9 + 0.55 * len(panels) + 0.2 * sum(n_lines), sharey="row",
             gridspec_kw={"height_ratios": [n + 1.5 for n in n_lines]},
         )  # fmt: skip
@@ -231,7 +226,7 @@ def fates(rows: Sequence[Row], draws: Sequence[Row]) -> Picture:
 def _fates(rows: Sequence[Row], draws: Sequence[Row]) -> Figure:
     labels = [row["setting"] for row in rows]
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(2, 1, 4.6, sharex=True)
+        figure, axes = subplots(2, 1, 4.6, sharex=True)
         (top,), (low,) = axes
         floor = np.zeros(len(rows))
         shown = [name for name in _FATES if name != "failed" and any(row[f"n_{name}"] for row in rows)]
@@ -285,7 +280,7 @@ def _contrasts(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
     columns = min(len(panels), 3)
     n_rows = -(-len(panels) // columns)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(n_rows, columns, n_rows * (0.6 + 0.17 * len(names)) + 0.5, sharey=True)
+        figure, axes = subplots(n_rows, columns, n_rows * (0.6 + 0.17 * len(names)) + 0.5, sharey=True)
         for ax, (label, rows) in zip(axes.flat, panels, strict=False):
             ax.axvspan(-1, 1, color=GREY, alpha=0.15, linewidth=0)
             ax.axvline(0, color=GREY, linewidth=0.6)
@@ -344,7 +339,7 @@ def _survival_curves(panels: Sequence[tuple[str, Curve, float]]) -> Figure:
     n_rows = -(-len(panels) // columns)
     ends = [end for end in ("collapsed", "silent", "diverged") if any(c.incidence[end][-1] > 0 for _, c, _ in panels)]
     with matplotlib.rc_context(STYLE):
-        figure, axes = _figure(n_rows, columns, 0.7 + 1.7 * n_rows, sharex=True, sharey=True)
+        figure, axes = subplots(n_rows, columns, 0.7 + 1.7 * n_rows, sharex=True, sharey=True)
         for ax, (label, curve, t_end) in zip(axes.flat, panels, strict=False):
             t, colour = np.append(curve.t, t_end), _FATES["sustained"][1]
             ax.step(t, _held(curve.survival), where="post", color=colour)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from analysis.figures import CYCLE, GREY, STYLE, WIDTH
+from analysis.figures import CYCLE, GREY, STYLE, subplots
 from analysis.law.goodness import Quotient
 
 _DASHES = ("-", "--", ":", "-.", (0, (5, 1)))
@@ -36,8 +36,7 @@ def quotient_panels(panels: Sequence[Panel]) -> Figure:
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.8 + 2.3 * rows), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        figure, axes = subplots(rows, columns, 0.8 + 2.3 * rows, sharey=True)
         for ax, panel in zip(axes.flat, panels, strict=False):
             _panel(ax, panel)
         for ax in axes.flat[len(panels) :]:

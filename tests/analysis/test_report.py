@@ -1,6 +1,5 @@
 """The report: its sentences follow the numbers, nothing is invented, nothing crashes."""
 
-import inspect
 import json
 import math
 import re
@@ -11,13 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import AnalysisSettings, Data, build, figures
-from analysis.chance import figures as chance_figures
+from analysis import AnalysisSettings, Data, build
 from analysis.chance.clustering_section import clustering_section
 from analysis.fits import LN2
-from analysis.law import figures as law_figures
-
-DRAWN = ("too_little_data", "same_bytes", "needs_nothing")
+from analysis.report import on_demand
 
 
 @pytest.fixture(autouse=True)
@@ -27,21 +23,14 @@ def few_controls(monkeypatch):
     monkeypatch.setattr("analysis.report.clustering_section", few)
 
 
-@pytest.fixture(autouse=True)
-def undrawn(request, monkeypatch):
+def undrawn(recipe):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
-    if any(name in request.node.name for name in DRAWN):
-        return
-    monkeypatch.setattr("analysis.figures.embedded", lambda figure: "data:image/svg+xml;base64,")
-    for module in (figures, chance_figures, law_figures):
-        for name, one in vars(module).items():
-            if inspect.isfunction(one) and one.__module__ == module.__name__:
-                monkeypatch.setattr(module, name, lambda *_, **__: None)
+    return lambda: "data:image/svg+xml;base64,"
 
 
-def report_of(data, settings, title="Planted", about="Planted series.", provenance=None):
+def report_of(data, settings, title="Planted", about="Planted series.", provenance=None, draw=undrawn):
     members, series = data
-    return build(Data(members, series), settings, title, about, provenance or {"scene": "planted"})
+    return build(Data(members, series), settings, title, about, provenance or {"scene": "planted"}, draw)
 
 
 def text_of(report):
@@ -219,7 +208,7 @@ def scarce(planted):
     ],
 )
 def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, tmp_path, name, words):
-    report = report_of(scarce[name], settings)
+    report = report_of(scarce[name], settings, draw=on_demand)
     assert words in text_of(report)
     said = "To t = 1000, n = 200, coulomb: all came to slip for good" if name == "all collapsed" else words
     assert said in " ".join(report.headline)
@@ -236,8 +225,8 @@ def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, tmp_path, 
 def test_the_report_twice_is_the_same_bytes_whatever_the_order_of_rows(planted, settings, tmp_path):
     members, series = planted.ensemble({"coulomb": LN2, "sigmoid": 0.6}, 3)
     backwards = dict(reversed(series.items()))
-    one = report_of((members, series), settings)
-    two = report_of((members.iloc[::-1], backwards), settings)
+    one = report_of((members, series), settings, draw=on_demand)
+    two = report_of((members.iloc[::-1], backwards), settings, draw=on_demand)
     assert one.html == two.html
     assert one.headline == two.headline
     for name, report in (("one", one), ("two", two)):
@@ -302,7 +291,7 @@ def test_what_users_write_is_escaped(planted, settings):
 
 
 def test_the_page_needs_nothing_from_elsewhere(planted, settings):
-    html = report_of(planted.ensemble({"coulomb": LN2}, 2), settings).html
+    html = report_of(planted.ensemble({"coulomb": LN2}, 2), settings, draw=on_demand).html
     sources = re.findall(r'(?:src|href)="(.{5})', html)
     assert sources
     assert set(sources) == {"data:"}

@@ -77,6 +77,21 @@ def test_no_scheduler_there(scene, source, tmp_path, monkeypatch):
     assert not (tmp_path / "other").exists()
 
 
+def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
+    (tmp_path / "small.toml").write_bytes(source)
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from pipeline import load_scene, run_scene\n"
+        "file = Path('small.toml')\n"
+        "run_scene(load_scene(file), file.read_bytes(), 'out')\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert 'call run_scene under if __name__ == "__main__":' in done.stderr.splitlines()[-1]
+
+
 def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, tmp_path):
     def interrupt(progress):
         if progress.n_done:

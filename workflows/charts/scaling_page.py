@@ -11,7 +11,7 @@ from jinja2 import Environment
 from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
-from analysis import Report, figures
+from analysis import Report, chart_figures
 from analysis.figures import embedded
 from analysis.report import page_environment
 from workflows.charts import Kind
@@ -371,10 +371,10 @@ def _figure(measured: Measured, fits: dict[tuple[str, str], dict[str, Growth]]) 
             if quantity in fits[which]
         ]
         panels.append((label, curves, slope))
-    return figures.scaling(panels, [(row.n_vectors, row.share) for row in measured.lockstep])
+    return chart_figures.scaling(panels, [(row.n_vectors, row.share) for row in measured.lockstep])
 
 
-def _points(rows: Sequence[Cost], quantity: Quantity, unit: float) -> figures.Points:
+def _points(rows: Sequence[Cost], quantity: Quantity, unit: float) -> chart_figures.Points:
     """Value, least and most in that unit."""
     points = []
     for row in rows:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, figures
+from analysis import Report, chart_figures
 from analysis.figures import embedded
 from analysis.report import page_environment
 from workflows.charts import Kind
@@ -178,7 +178,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
     html = _environment().get_template("speed.html").render(
         scene=scene,
         answer=answer,
-        src=embedded(figures.speed_accuracy([_drawn(panel) for panel in panels])),
+        src=embedded(chart_figures.speed_accuracy([_drawn(panel) for panel in panels])),
         at_error=[(panel.title, _by_method(panel)) for panel in panels],
         targets=TARGETS,
         costs=measured.costs,
@@ -201,15 +201,15 @@ def _by_method(panel: _Panel) -> list[tuple[str, list[float | None]]]:
     return [(name, [column[name] for column in at]) for name in at[0]]
 
 
-def _drawn(panel: _Panel) -> tuple[str, list[figures.Curve], float | None, int | None]:
-    curves: list[figures.Curve] = []
+def _drawn(panel: _Panel) -> tuple[str, list[chart_figures.Curve], float | None, int | None]:
+    curves: list[chart_figures.Curve] = []
     for name, curve in panel.curves.items():
         errors, products = _points(curve)
         if errors:
             done = [cost for cost in curve if cost.error is not None]
             least = [_LEAST * cost.computed for cost in done if cost.computed is not None and name in _OURS]
             is_bound = [cost.is_bound for cost in done]
-            curves.append(figures.Curve(name, name in _OURS, products, errors, is_bound, least))
+            curves.append(chart_figures.Curve(name, name in _OURS, products, errors, is_bound, least))
     return panel.title, curves, panel.reference.floor, panel.exact.n_events
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, figures
+from analysis import Report, chart_figures
 from analysis.figures import embedded
 from analysis.report import page_environment
 from workflows.charts import Kind
@@ -258,7 +258,7 @@ def _limit_line(
     return [(float(x), float(y)) for x, y in zip(at, h, strict=True) if steps[0] <= y <= steps[-1]]
 
 
-def _drawn(axis: Axis, maps: dict[str, list[Cell]]) -> list[figures.Map]:
+def _drawn(axis: Axis, maps: dict[str, list[Cell]]) -> list[chart_figures.Map]:
     drawn = []
     for name, cells in maps.items():
         is_step = _CONTROL.get(name) == "step"
@@ -266,7 +266,7 @@ def _drawn(axis: Axis, maps: dict[str, list[Cell]]) -> list[figures.Map]:
         points = [(c.stiffness, (c.step if is_step else c.tolerance) or 0.0, str(c.outcome), c.error) for c in cells]
         settings = sorted({setting for _, setting, *_ in points})
         line = _limit_line(axis, name, stiffness, settings)
-        drawn.append(figures.Map(name, TITLES[axis][1], is_step, stiffness, settings, points, line))
+        drawn.append(chart_figures.Map(name, TITLES[axis][1], is_step, stiffness, settings, points, line))
     return drawn
 
 
@@ -307,13 +307,13 @@ def build(scene: StabilityScene, measured: Measured) -> Report:
     for title, axes in _FIGURES.items():
         drawn = [one for axis in axes if axis in groups for one in _drawn(axis, groups[axis])]
         if drawn:
-            pictures.append((title, embedded(figures.stability_maps(drawn))))
+            pictures.append((title, embedded(chart_figures.stability_maps(drawn))))
     absent = sorted({f"{c.method} ({c.reason})" for c in measured.cells if c.outcome == "absent"})
     html = _environment().get_template("stability.html").render(
         scene=scene,
         answer=answer,
         pictures=pictures,
-        theory=embedded(figures.linear_theory(*_linear())),
+        theory=embedded(chart_figures.linear_theory(*_linear())),
         limits=[(t.name, t.stable_to) for t in TABLEAUS.values()],
         mild=_MILD,
         stiff=_STIFF,

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, figures
+from analysis import Report, chart_figures
 from analysis.figures import embedded
 from analysis.fits import Estimate
 from analysis.report import page_environment
@@ -38,7 +38,7 @@ _ALIKE = 1.05
 
 #: Value, low and high in units of a sampling error; and what the figure takes.
 _Ends = tuple[float, float, float]
-_Drawn = list[tuple[str, list[tuple[list[figures.Biases], _Ends | None]]]]
+_Drawn = list[tuple[str, list[tuple[list[chart_figures.Biases], _Ends | None]]]]
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ def build(scene: StatisticsScene, measured: Measured) -> Report:
         scene=scene,
         answer=answer,
         level=percent(measured.confidence),
-        src=embedded(figures.statistics_cost(_drawn(by_method, differences, allowed), list(LAWS.values()))),
+        src=embedded(chart_figures.statistics_cost(_drawn(by_method, differences, allowed), list(LAWS.values()))),
         statistics=list(STATISTICS),
         laws={LAWS[model]: _of(by_method, model) for model in LAWS},
         references={LAWS[model]: (_asked(*REFERENCES[model]), REFERENCES[model][0], rows)
@@ -349,7 +349,7 @@ def _drawn(
     """The figure's points, in units of each law's own sampling error; what has no interval is not drawn."""
     found: _Drawn = []
     for statistic in STATISTICS:
-        panels: list[tuple[list[figures.Biases], _Ends | None]] = []
+        panels: list[tuple[list[chart_figures.Biases], _Ends | None]] = []
         for model in LAWS:
             methods = [
                 points
@@ -368,7 +368,7 @@ def _scaled(found: Estimate, error: float | None) -> _Ends | None:
     return found.value / error, found.low / error, found.high / error
 
 
-def _points(method: str, statistic: str, settings: Sequence[_Setting]) -> figures.Biases | None:
+def _points(method: str, statistic: str, settings: Sequence[_Setting]) -> chart_figures.Biases | None:
     points = []
     for one in settings:
         (row,) = (row for row in one.rows if row.statistic == statistic)
@@ -377,7 +377,7 @@ def _points(method: str, statistic: str, settings: Sequence[_Setting]) -> figure
             points.append((row.products, *ends, _short(method, one.setting)))
     if not points:
         return None
-    return figures.Biases(method, method != "Moreau-Jean", *map(list, zip(*points, strict=True)))
+    return chart_figures.Biases(method, method != "Moreau-Jean", *map(list, zip(*points, strict=True)))
 
 
 def _environment() -> Environment:

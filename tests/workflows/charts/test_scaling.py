@@ -11,7 +11,7 @@ import pytest
 import scipy.sparse
 
 import sim
-from analysis import figures
+from analysis import chart_figures
 from pipeline import parse_scene
 from workflows import charts
 from workflows.charts import alone, scaling
@@ -358,7 +358,7 @@ def test_points_that_do_not_count_are_hollow():
         (40, 4.0, 3.9, 4.1, True),
         (80, 8.0, 7.0, 9.0, True),
     ]
-    event, shared = figures.scaling([("time", [("random", points, 1.0)], 1.0)], [(1, 1.0), (2, 0.6)]).axes
+    event, shared = chart_figures.scaling([("time", [("random", points, 1.0)], 1.0)], [(1, 1.0), (2, 0.6)]).axes
     hollow = [drawn.get_xdata()[0] for drawn in event.lines if drawn.get_markerfacecolor() == "white"]
     assert hollow == [10]
     (fit,) = (drawn for drawn in event.lines if drawn.get_linestyle() == "--" and len(drawn.get_xdata()) == 3)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import sim
-from analysis import figures
+from analysis import chart_figures
 from workflows import charts
 from workflows.charts import alone, speed
 from workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
@@ -342,9 +342,10 @@ def test_words_say_who_is_cheapest_and_by_what_factor(scene_file):
 
 def test_every_method_of_the_chart_has_a_line_of_its_own():
     curves = [
-        figures.Curve(method.name, method.is_ours, [1e3, 2e3], [1e-4, 1e-6], [False, True]) for method in METHODS
+        chart_figures.Curve(method.name, method.is_ours, [1e3, 2e3], [1e-4, 1e-6], [False, True])
+        for method in METHODS
     ]
-    (ax,) = figures.speed_accuracy([("n = 5", curves, 1e-6, 12)]).axes
+    (ax,) = chart_figures.speed_accuracy([("n = 5", curves, 1e-6, 12)]).axes
     lines = [line for line in ax.lines if line.get_label() in {method.name for method in METHODS}]
     assert len(lines) == len(METHODS)
     assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(METHODS)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import figures
+from analysis import chart_figures
 from sim.esdirk import TABLEAU
 from workflows import charts
 from workflows.charts import alone, stability
@@ -306,8 +306,8 @@ def test_the_same_numbers_give_the_same_page(scene):
 def test_every_outcome_has_a_look_of_its_own():
     outcomes = ("right", "rough", "wrong", "failed", "too slow", "not judged")
     cells = [(10.0 ** (k + 1), 1e-3, outcome, 1e-4) for k, outcome in enumerate(outcomes)]
-    one = figures.Map("a", "stiffness", False, [c[0] for c in cells], [1e-3], cells)
-    (ax,) = [ax for ax in figures.stability_maps([one]).axes if ax.patches]
+    one = chart_figures.Map("a", "stiffness", False, [c[0] for c in cells], [1e-3], cells)
+    (ax,) = [ax for ax in chart_figures.stability_maps([one]).axes if ax.patches]
     looks = {(patch.get_facecolor(), text.get_text()) for patch, text in zip(ax.patches, ax.texts, strict=True)}
     assert len(looks) == len(outcomes)
 
@@ -316,6 +316,6 @@ def test_the_limit_is_drawn_where_it_is():
     """h = 2 / stiffness passes the centres of the cells (20, 0.1) and (2000, 0.001)."""
     stiffness, steps = [20.0, 200.0, 2000.0], [1e-3, 1e-2, 1e-1]
     line = [(s, 2.0 / s) for s in stiffness]
-    one = figures.Map("a", "stiffness", True, stiffness, steps, [(20.0, 1e-3, "right", 1e-4)], line)
-    (drawn,) = next(ax for ax in figures.stability_maps([one]).axes if ax.patches).lines
+    one = chart_figures.Map("a", "stiffness", True, stiffness, steps, [(20.0, 1e-3, "right", 1e-4)], line)
+    (drawn,) = next(ax for ax in chart_figures.stability_maps([one]).axes if ax.patches).lines
     np.testing.assert_allclose(drawn.get_xydata(), [[0, 2], [1, 1], [2, 0]], atol=1e-12)

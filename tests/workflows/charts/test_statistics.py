@@ -11,7 +11,7 @@ import scipy.sparse
 from scipy import stats
 
 import sim
-from analysis import figures
+from analysis import chart_figures
 from workflows import charts
 from workflows.charts import alone, statistics
 from workflows.charts.fixed import BEYOND, STEPPERS, moreau_jean, whole_steps
@@ -382,10 +382,10 @@ def test_methods_for_the_same_law_are_compared_where_both_are_sufficient(scene):
 
 
 def test_the_figure_holds_every_point_and_the_band(scene):
-    points = figures.Biases(
+    points = chart_figures.Biases(
         "a", True, [4.0, 1.0, 2.0], [0.0, 0.5, -30.0], [-0.1, 0.2, -40.0], [0.1, 0.8, -20.0], "xyz"
     )
-    (ax,) = figures.statistics_cost([("gamma", [([points], (0.5, 0.1, 0.9))])], ["Sigmoid"]).axes
+    (ax,) = chart_figures.statistics_cost([("gamma", [([points], (0.5, 0.1, 0.9))])], ["Sigmoid"]).axes
     assert ax.get_ylim()[0] < -40.0
     assert {text.get_text(): text.get_va() for text in ax.texts} == {"x": "top", "y": "top", "z": "bottom"}
     line = next(line for line in ax.lines if len(line.get_xdata()) == 3)
