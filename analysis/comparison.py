@@ -12,6 +12,7 @@ from analysis import words
 from analysis.change import figures as twin_figures
 from analysis.change.contrast import (
     SHARE_MARGIN,
+    SHARES_ADJUSTED,
     contrast,
     in_words,
     judged,
@@ -20,7 +21,7 @@ from analysis.change.contrast import (
     statistics,
 )
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.change.pairs import is_changed
+from analysis.change.pairs import unchanged
 from analysis.figures import embedded
 from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group, check, groups
 from analysis.report import Report, page_environment
@@ -30,7 +31,6 @@ from analysis.tables import F, I, S, records, typed
 
 #: What two settings must share: statistics of groups of another size or ensemble are not the same quantity.
 SHARED = ("n", "coupling")
-_TOLERANCES = ("tol", "rtol", "atol")
 _SCHEMA = {
     "setting": S, "differs_in": S, "is_paired": "boolean", "quantity": S, "n_first": I, "n_second": I,
     "first": F, "first_low": F, "first_high": F, "second": F, "second_low": F, "second_high": F, "difference": F,
@@ -108,8 +108,7 @@ def matched(first: Ensemble, second: Ensemble) -> tuple[list[Match], list[Group]
 
 
 def _groups(members: pd.DataFrame) -> list[Group]:
-    changed = is_changed(members)
-    return groups(members[~changed] if not changed.all() else members)
+    return groups(unchanged(members))
 
 
 def _shared(group: Group) -> str:
@@ -173,12 +172,12 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     picture = twin_figures.contrasts(
         panels,
         f"{second.name} minus {first.name} in units of the declared margin (band), with the interval of the "
-        "equivalence test, not adjusted for the number of tests.",
+        f"equivalence test. {twin_figures.HOW_TO_READ}",
     ) if panels else None  # fmt: skip
     html = page_environment("analysis").get_template("compare.html").render(
         title=f"{first.name} and {second.name}",
         lead=lead,
-        src=embedded(picture.draw()) if picture else None,
+        src=embedded(picture.recipe()) if picture else None,
         picture=picture,
         settings_rows=[(match, _differs(match), _pairing(match)) for match in matches],
         blocks=[(label, [_shown(row) for row in rows if row["setting"] == label]) for label in
@@ -187,9 +186,15 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         notes=_notes(rows, first, second, settings),
         first=first,
         second=second,
+        n_tests=words.count(_tested(rows), "comparison"),
         level=words.percent(settings.confidence),
     )  # fmt: skip
     return Report(html, {"compared": table, "unmatched": unmatched}, lead)
+
+
+def _tested(rows: Sequence[Mapping[str, Any]]) -> int:
+    """How many there is data for: what p-values are adjusted for."""
+    return sum(row["p_equivalent"] is not None for row in rows)
 
 
 def _differs(match: Match) -> str:
@@ -232,6 +237,13 @@ def _answer(rows: Sequence[Mapping[str, Any]], matches: Sequence[Match], *of: En
         listed = "; ".join(f"{row['quantity']} ({row['setting']}) {size_in_words(row)}" for row in worst)
         lines.append(f"The largest differences in units of their margins: {listed}.")
     known = [row for row in by[OPEN] if row["p_equivalent"] is not None]
+    alone = [row["by_itself"] for row in known if row["by_itself"] != OPEN]
+    if alone:
+        each = " and ".join(f"{alone.count(verdict)} {verdict}" for verdict in dict.fromkeys(alone))
+        lines.append(
+            f"Taken by themselves, of the {unknown} open ones {each} would be; adjusted for "
+            f"{words.count(_tested(rows), 'comparison')} they are not."
+        )
     if known and not other:
         widest = max(known, key=lambda row: (row["narrow_high"] - row["narrow_low"]) / row["margin"])
         lines.append(f"The least is known of {widest['quantity']} ({widest['setting']}): {widest['statement']}.")
@@ -257,36 +269,44 @@ def _shown(row: Mapping[str, Any]) -> dict[str, str]:
         cells[name] += "" if low is None or high is None else f" ({show(low)} to {show(high)})"
     n_first, n_second = row["n_first"], row["n_second"]
     matrices = str(n_first) if n_first == n_second else f"{n_first}, {n_second}"
+    for name in ("p_equivalent_holm", "p_different_holm"):
+        cells[name] = "–" if row.get(name) is None else words.p_text(row[name])
     return {"quantity": row["quantity"], "matrices": matrices, **cells, "statement": row["statement"]}
 
 
 def _notes(
     rows: Sequence[Mapping[str, Any]], first: Ensemble, second: Ensemble, settings: AnalysisSettings
 ) -> list[str]:
-    declared = {name: words.percent(settings.margins[name]) for name in _MARGINS}
+    declared = [
+        f"{label} {words.percent(settings.margins[name])}"
+        for name, label in _MARGINS.items()
+        if name in settings.margins
+    ]
+    of_values = [f"{', '.join(declared)} of the first value"] if declared else []
     notes = [
         f"Margins and t_burn = {settings.t_burn:g} are those of {first.name}: "
-        + ", ".join(f"{label} {declared[name]}" for name, label in _MARGINS.items())
-        + f" of the first value; shares of runs {words.percent(SHARE_MARGIN)}."
+        + "; ".join([*of_values, f"shares of runs {100 * SHARE_MARGIN:.0f} points."])
     ]
     other = [
         f"{name} {words.percent(second.margins[name])}"
         for name in _MARGINS
-        if second.margins[name] != settings.margins[name]
+        if name in second.margins and second.margins[name] != settings.margins.get(name)
     ]
     if other:
         notes.append(f"{second.name} declares other margins, which are not used: {', '.join(other)}.")
     if second.t_burn != settings.t_burn:
         notes.append(f"{second.name} declares t_burn = {second.t_burn:g}, which is not used.")
     notes.append(
-        f"All {words.count(len(rows), 'comparison')} are judged together: p-values are adjusted by Holm's rule, the "
-        f"intervals ({words.percent(settings.confidence)}) are not. They share their runs, so that neighbouring "
-        "definitions of gamma tend to agree."
+        f"All {words.count(_tested(rows), 'comparison')} that there is data for are judged together: p-values are "
+        "adjusted by Holm's rule, so that equal ensembles are called different anywhere in at most "
+        f"{words.percent(1 - settings.confidence)} of cases; the intervals ({words.percent(settings.confidence)}) "
+        "are not. They share their runs, so that neighbouring definitions of gamma tend to agree."
     )
     notes.append(
         "Matrices are the independent units. Statistics other than shares hold for runs that reached t_end. Shares "
         "are of one run a matrix: a run has gone quiet if no block sticks and nothing changes over its last quarter, "
-        "and has collapsed only where that is certified."
+        "and has collapsed only where that is certified. Their differences are "
+        f"estimated {SHARES_ADJUSTED}."
     )
     return notes
 

@@ -99,7 +99,9 @@ def trajectories(
                 )  # fmt: skip
                 ax.axvspan(0, t_burn, color=GREY, alpha=0.15, linewidth=0)
                 ax.set_title(f"{label}\n{title}" if j == 0 else title)
-                ax.set_ylim(bottom=0)
+            axes[i, 0].set_ylim(
+                bottom=0
+            )  # shared by the row; set earlier, it would fix the top for the draws to come
             axes[i, 0].set_ylabel("$n_{stick}$")
         for ax in axes[-1]:
             ax.set_xlabel("time t (dimensionless)")
@@ -134,6 +136,7 @@ def _distribution(ax: Axes, rows: Sequence[Row]) -> None:
     ax.yaxis.set_minor_locator(NullLocator())  # over many decades they are a blur, and most of the drawing
     seen = [row for row in rows if row["n_cascades"]]
     if not seen:
+        ax.set_xticks([])
         ax.text(0.5, 0.5, "no cascade", transform=ax.transAxes, ha="center", color=GREY)
         return
     floor = 0.5 * min(row["share"] for row in seen)
@@ -156,7 +159,13 @@ def _distribution(ax: Axes, rows: Sequence[Row]) -> None:
         color="black", linewidth=0.8, label="observed, interval over matrices",
     )  # fmt: skip
     ax.set_ylim(0.8 * floor, 1.3)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    size_axis(ax, max(row["size"] for row in [*seen, *fitted, *chance]))
+
+
+def size_axis(ax: Axes, largest: int) -> None:
+    """An axis of sizes, 1 to `largest`: whole numbers, be there one alone."""
+    ax.set_xlim(0.5, largest + 0.5)
+    ax.xaxis.set_major_locator(MaxNLocator(nbins="auto", integer=True, min_n_ticks=1))
 
 
 def forest(rows: Sequence[Row]) -> Figure:

@@ -86,10 +86,13 @@ def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
         At least two rows, independent of each other.
     """
     whole = sums.sum(axis=0, keepdims=True)
-    n_rows = len(sums)
-    left_out = statistic(whole - sums)
-    variance = (n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)
-    return float(statistic(whole)[0]), float(np.sqrt(variance))
+    return float(statistic(whole)[0]), jackknife_error(statistic(whole - sums))
+
+
+def jackknife_error(left_out: np.ndarray) -> float:
+    """Standard error from the values with one of G matrices left out, shape (G,): sqrt((G-1)/G sum (x - mean)^2)."""
+    n_rows = len(left_out)
+    return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
 
 
 def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:

@@ -76,10 +76,12 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
             f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
             "no time is left for statistics"
         )
-    finished = members.loc[members["outcome"] == "finished", "member_id"]
-    absent = [member_id for member_id in finished if member_id not in series]
-    if absent:
-        raise ValueError(f"series: no change points for the finished member {absent[0]!r}")
+    for member_id, outcome in zip(members["member_id"], members["outcome"], strict=True):
+        if outcome != "failed" and member_id not in series:
+            raise ValueError(
+                f"series: no change points for the {outcome} member {member_id!r}; every member that did not fail "
+                "has some, be it the start alone"
+            )
 
 
 def groups(members: pd.DataFrame) -> list[Group]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,7 @@ from analysis.cascades import DEFINITIONS, SAMPLED
 from analysis.chance.clustering_section import clustering_section
 from analysis.chance.gamma_map import map_section
 from analysis.change.engines_section import engines_section
-from analysis.change.pairs import is_changed
+from analysis.change.pairs import is_changed, unchanged
 from analysis.change.robustness_section import robustness_section
 from analysis.change.sensitivity_section import sensitivity_section
 from analysis.change.survival import TITLE as FATES
@@ -89,17 +90,17 @@ class Report:
 
 def _replace(path: Path, content: str | pd.DataFrame) -> None:
     """Write beside the target, sync, then rename over it."""
-    partial = path.with_name(f".{path.name}.partial")
+    beside = path.with_name(f".{path.name}.partial")
     try:
         if isinstance(content, str):
-            partial.write_text(content, encoding="utf-8")
+            beside.write_text(content, encoding="utf-8")
         else:
-            content.to_parquet(partial, index=False)
-        with partial.open("rb+") as file:
+            content.to_parquet(beside, index=False)
+        with beside.open("rb+") as file:
             os.fsync(file.fileno())
-        os.replace(partial, path)
+        os.replace(beside, path)
     finally:
-        partial.unlink(missing_ok=True)
+        beside.unlink(missing_ok=True)
 
 
 #: Gives a figure as the address of an image.
@@ -136,20 +137,20 @@ def build(
     title: str,
     about: str,
     provenance: Mapping[str, str],
-    draw: Callable[[Recipe], Image] = on_demand,
+    drawn_by: Callable[[Recipe], Image] = on_demand,
 ) -> Report:
     """Analyse an ensemble and say what was found.
 
     Parameters
     ----------
     data : Data
-        Members and what they recorded; the `series` of every finished member.
+        Members and what they recorded; the `series` of every member that did not fail.
     settings : AnalysisSettings
     title, about : str
         Shown at the head of the page, escaped.
     provenance : mapping of str to str
         What the data came from, shown as given, escaped.
-    draw : callable, optional
+    drawn_by : callable, optional
         Given each figure's recipe as soon as its data are there, returns what gives the image when the page is
         filled: by default it is drawn then.
 
@@ -159,9 +160,7 @@ def build(
         If members, series or settings contradict each other, naming the column, member or setting.
     """
     check(data.members, data.series, settings)
-    changed = is_changed(data.members)
-    # changed members are looked at beside their originals; nothing is pooled with them
-    found = groups(data.members[~changed] if not changed.all() else data.members)
+    found = groups(unchanged(data.members))  # changed ones are looked at beside these, and pooled with nothing
     for group in found:
         fill(group, data.series, settings)
     tables = {
@@ -174,18 +173,18 @@ def build(
     }
     rows = {name: records(table) for name, table in tables.items()}
     law = rows["law"]
-    trajectories = _trajectories(found, data.series, settings, draw)
-    forests = _forests(law, draw)
-    distributions = _distributions(found, rows["sizes"], settings, draw)
+    trajectories = _trajectories(found, data.series, settings, drawn_by)
+    forests = _forests(law, drawn_by)
+    distributions = _distributions(found, rows["sizes"], settings, drawn_by)
     answered, images = [], {}
     for section in sections(data, found, settings):
         answered.append(section)
-        images[section.title] = [draw(picture.draw) for picture in section.pictures]
+        images[section.title] = [drawn_by(picture.recipe) for picture in section.pictures]
     tables |= {table.name: table.frame for section in answered for table in section.tables}
     answer = {group.label: _answer(group.label, rows, settings) for group in found}
     paper = words.paper_sentence(law)
     leading = _leading(answered, data)
-    lead = [line for section in leading for line in section.lead] or _cascade_lead(law, answered, settings)
+    lead = [line for section in leading for line in section.lead] or _cascade_lead(rows, answered, settings)
     page = _environment().get_template("report.html")
     html = page.render(
         title=title,
@@ -207,13 +206,18 @@ def build(
         rows=rows,
         settings=settings,
         level=words.percent(settings.confidence),
-        definitions={name: DEFINITIONS[name] for name in dict.fromkeys(row["definition"] for row in rows["law"])},
+        definitions={name: DEFINITIONS[name] for name in _definitions(law, settings)},
         trajectories=trajectories,
         forests=forests,
         distributions=distributions,
         provenance=provenance,
     )
     return Report(html, tables, [title, *lead])
+
+
+def _definitions(law: Sequence[Mapping[str, Any]], settings: AnalysisSettings) -> list[str]:
+    """Every definition of a cascade on the page: those of the law, and by gaps where the scene declares some."""
+    return [*dict.fromkeys(row["definition"] for row in law), *(["clusters"] if settings.tau else [])]
 
 
 def _leading(answered: Sequence[Section], data: Data) -> list[Section]:
@@ -227,12 +231,19 @@ def _leading(answered: Sequence[Section], data: Data) -> list[Section]:
     return of_changes or (of_fates if asks_fates else [])
 
 
-def _cascade_lead(law: list[dict[str, Any]], answered: Sequence[Section], settings: AnalysisSettings) -> list[str]:
+def _cascade_lead(
+    rows: Mapping[str, list[dict[str, Any]]], answered: Sequence[Section], settings: AnalysisSettings
+) -> list[str]:
     """Cascades of the largest groups of blocks that have any; of the first of them also what the sections say."""
-    events = [row for row in law if row["definition"] == "events"]
+    events = [row for row in rows["law"] if row["definition"] == "events"]
+    drifting = {row["group"] for row in rows["burn_in"] if words.is_drifting(row)}
     known = [row for row in events if row["gamma"] is not None] or events
     largest = [row for row in known if row["n"] == max(row["n"] for row in known)][:MOST_LED]
-    lines = [f"{row['group']}: {words.sentence(words.events_sentence(row, settings.confidence))}" for row in largest]
+    lines = []
+    for row in largest:
+        caveat = "; n_stick drifts after t_burn" if row["group"] in drifting and row["gamma"] is not None else ""
+        said = words.sentence(words.events_sentence(row, settings.confidence) + caveat)
+        lines.append(f"{row['group']}: {said}")
     for section in answered:
         of_group = [line for row in largest for line in section.lead if line.startswith(f"{row['group']}: ")]
         lines += (of_group or list(section.lead))[:1]
@@ -281,15 +292,19 @@ def _answer(label: str, rows: Mapping[str, list[dict[str, Any]]], settings: Anal
     (group,) = (row for row in rows["groups"] if row["group"] == label)
     (events,) = (row for row in law if row["definition"] == "events")
     about_runs = words.left_out(outcomes, group["quiet"])
+    (moved,) = (row for row in rows["burn_in"] if row["group"] == label)
     if events["gamma"] is None:
         return [words.sentence(f"{words.events_sentence(events, settings.confidence)}; {about_runs}")]
     if mean["mean"] is not None:
         about_runs = f"{words.mean_n_stick(mean)}; {about_runs}"
-    return [words.sentence(words.events_sentence(events, settings.confidence)), words.sentence(about_runs)]
+    found = [words.events_sentence(events, settings.confidence), about_runs]
+    if words.is_drifting(moved):
+        found.insert(1, f"take gamma with care: n_stick {moved['statement']}")
+    return [words.sentence(text) for text in found]
 
 
 def _trajectories(
-    shown: list[Group], series: Series, settings: AnalysisSettings, draw: Callable[[Recipe], Image]
+    shown: list[Group], series: Series, settings: AnalysisSettings, drawn_by: Callable[[Recipe], Image]
 ) -> dict[str, Any] | None:
     """n_stick(t) of the first draws for the first group of each n and engine."""
     firsts: dict[tuple[Any, Any], Group] = {}
@@ -318,10 +333,10 @@ def _trajectories(
     )
     if left:
         caption += f" {words.count(left, 'further group')} not drawn."
-    return {"caption": caption, "src": draw(partial(figures.trajectories, panels, settings.t_burn))}
+    return {"caption": caption, "src": drawn_by(partial(figures.trajectories, panels, settings.t_burn))}
 
 
-def _forests(law: list[dict[str, Any]], draw: Callable[[Recipe], Image]) -> list[dict[str, Any]]:
+def _forests(law: list[dict[str, Any]], drawn_by: Callable[[Recipe], Image]) -> list[dict[str, Any]]:
     """One figure of gamma for each n that has any."""
     found = []
     for n in sorted({row["n"] for row in law}):
@@ -331,26 +346,27 @@ def _forests(law: list[dict[str, Any]], draw: Callable[[Recipe], Image]) -> list
                 f"n = {n}: gamma by definition and sampling step, with intervals over matrices; black ticks: "
                 "the same definition on the same change times in random order."
             )
-            found.append({"caption": caption, "src": draw(partial(figures.forest, some))})
+            found.append({"caption": caption, "src": drawn_by(partial(figures.forest, some))})
     return found
 
 
 def _distributions(
-    shown: list[Group], sizes: list[dict[str, Any]], settings: AnalysisSettings, draw: Callable[[Recipe], Image]
+    shown: list[Group], sizes: list[dict[str, Any]], settings: AnalysisSettings, drawn_by: Callable[[Recipe], Image]
 ) -> list[dict[str, Any]]:
-    """Figure and table of the sizes of each group that has cascades; sampled definitions at the first dt."""
+    """Figure and table of the sizes in each group that has several; sampled definitions at the first dt."""
     dt = settings.dt[0]
-    titles = {name: name if name == "events" else f"{name}, dt = {dt:g}" for name in ("events", *SAMPLED)}
+    titles = {name: name if name == "events" else f"{name},\ndt = {dt:g}" for name in ("events", *SAMPLED)}
     found: list[dict[str, Any]] = []
     for group in shown:
         rows = [row for row in sizes if row["group"] == group.label and row["dt"] in (None, dt)]
-        if not rows:
+        seen = Counter(row["definition"] for row in rows if row["n_cascades"])
+        if max(seen.values(), default=0) < 2:  # one size by every definition is no distribution
             continue
         events = [row for row in rows if row["definition"] == "events"]
         found.append(
             {
                 "label": group.label,
-                "src": draw(partial(figures.distributions, rows, titles)),
+                "src": drawn_by(partial(figures.distributions, rows, titles)),
                 "fit": words.sentence(f"events: {words.fit_sentence(events)}"),
                 "rows": events[:SIZES_SHOWN],
                 "n_more": max(len(events) - SIZES_SHOWN, 0),

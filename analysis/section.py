@@ -38,7 +38,7 @@ class Data:
     members : DataFrame
         One row a member; the columns in `analysis.groups.REQUIRED`, null where a setting does not apply.
     series : mapping to ChangePoints
-        Of every finished member.
+        Of every member that did not fail.
     events : mapping to Events
         Empty if the scene does not record them.
     separations : mapping to Separation
@@ -118,9 +118,9 @@ Recipe = Callable[[], Figure]
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption; `alt` is what it shows, for who cannot see it."""
+    """A figure with its caption; `recipe` draws it, `alt` is what it shows, for who cannot see it."""
 
-    draw: Recipe
+    recipe: Recipe
     caption: str
     alt: str
 

@@ -54,6 +54,17 @@ def percent(value: float) -> str:
     return f"{100 * value:.0f}%" if abs(value) >= 1 else f"{100 * value:.{2 if abs(value) < 0.1 else 3}g}%"
 
 
+def p_text(p_value: float) -> str:
+    """A p-value for a reader: not more digits than it deserves."""
+    return "< 0.001" if p_value < 0.001 else f"{p_value:.2g}"
+
+
+def p_is(*p_values: float) -> str:
+    """ "p = 0.2", or several as they range."""
+    shown = " to ".join(dict.fromkeys(p_text(p_value) for p_value in p_values))
+    return f"p = {shown}".replace("= <", "<")
+
+
 def interval(low: float | None, high: float | None) -> str:
     return "no interval" if low is None or high is None else f"{number(low)} to {number(high)}"
 
@@ -111,6 +122,11 @@ def burn_in(drift: Estimate) -> str:
         unseen="no drift seen, but one within {within} is not excluded",
         seen="drifts by {value} ({within}): t_burn may be too early, or the runs are not stationary",
     )
+
+
+def is_drifting(row: Row) -> bool:
+    """Whether the interval in a row of the table `burn_in` shows that mean n_stick moves within the window."""
+    return row["low"] is not None and not row["low"] <= 0 <= row["high"]
 
 
 def left_out(outcomes: Sequence[Row], n_quiet: int) -> str:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import pydoc
 import re
 import sys
 from pathlib import Path
 
 from docutils import nodes
-from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from pipeline import scene
+from workflows.keys import key_tables
 
 project = "stickslip"
 copyright = "the authors of stickslip"
@@ -43,11 +41,6 @@ napoleon_custom_sections = [("Attributes", "params_style")]
 #: Stands for a colon in the docstring of a plain value, where napoleon would take what is before it for a type.
 _COLON = "\ue000"
 _VALUES = ("attribute", "data", "property")
-#: The tables of a scene, in the order of the guide.
-_TABLES = (
-    scene.SystemTable, scene.StartTable, scene.RunTable, scene.Coulomb, scene.Sigmoid, scene.PerturbationTable,
-    scene.TwinsTable, scene.RecordTable, scene.AnalysisTable, scene.MarginsTable,
-)  # fmt: skip
 _SECTIONS = {"Parameters", "Attributes", "Returns", "Yields", "Raises", "Notes"}
 
 
@@ -92,25 +85,13 @@ class SceneKeys(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         text = []
-        for table in _TABLES:
-            head, _, about = (table.__doc__ or "").partition("\n")[0].partition(": ")
-            text += ["", f"`{head}`", f": {about}", "", "| key | what | default |", "|---|---|---|"]
-            text += [_row(name, field) for name, field in table.model_fields.items() if name != "name"]
+        for table in key_tables(None):
+            head = [f"`{table.head}`", f": {table.about}"] if table.head else ["Above all tables:"]
+            text += ["", *head, "", "| key | what | values | default |", "|---|---|---|---|"]
+            for key in table.keys:
+                row = f"| `{key.name}` | {key.meaning} | {key.values} | {key.default} |"
+                text.append(row.replace("|w - v|", r"\|w - v\|"))
         return self.parse_text_to_nodes("\n".join(text))
-
-
-def _row(name: str, field: FieldInfo) -> str:
-    if field.is_required():
-        default = f"to be given, say {_toml(field.examples[0])}" if field.examples else "to be given"
-    else:
-        value = field.get_default(call_default_factory=True)
-        default = _toml(value) if isinstance(value, bool | int | float | str | tuple) else ""
-    return f"| `{name}` | {field.description or 'see below'} | {default} |".replace("|w - v|", r"\|w - v\|")
-
-
-def _toml(value: object) -> str:
-    """A value as a scene has it."""
-    return f"`{json.dumps(value)}`"
 
 
 def setup(app: Sphinx) -> None:

@@ -2,7 +2,10 @@ from . import query as query
 from .audit import Status as Status
 from .audit import status as status
 from .audit import verify as verify
-from .cluster import ScheduleError as ScheduleError
+from .errors import QueryError as QueryError
+from .errors import SceneError as SceneError
+from .errors import ScheduleError as ScheduleError
+from .errors import StoreError as StoreError
 from .interrupt import Interrupted as Interrupted
 from .interrupt import interruptible as interruptible
 from .manifest import dataset_scene as dataset_scene
@@ -10,12 +13,9 @@ from .members import Batch as Batch
 from .members import Member as Member
 from .members import batches as batches
 from .members import expand as expand
-from .place import StoreError as StoreError
-from .query import QueryError as QueryError
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import parse_scene as parse_scene
 from .schedule import Progress as Progress
 from .schedule import run_member as run_member
 from .schedule import run_scene as run_scene
-from .tables import SceneError as SceneError

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.child import Child, answering
+from pipeline.child import Child, answering, end_with_the_parent
 from pipeline.members import Batch, Member
 from pipeline.shards import Recording, Result, as_result, failed_row, row
 
@@ -39,7 +39,7 @@ def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple
         rows = []
         try:
             pickle.dump((tuple(members), recording), process.to_it)
-            process.to_it.close()
+            process.to_it.flush()  # and left open: closed, it says that nobody waits any more
             for _ in members:
                 rows.append(pickle.load(process.from_it))
         except (BrokenPipeError, EOFError, pickle.UnpicklingError):  # it is dead, perhaps in the middle of a row
@@ -52,6 +52,7 @@ def serve() -> None:
     """Run the members that come in, and write the row of each at once."""
     answer = answering()
     members, recording = pickle.load(sys.stdin.buffer)
+    end_with_the_parent()
     for member in members:
         pickle.dump(row(member, recording), answer)
         answer.flush()

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.errors import StoreError
 from pipeline.manifest import dataset_scene, read_manifest, read_tasks
-from pipeline.place import DATA, TEMPORARY, Place, StoreError, Where, place_of
+from pipeline.place import DATA, TEMPORARY, Place, Where, place_of
 from pipeline.shards import SCHEMA_VERSION
 
 
@@ -26,6 +27,7 @@ class Status:
     failures: dict[str, int]
     n_shards: int
     n_bytes: int
+    n_missing: int  #: of the shards that are done, those whose files are gone
     first_failed: str | None  #: a failed member, to be run alone
 
     @property
@@ -44,12 +46,14 @@ def status(path: Where) -> Status:
     """
     place = place_of(path)
     scene, manifest = dataset_scene(place), read_manifest(place)
+    with _readable(place):  # after the manifest: a shard is there before it is listed
+        files = set(place.names())
     outcomes: Counter[str] = Counter()
     failures: Counter[str] = Counter()
     failed: list[str] = []
     for name, shard in sorted(manifest.shards.items()):
         outcomes.update(shard.outcomes)
-        if shard.n_failed:
+        if shard.n_failed and f"{DATA}/{name}" in files:
             rows = _read(place, name, ["member_id", "outcome", "reason"]).to_pylist()
             failures.update(row["reason"] for row in rows if row["outcome"] == "failed")
             failed += [row["member_id"] for row in rows if row["outcome"] == "failed"]
@@ -61,6 +65,7 @@ def status(path: Where) -> Status:
         failures=dict(failures.most_common()),
         n_shards=len(manifest.shards),
         n_bytes=sum(shard.bytes for shard in manifest.shards.values()),
+        n_missing=sum(f"{DATA}/{name}" not in files for name in manifest.shards),
         first_failed=failed[0] if failed else None,
     )
 

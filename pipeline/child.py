@@ -1,27 +1,58 @@
-"""Processes of this program beside this one, which talk to it in pickles."""
+"""Processes of this program beside this one, which import what it does."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from typing import IO, Any
+
+# One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
+# it differently. Libraries read these when they are loaded, so they must be set before.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+
+def python() -> list[str]:
+    """The beginning of a command that runs Python, which is not to look into the working directory first."""
+    return [sys.executable, "-P"]
+
+
+def environment() -> dict[str, str]:
+    """This process's environment, by which Python finds the modules that it has found here."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(place or os.getcwd() for place in sys.path)}
+
+
+@contextlib.contextmanager
+def environment_kept() -> Iterator[None]:
+    """Take back what the with-block changes of this process's environment, and touch nothing else of it."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() | before.keys():
+            if name not in before:
+                del os.environ[name]
+            elif os.environ.get(name) != before[name]:
+                os.environ[name] = before[name]
 
 
 class Child(subprocess.Popen[bytes]):
-    """A Python process that imports what this one does, and runs `code`.
+    """A Python process that runs `code`, deaf to Ctrl-C, which is this process's to answer.
 
-    It reads from `to_it` and writes to `from_it`: one that ends when it finds nothing more to read outlives nobody.
-    It is deaf to Ctrl-C, which is this process's to answer.
+    It reads from `to_it` and writes to `from_it`. One that ends when it finds nothing more to read, or that calls
+    `end_with_the_parent`, outlives nobody.
     """
 
     def __init__(self, code: str) -> None:
         super().__init__(
-            [sys.executable, "-c", code],
+            [*python(), "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            env=environment(),
             start_new_session=True,
         )
 
@@ -43,3 +74,14 @@ def answering() -> IO[Any]:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return answers
+
+
+def end_with_the_parent() -> None:
+    """In a child that has read all it was to read: end, whatever it is at, when nobody can write to it any more."""
+
+    def wait() -> None:
+        while os.read(0, 1):
+            pass
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

@@ -14,16 +14,14 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
+from pipeline.child import ONE_THREAD, environment_kept
+from pipeline.errors import ScheduleError
 from pipeline.interrupt import unbroken
 
 log = logging.getLogger(__name__)
 
 #: Seconds to wait for a scheduler at a given address.
 CONNECT_TIMEOUT = 10.0
-
-# One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
-# it differently. Libraries read these when they are loaded, so they must be set before.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
@@ -36,10 +34,6 @@ _LOCAL_CLUSTER = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "2s",
 }
-
-
-class ScheduleError(RuntimeError):
-    """The run could not be done to its end. What is committed stays; the message says what to do."""
 
 
 @contextlib.contextmanager
@@ -145,10 +139,5 @@ def _local_cluster(workers: int, loop: LoopRunner) -> LocalCluster:
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
     """Let workers started in the with-block load their libraries with one thread; restore this process's own."""
-    here = dict(os.environ)  # dask sets the variables here, for the processes it spawns to inherit
-    try:
-        with dask.config.set(_LOCAL_CLUSTER):
-            yield
-    finally:
-        os.environ.clear()
-        os.environ.update(here)
+    with environment_kept(), dask.config.set(_LOCAL_CLUSTER):  # dask sets the variables here, for workers to inherit
+        yield

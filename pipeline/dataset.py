@@ -9,22 +9,27 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
+from pipeline.errors import QueryError, StoreError
 from pipeline.manifest import dataset_scene, read_manifest
-from pipeline.place import DATA, Directory, StoreError, Where, place_of
+from pipeline.place import DATA, Directory, Where, place_of
 from pipeline.shards import Recording
-from pipeline.tables import did_you_mean
+from sim.arguments import did_you_mean
 
-# pandas' plain numbers have no null but NaN; these do, and keep integers integers
+# pandas' plain types have no null but NaN; these do, and keep integers integers
 NULLABLE = {
     pa.int32(): pd.Int32Dtype(),
     pa.int64(): pd.Int64Dtype(),
     pa.float64(): pd.Float64Dtype(),
     pa.bool_(): pd.BooleanDtype(),
+    pa.string(): pd.StringDtype(),
 }
 
-
-class QueryError(ValueError):
-    """The question cannot be answered. The message says what was expected and what came."""
+#: What is there if the scene asks for it: by which line, in which of its tables.
+RECORDED_BY = {
+    "events": "`events = true` under [record]",
+    "separation": "`separation = 5.0` under [record]",
+    "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
+}
 
 
 def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
@@ -56,11 +61,14 @@ def reading(path: Where) -> Iterator[None]:
     except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
         if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
             raise
-        place = place_of(path)
-        first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
-        raise StoreError(
-            f"{place}: a shard cannot be read ({error}); {first}run the scene again to compute it anew"
-        ) from error
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Where, error: Exception) -> StoreError:
+    """The refusal of a dataset of which a shard cannot be read."""
+    place = place_of(path)
+    first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
+    return StoreError(f"{place}: a shard cannot be read ({error}); {first}run the scene again to compute it anew")
 
 
 def frame(table: pa.Table) -> pd.DataFrame:
@@ -68,9 +76,19 @@ def frame(table: pa.Table) -> pd.DataFrame:
     plain = [name for name in table.column_names if table[name].null_count == 0]
     nullable = table.to_pandas(types_mapper=NULLABLE.get)
     types = {name: table.schema.field(name).type for name in plain}
-    return nullable.astype({name: kind.to_pandas_dtype() for name, kind in types.items() if kind in NULLABLE})
+    return nullable.astype({name: plain_type(kind) for name, kind in types.items() if kind in NULLABLE})
+
+
+def plain_type(kind: pa.DataType) -> type:
+    """Pandas' own type of a column without nulls."""
+    return str if pa.types.is_string(kind) else kind.to_pandas_dtype()  # which would be `object`
+
+
+def not_recorded(part: str) -> QueryError:
+    """The refusal of what the scene did not ask for, a key of `RECORDED_BY`."""
+    return QueryError(f"{part}: expected a dataset with {part}, got one without; set {RECORDED_BY[part]}")
 
 
 def near(word: str, known: Sequence[str]) -> str:
     """What `word` may have been meant for, as the end of a message."""
-    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}"
+    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"

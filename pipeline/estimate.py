@@ -21,8 +21,10 @@ import multiprocessing
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -30,7 +32,8 @@ import numpy as np
 from scipy import special
 
 from pipeline import kernels
-from pipeline.cluster import ONE_THREAD
+from pipeline.child import ONE_THREAD, environment_kept
+from pipeline.errors import ScheduleError
 from pipeline.members import Batch, Member
 from pipeline.scene import Scene
 from pipeline.shards import Recording, encode, row
@@ -69,15 +72,24 @@ Interval: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """What a run will take. Intervals are (low, middle, high), meant to hold nine times in ten."""
+class Amounts:
+    """What a run will take, each (low, middle, high), meant to hold nine times in ten."""
 
-    n_members: int
-    n_shards: int
     n_bytes: Interval
     core_seconds: Interval
     seconds: Interval
-    workers: int
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a run will take, as far as a pilot can tell."""
+
+    n_members: int
+    n_shards: int
+    amounts: Amounts | None  #: None if members of the pilot failed, which says nothing of those that will not
+    failures: dict[str, int]  #: members of the pilot that failed, by reason
+    asked_workers: int
+    workers: int  #: those of them that have a shard, and a core, of their own
     n_pilot: int
     n_kinds: int
     pilot_seconds: float
@@ -95,6 +107,7 @@ class _Seen:
     whole: float
     stretched: float  #: doublings of time between the part and the whole
     bytes: float
+    failure: str | None  #: why it failed, if it did
 
 
 @dataclass
@@ -133,6 +146,11 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         What is to be run, one at least.
     workers : int
         Local processes; more than the machine has cores count as so many.
+
+    Raises
+    ------
+    ScheduleError
+        If a process of the pilot dies.
     """
     start = time.perf_counter()
     kinds = _kinds([member for batch in packed for member in batch.members])
@@ -142,33 +160,48 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         parts=tuple(part for part in scene.records if part not in ("growth_rate", "separation")),
         separation=None,
     )
-    n_workers = max(1, min(workers, len(packed), len(os.sched_getaffinity(0))))
+    n_workers = max(1, min(workers, len(packed), _n_cores()))
     with _processes(n_workers) as pool:
         started, compiled = _start(pool, n_workers, kinds)
         seen = _pilot(pool, n_workers, kinds, recording)
     busy = max(1.0, sum(one.seconds for one in seen) / sum(one.core_seconds for one in seen))
-    work, spread = _work(kinds)
-    machine = math.hypot(_MACHINE, 2.0 * _OTHERS * (1.0 - 1.0 / busy))
-    # the last batch may run alone
-    tail = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
     begin = _DASK * started
-    run = (work + len(packed) * _PER_BATCH) / n_workers + (0.5 * tail if n_workers > 1 else 0.0)
-    apart = math.hypot(begin * _START_SPREAD, run * spread) / (begin + run)
-    error = math.hypot(apart, machine)
-    freedom = sum(len(kind.factors) - 1 for kind in kinds) + _PRIOR
+    failures = Counter(one.failure for one in seen if one.failure is not None)
     return Estimate(
         n_members=sum(len(kind.members) for kind in kinds),
         n_shards=len(packed),
-        n_bytes=_bytes(kinds, recording, len(packed)),
-        core_seconds=_interval(work / busy, math.hypot(spread, _MACHINE), freedom),
-        seconds=_interval(begin + run, error, freedom),
+        amounts=None if failures else _amounts(kinds, packed, recording, n_workers, begin, busy),
+        failures=dict(failures.most_common()),
+        asked_workers=workers,
         workers=n_workers,
-        n_pilot=sum(len(kind.factors) for kind in kinds),
+        n_pilot=len(seen),
         n_kinds=len(kinds),
         pilot_seconds=time.perf_counter() - start,
         start_seconds=begin,
         compile_seconds=compiled,
         busy=busy,
+    )
+
+
+def _n_cores() -> int:
+    """The cores that this process may use, where the system says so; else those of the machine."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _amounts(
+    kinds: list[_Kind], packed: Sequence[Batch], recording: Recording, n_workers: int, begin: float, busy: float
+) -> Amounts:
+    work, spread = _work(kinds)
+    machine = math.hypot(_MACHINE, 2.0 * _OTHERS * (1.0 - 1.0 / busy))
+    # the last batch may run alone
+    tail = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
+    run = (work + len(packed) * _PER_BATCH) / n_workers + (0.5 * tail if n_workers > 1 else 0.0)
+    apart = math.hypot(begin * _START_SPREAD, run * spread) / (begin + run)
+    freedom = sum(len(kind.factors) - 1 for kind in kinds) + _PRIOR
+    return Amounts(
+        n_bytes=_bytes(kinds, recording, len(packed)),
+        core_seconds=_interval(work / busy, math.hypot(spread, _MACHINE), freedom),
+        seconds=_interval(begin + run, math.hypot(apart, machine), freedom),
     )
 
 
@@ -193,17 +226,20 @@ def _kinds(members: list[Member]) -> list[_Kind]:
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Processes like a run's workers."""
-    here = dict(os.environ)
-    os.environ.update(ONE_THREAD)
-    pool = ProcessPoolExecutor(
-        count, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-        os.environ.clear()
-        os.environ.update(here)
+    with environment_kept():
+        os.environ.update(ONE_THREAD)
+        pool = ProcessPoolExecutor(
+            count, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        )
+        try:
+            yield pool
+        except BrokenProcessPool as error:
+            raise ScheduleError(
+                "expected the members of the pilot to end, got one whose process died; see what kills it (memory?): "
+                "a run gives each member that kills its process a row that says so"
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _start(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind]) -> tuple[float, float]:
@@ -249,6 +285,8 @@ def _pilot(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind], recording:
             if left < 0 and not is_first:
                 for other in running:
                     other.cancel()
+        if any(one.failure is not None for one in seen):  # there is nothing to be estimated any more
+            break
     return seen
 
 
@@ -263,7 +301,14 @@ def _try(member: Member, share: float, recording: Recording) -> _Seen:
     if found["outcome"] != "finished":  # it ended early, and the whole would too
         part = whole
     share = part.cost / whole.cost
-    return _Seen(took, max(cores, 1e-6), took / share, math.log2(1 / share), _row_bytes(found, recording) / share)
+    return _Seen(
+        seconds=took,
+        core_seconds=max(cores, 1e-6),
+        whole=took / share,
+        stretched=math.log2(1 / share),
+        bytes=_row_bytes(found, recording) / share,
+        failure=found["reason"] if found["outcome"] == "failed" else None,
+    )
 
 
 def _work(kinds: list[_Kind]) -> tuple[float, float]:

@@ -21,11 +21,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from pipeline.place import MANIFEST, SCENE, TIMINGS, StoreError, Where, place_of
+from pipeline.errors import SceneError, StoreError
+from pipeline.place import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
 from pipeline.plan import PlanError, Task, tasks
 from pipeline.scene import Scene, parse_scene
 from pipeline.shards import SCHEMA_VERSION
-from pipeline.tables import SceneError
 
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 
@@ -149,7 +149,10 @@ def read_manifest(path: Where) -> Manifest:
     try:
         content = place.read(MANIFEST)
     except (FileNotFoundError, NotADirectoryError):
-        raise StoreError(f"{place}: expected a dataset, found no {MANIFEST}; name the directory of a run") from None
+        found = f"no {MANIFEST}"
+        if isinstance(place, Directory) and not place.path.is_dir():
+            found = "a file" if place.path.exists() else "no such directory"
+        raise StoreError(f"{place}: expected a dataset, found {found}; name the directory of a run") from None
     except OSError as error:
         raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
     rest = content[len(_checked(b"")) :]
@@ -231,10 +234,21 @@ def read_tasks(path: Where, manifest: Manifest) -> list[Task]:
     StoreError
         If its scene cannot be read, or the manifest's packing is not of its members.
     """
+    return planned(place_of(path), dataset_scene(path), manifest)
+
+
+def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
+    """The shards that a dataset of a scene consists of, done or not.
+
+    Raises
+    ------
+    DamagedManifest
+        If the manifest's packing is not of the scene's members.
+    """
     try:
-        return tasks(dataset_scene(path), manifest.earlier, manifest.packing)
+        return tasks(scene, manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
-            f"{place_of(path).named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with "
-            f"the version of stickslip that began it, or choose another directory"
+            f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with the "
+            f"version of stickslip that began it, or choose another directory"
         ) from None

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-from pipeline.place import DATA, LOCK, Hold, Lock, Place, StoreError, this_process
+from pipeline.errors import StoreError
+from pipeline.place import DATA, LOCK, Hold, Lock, Place, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0

@@ -21,13 +21,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pipeline.errors import StoreError
+
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
 #: What the names of files begin with while they are being written.
 TEMPORARY = ".tmp-"
-
-
-class StoreError(RuntimeError):
-    """The dataset cannot be written or read. The message says which file, why, and what to do."""
 
 
 class Hold(ABC):

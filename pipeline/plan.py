@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
+from pipeline.errors import SceneError
 from pipeline.members import Batch, Member, as_batch, batches, expand
 from pipeline.scene import Scene, parse_scene
 from pipeline.shards import Recording
-from pipeline.tables import SceneError
 
 #: A shard to be: its members, and what to keep of them.
 Task = tuple[Batch, Recording]

@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import sim
-from pipeline.dataset import NULLABLE, QueryError, dataset, frame, near, reading
+from pipeline.dataset import NULLABLE, dataset, frame, near, not_recorded, plain_type, reading
+from pipeline.errors import QueryError
 from pipeline.manifest import dataset_scene, read_manifest
 from pipeline.place import Where, place_of
 from pipeline.shards import scalars
@@ -133,7 +134,7 @@ def _part(
     """One part of a dask frame; of no shards: its columns and their types."""
     found = _chosen(path, dataset(path, part), names, condition) if part else schema.empty_table()
     never_null = [field for field in schema if not field.nullable and field.type in NULLABLE]
-    plain = {field.name: field.type.to_pandas_dtype() for field in never_null}
+    plain = {field.name: plain_type(field.type) for field in never_null}
     return found.to_pandas(types_mapper=NULLABLE.get).astype(plain)
 
 
@@ -148,7 +149,7 @@ def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
 def _condition(filters: Filters | None) -> pc.Expression | None:
     try:
         return None if filters is None else pq.filters_to_expression(filters)
-    except (pa.ArrowException, ValueError) as error:
+    except (pa.ArrowException, ValueError, TypeError) as error:
         raise _misfit(filters, error) from error
 
 
@@ -163,7 +164,10 @@ def _chosen(path: Where, source: ds.Dataset, names: list[str], filters: Filters 
 def _misfit(filters: Filters | None, error: Exception) -> QueryError:
     if isinstance(error, QueryError):
         return error
-    return QueryError(f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}")
+    return QueryError(
+        f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}; write a list of tuples, "
+        f'[("n", "=", 200)], or an expression of pyarrow.compute'
+    )
 
 
 def n_stick(path: Where, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -199,13 +203,13 @@ def events(path: Where, member_id: str) -> sim.EventSeries:
     """
     source = dataset(path)
     if "event_t" not in source.schema.names:
-        raise QueryError(
-            "events: expected a dataset with events, got one without; set `events = true` under [record]"
-        )
+        raise not_recorded("events")
     return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
 
 
 def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
+    if not isinstance(member_id, str):
+        raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
     with reading(path):
         rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
         known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()

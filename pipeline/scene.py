@@ -21,11 +21,11 @@ from pipeline.tables import (
     StrictTable,
     as_scene,
     as_tuple,
-    did_you_mean,
     parse_toml,
     read_source,
 )
 from sim import COUPLINGS
+from sim.arguments import did_you_mean
 
 #: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
 MAX_MEMBERS = 1_000_000

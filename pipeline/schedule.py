@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from importlib.util import find_spec
+from multiprocessing import current_process
 from typing import Any
 
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
@@ -19,7 +20,8 @@ from distributed.comm import CommClosedError
 from pipeline import kernels
 from pipeline.alone import compute_alone
 from pipeline.audit import Status, status
-from pipeline.cluster import ScheduleError, connect
+from pipeline.cluster import connect
+from pipeline.errors import ScheduleError
 from pipeline.live import Began
 from pipeline.members import Member, expand
 from pipeline.place import Where
@@ -104,7 +106,7 @@ def run_scene(
     Raises
     ------
     ValueError
-        If `workers` is negative.
+        If `workers` is negative, or `source` is not the file of `scene`.
     StoreError
         If the directory cannot be used or written.
     ScheduleError
@@ -112,6 +114,11 @@ def run_scene(
     """
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
+    if getattr(current_process(), "_inheriting", False):  # a worker, loading the script that starts it
+        raise ScheduleError(
+            'expected run_scene to be called under if __name__ == "__main__":, got a script that calls it wherever '
+            "it is loaded, and every worker loads it; write that line above the call"
+        )
     start = time.monotonic()
     with Store(out, scene, source, retry_failed, accept_version) as store:
         members = {batch.name: len(batch.members) for batch, _ in store.tasks}
@@ -214,7 +221,7 @@ def _results(
             )
             # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
             for _ in range(_ATTEMPTS):
-                lost = yield from _submit(client, lost, _compute_alone, lambda: n_workers, scheduler)
+                lost = yield from _submit(client, lost, _compute_alone, lambda: max(1, n_workers), scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
             raise ScheduleError(
                 "expected the scheduler to stay until the end, lost it; start it again, then run the same scene "

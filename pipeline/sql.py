@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from pipeline.dataset import QueryError, dataset, frame, reading
+from pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
+from pipeline.errors import QueryError
 from pipeline.manifest import dataset_scene
 from pipeline.place import Where
 from pipeline.shards import scalars
@@ -20,6 +22,9 @@ _ROWS = 100_000
 
 # EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
 _READ = {"SELECT", "EXPLAIN", "MULTI"}
+
+# What DuckDB 2 and 1 say when Arrow, which reads the shards for them, cannot.
+_OF_SHARDS = re.compile(r"registered as 'shards'|arrow_scan")
 
 # Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
 # Row by row of the dataset: no sorting, whatever its size.
@@ -91,7 +96,7 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
     QueryError
         If DuckDB is not installed, or refuses the query.
     StoreError
-        If there is no readable dataset.
+        If there is no readable dataset, or a shard of it cannot be read.
     KeyboardInterrupt
         If the user ends a query that takes too long.
     """
@@ -113,21 +118,26 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
             "lock_configuration = true",
         ):
             connection.execute(f"SET {setting}")
-        with _explained(duckdb, list(selections)), reading(path):
-            _check(connection.extract_statements(query))
-            # in another thread, so that this one hears an interrupt and can hand it on, whatever DuckDB is doing
-            with ThreadPoolExecutor(1) as aside:
-                batches = _heard(aside, connection, lambda: _reader(connection.sql(query)))
-                # the first rows come here: what is wrong with a query shows before anything is handed over
-                first = _heard(aside, connection, lambda: next(iter(batches), None))
+        # in another thread, so that this one hears an interrupt and can hand it on, whatever DuckDB is doing
+        with ThreadPoolExecutor(1) as aside:
 
-                def rest() -> Iterator[pa.RecordBatch]:
-                    batch = first
-                    while batch is not None:
-                        yield batch
-                        batch = _heard(aside, connection, lambda: next(iter(batches), None))
+            def ask(work: Callable[[], Any]) -> Any:
+                # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
+                with _explained(duckdb, path, list(selections)):
+                    return _heard(aside, connection, work)
 
-                yield pa.RecordBatchReader.from_batches(batches.schema, rest())
+            ask(lambda: _check(connection.extract_statements(query)))
+            batches = ask(lambda: _reader(connection.sql(query)))
+            # the first rows come here: what is wrong with a query shows before anything is handed over
+            first = ask(lambda: next(iter(batches), None))
+
+            def rest() -> Iterator[pa.RecordBatch]:
+                batch = first
+                while batch is not None:
+                    yield batch
+                    batch = ask(lambda: next(iter(batches), None))
+
+            yield pa.RecordBatchReader.from_batches(batches.schema, rest())
 
 
 def _heard(aside: Executor, connection: Any, work: Callable[[], Any]) -> Any:
@@ -164,11 +174,18 @@ def _check(statements: list[Any]) -> None:
 
 
 @contextlib.contextmanager
-def _explained(duckdb: Any, names: list[str]) -> Iterator[None]:
-    """Turn the database's refusals into ours."""
+def _explained(duckdb: Any, path: Where, names: list[str]) -> Iterator[None]:
+    """Turn the database's refusals, and what a damaged or missing shard raises, into ours."""
     try:
         yield
-    except (duckdb.Error, pa.ArrowException) as error:
+    except (duckdb.Error, pa.ArrowException, OSError) as error:
+        # once rows are coming, Arrow hands on what DuckDB says as an error of the system
+        is_of_system = isinstance(error, OSError) and not re.match(r"[A-Z][\w ]* Error: ", str(error))
+        if is_of_system or _OF_SHARDS.search(str(error)):
+            raise unreadable(path, error) from error
+        asked = re.search(r"Table with name (\w+) does not exist", str(error))
+        if asked and asked[1].lower() in RECORDED_BY and asked[1].lower() not in names:
+            raise not_recorded(asked[1].lower()) from error
         unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
         words = f"; a query reads the views {', '.join(names)}, and nothing else" if unknown else ""
         raise QueryError(f"query: {str(error).strip()}{words}") from error

@@ -10,12 +10,14 @@ from collections.abc import Iterator
 from functools import cached_property
 from types import TracebackType
 
+from pipeline.errors import SceneError, StoreError
 from pipeline.interrupt import last_act, unbroken
 from pipeline.manifest import (
     DamagedManifest,
     Manifest,
     Shard,
     checked_line,
+    planned,
     read_commits,
     read_manifest,
     stored_scene,
@@ -30,19 +32,21 @@ from pipeline.place import (
     TIMINGS,
     Directory,
     Place,
-    StoreError,
     Where,
     place_of,
 )
-from pipeline.plan import PlanError, Task, grows, pack, tasks
-from pipeline.scene import Scene
+from pipeline.plan import Task, grows, pack, tasks
+from pipeline.scene import Scene, parse_scene
 from pipeline.shards import Result, program
-from pipeline.tables import SceneError
+from pipeline.tables import parse_toml
 
 log = logging.getLogger(__name__)
 
 #: Seconds that a program that is to end at once takes to leave no trace in a store that may not answer.
 _LAST_SECONDS = 1.5
+
+#: Keys by which a scene differs from the one of the data that a refusal names.
+_SHOWN = 5
 
 
 class Store:
@@ -66,6 +70,8 @@ class Store:
 
     Raises
     ------
+    ValueError
+        If `source` is not the file of `scene`.
     StoreError
         On entering: the directory belongs to another scene, to something else, to another version or to a running
         process; or it cannot be written. Nothing is changed then.
@@ -74,6 +80,12 @@ class Store:
     def __init__(
         self, path: Where, scene: Scene, source: bytes, retry_failed: bool = False, accept_version: bool = False
     ) -> None:
+        written = parse_scene(source, "source")
+        if written.hash != scene.hash:
+            raise ValueError(
+                f"source: expected the file of the scene (hash {scene.hash[:12]}), got that of another (hash "
+                f"{written.hash[:12]}); pass parse_scene(source) as the scene"
+            )
         self.place, self.scene, self.source = place_of(path), scene, source
         self._retry_failed, self._accept_version = retry_failed, accept_version
         self._held = contextlib.ExitStack()
@@ -203,8 +215,12 @@ class Store:
         except SceneError:
             return ""
         wanted = _flat(self.scene.data_keys())
-        keys = [key for key in sorted(stored | wanted) if stored.get(key) != wanted.get(key)]
-        return "".join(f"; {key}: {wanted.get(key)!r} here, {stored.get(key)!r} there" for key in keys[:5])
+        written = {key for source in (self.source, self.place.read(SCENE)) for key in _flat(parse_toml(source, ""))}
+        differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
+        # first what somebody wrote, then what follows from it
+        keys = sorted(differing, key=lambda key: (key not in written, key))
+        shown = [f"; {key}: {wanted.get(key)!r} here, {stored.get(key)!r} there" for key in keys[:_SHOWN]]
+        return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
 
     def look(self) -> tuple[list[Task], list[Task]]:
         """All shards, and those that a run would compute; the dataset is neither taken nor changed.
@@ -221,13 +237,7 @@ class Store:
 
     def _plan(self, manifest: Manifest) -> None:
         """What the shards are, and which of them are to be computed."""
-        try:
-            self.tasks = tasks(self.scene, manifest.earlier, manifest.packing)
-        except PlanError as error:
-            raise StoreError(
-                f"{self.place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with "
-                f"the version of stickslip that began it, or choose another directory"
-            ) from error
+        self.tasks = planned(self.place, self.scene, manifest)
         foreign = sorted(manifest.shards.keys() - {batch.name for batch, _ in self.tasks})
         if foreign:
             raise StoreError(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import codecs
-import difflib
 import json
+import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -14,12 +14,11 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
 
+from pipeline.errors import SceneError
+from sim.arguments import did_you_mean
+
 #: A dense K of this many blocks is 80 GB.
 MAX_BLOCKS = 100_000
-
-
-class SceneError(ValueError):
-    """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
 
 
 # ---------------------------------------------------------------------------------------------- tables
@@ -153,12 +152,6 @@ def json_schema(kind: type[StrictTable]) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------------------- errors
 
 
-def did_you_mean(word: object, known: Sequence[str]) -> str:
-    """What `word` may have been meant for, as the end of a message; empty if nothing is near."""
-    close = difflib.get_close_matches(str(word), known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
-
-
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
@@ -199,6 +192,8 @@ def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str
 def _problems(error: ValidationError, kind: type[BaseModel]) -> Iterator[str]:
     """One line a problem: key, expected, got, remedy."""
     for detail in error.errors():
+        if detail["type"] == "too_short" and detail["input"]:  # there are values, but wrong ones, of which it said so
+            continue
         path, table, key = _place(detail["loc"], kind)
         yield _problem(path, table, key, detail)
 
@@ -233,4 +228,20 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         expected = f"a value {expected}"
     got = _shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; write {example and f'{example}, say: '}the {field.description}" if field else ""
+    if kind in _NUMBERS:
+        remedy = _number_remedy(path, key, kind, value) or remedy
     return f"{path}: expected {expected}, got {got}{remedy}"
+
+
+#: Numbers as TOML writes them, by pydantic's name of what is amiss where one is expected.
+_NUMBERS = {"int_type": r"[-+]?\d+", "float_type": r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?"}
+
+
+def _number_remedy(path: str, key: str | None, kind: str, value: object) -> str:
+    """What to do about a value that is nearly the number that is expected; "" if it is not."""
+    if isinstance(value, str) and re.fullmatch(_NUMBERS[kind], value):
+        return f"; write it without quotes: {value}"
+    array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
+    if array and isinstance(value, list):
+        return f"; write one number here, and a table [[{array[1]}]] of its own for each other"
+    return ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -66,3 +68,9 @@ def sign(name: str, value: Any) -> int:
     if isinstance(value, bool | np.bool_) or value not in (-1, 1):
         raise ValueError(f"{name}: expected +1 or -1, got {value!r}")
     return int(value)
+
+
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """What `word` may have been meant for, as the end of a message; empty if nothing is near."""
+    close = difflib.get_close_matches(str(word), list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

@@ -20,7 +20,6 @@ import contextlib
 import hashlib
 import os
 import pickle
-import shutil
 import uuid
 import warnings
 from collections.abc import Callable
@@ -70,12 +69,6 @@ def _usable_cache() -> Path | None:
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_rewrites": True}
-
-
-def clear_cache() -> None:
-    """Remove the compiled kernels of this version; the next call compiles them again."""
-    shutil.rmtree(cache_directory(), ignore_errors=True)
-    cache_directory().mkdir(parents=True, exist_ok=True)
 
 
 class _KernelFiles:

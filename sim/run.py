@@ -16,13 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim import show
-from sim.arguments import Floats, floats, number, per_block
+from sim.arguments import Floats, did_you_mean, floats, number, per_block
 from sim.series import EventSeries
 from sim.system import System
 
@@ -168,7 +170,7 @@ def simulate(
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind, shape or size; the message names it.
+        If an argument is unknown, or of the wrong kind, shape or size; the message names it.
     IntegrationError
         If the engine cannot go on.
     """
@@ -179,6 +181,7 @@ def simulate(
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
     if engine not in get_args(Engine):
         raise ValueError(f"engine: expected one of {', '.join(get_args(Engine))}, got {engine!r}")
+    _check_names(settings, engine, engines)
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
@@ -190,3 +193,21 @@ def simulate(
             " and leave out what lies outside"
         )
     return engines[engine](system, z, w, t_start, t_end, Samples.blank(times, system.n), **settings)
+
+
+def _check_names(settings: Mapping[str, object], engine: str, engines: Mapping[str, Callable[..., Run]]) -> None:
+    """TypeError for a setting that the engine does not take; it says what does, or what may have been meant."""
+    takes = {name: _keywords(integrate) for name, integrate in engines.items()}
+    for name in settings:
+        if name not in takes[engine]:
+            other = next((other for other in engines if name in takes[other]), None)
+            remedy = did_you_mean(name, takes[engine] + _keywords(simulate))
+            remedy = remedy or (f'; write engine="{other}"' if other else "; leave it out")
+            known = ", ".join(takes[engine])
+            raise TypeError(f'{name}: unknown to the engine "{engine}", which takes {known}{remedy}')
+
+
+@cache  # small systems run in milliseconds
+def _keywords(function: Callable[..., Run]) -> tuple[str, ...]:
+    parameters = signature(function).parameters.values()
+    return tuple(parameter.name for parameter in parameters if parameter.kind is Parameter.KEYWORD_ONLY)

@@ -63,10 +63,16 @@ def draw_modes(events: EventSeries, ax: Axes | None) -> Axes:
         xlabel="time t (dimensionless)",
         ylabel="block",
         xlim=(events.t_start, max(events.t_end, np.nextafter(events.t_start, np.inf))),
-        ylim=(-0.5, events.n - 0.5),
     )
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(_MODES), frameon=False)
+    ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
+    legend = ax.legend(
+        loc="upper left", ncols=len(_MODES), frameon=False, borderaxespad=0.0,
+        fontsize="small", handlelength=1.0, handletextpad=0.4, columnspacing=1.0,
+    )  # fmt: skip
+    # room for it above the last block: outside the axes it would cover what is beside them, or be cut off
+    share = min(legend.get_window_extent().height / ax.get_window_extent().height, 0.5)
+    ax.set_ylim(-0.5, -0.5 + events.n / (1.0 - share))
     return ax
 
 

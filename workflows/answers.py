@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Literal, cast
+from typing import BinaryIO, Literal
 
 import pyarrow as pa
 import pyarrow.csv
@@ -24,12 +24,26 @@ Form = Literal["table", "csv", "parquet"]
 _SHOWN = 1000
 
 
+#: What the name of a file says of its form.
+_ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
+
+
 def form_of(asked: Form | None, out: Path | None) -> Form:
-    """The form asked for, or else the one that the name of the file says."""
+    """The form asked for, or else the one that the name of the file says.
+
+    Raises
+    ------
+    QueryError
+        If it says none that an answer can have.
+    """
     if asked is not None:
         return asked
-    ending = out.suffix.removeprefix(".") if out is not None else ""
-    return cast(Form, ending) if ending in ("csv", "parquet") else "table"
+    ending = out.suffix.lower() if out is not None else ""
+    if ending not in _ENDINGS:
+        raise QueryError(
+            f"--out: expected a file named .csv, .parquet or .txt, got {out}; name it so, or say its form by --format"
+        )
+    return _ENDINGS[ending]
 
 
 def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Where) -> None:
@@ -52,16 +66,21 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
 
 
 def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
-    if form == "table":
-        stream.write(_table(batches).encode())
-    elif form == "csv":
-        with pa.csv.CSVWriter(stream, batches.schema) as writer:
-            for batch in batches:
-                writer.write_batch(batch)
-    else:
-        with pq.ParquetWriter(stream, batches.schema, compression="zstd", write_page_checksum=True) as file:
-            for batch in batches:
-                file.write_batch(batch)
+    try:
+        if form == "table":
+            stream.write(_table(batches).encode())
+        elif form == "csv":
+            with pa.csv.CSVWriter(stream, batches.schema) as writer:
+                for batch in batches:
+                    writer.write_batch(batch)
+        else:
+            with pq.ParquetWriter(stream, batches.schema, compression="zstd", write_page_checksum=True) as file:
+                for batch in batches:
+                    file.write_batch(batch)
+    except pa.ArrowException as error:
+        raise QueryError(
+            f"--format: expected columns that {form} can hold ({error}); cast them in the query"
+        ) from error
     stream.flush()
 
 

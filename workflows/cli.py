@@ -7,11 +7,14 @@ import gc
 import os
 import shlex
 import sys
+from collections.abc import Sized
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from pipeline.errors import QueryError, SceneError, ScheduleError, StoreError
+from pipeline.interrupt import Interrupted, interruptible
 from workflows.parser import parser
 
 if TYPE_CHECKING:
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
-_DONE, _UNFINISHED, _WRONG, _INTERRUPTED = 0, 1, 2, 130
+_DONE, _UNFINISHED, _WRONG = 0, 1, 2
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -30,7 +33,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
-        from pipeline.tables import did_you_mean
+        from sim.arguments import did_you_mean
 
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
         raise _Wrong(
@@ -51,12 +54,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing) -> int:
-    from pipeline import Interrupted, load_scene, run_scene
+    from pipeline import parse_scene, run_scene
     from pipeline.interrupt import last_act
     from pipeline.place import DATA, SCENE, Directory
+    from pipeline.tables import read_source
     from workflows.progress import Watch, clock
 
-    scene = load_scene(file)
+    source = read_source(file)
+    scene = parse_scene(source, str(file))
 
     def how_to_go_on() -> None:
         print(f"\ninterrupted; what is done is kept. Go on with:\n  {_again(arguments, out)}", file=sys.stderr)
@@ -66,7 +71,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
             Thread(target=import_module, args=("workflows.reporting",), daemon=True).start()  # while workers compute
             status = run_scene(
                 scene,
-                file.read_bytes(),
+                source,
                 out,
                 arguments.workers,
                 arguments.scheduler,
@@ -91,22 +96,26 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
 
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from pipeline import load_scene
+    from pipeline import parse_scene
     from pipeline.estimate import estimate
     from pipeline.store import Store
+    from pipeline.tables import read_source
     from workflows.progress import in_words
 
-    scene = load_scene(file)
-    store = Store(out, scene, file.read_bytes(), arguments.retry_failed, arguments.accept_version)
+    source = read_source(file)
+    scene = parse_scene(source, str(file))
+    store = Store(out, scene, source, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
     print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
     n_to_go = sum(len(batch.members) for batch in to_go)
     if n_to_go < scene.n_members:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
-    if to_go:
-        print("\n".join(in_words(estimate(scene, to_go, arguments.workers))))
-    return _DONE
+    if not to_go:
+        return _DONE
+    found = estimate(scene, to_go, arguments.workers)
+    print("\n".join(in_words(found)))
+    return _UNFINISHED if found.failures else _DONE
 
 
 def _run_member(file: Path, member_id: str) -> int:
@@ -119,23 +128,33 @@ def _run_member(file: Path, member_id: str) -> int:
         raise _Wrong(f"--only: {error}") from None
     for name, value in row.items():
         if value is not None:
-            print(f"{name:18} {value if not hasattr(value, '__len__') or isinstance(value, str) else len(value)}")
+            shown = f"{len(value)} values" if isinstance(value, Sized) and not isinstance(value, str) else value
+            print(f"{name:18} {shown}")
     return _UNFINISHED if row["outcome"] == "failed" else _DONE
 
 
 def _check_directory(out: Path, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
+    from pipeline.place import MANIFEST
+
     place, here = out.resolve(), Path(__file__).resolve().parents[1]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
         raise _Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; name another")
     if place.exists() and not place.is_dir():
         raise _Wrong(f"--out: expected a directory, got the file {out}; name another")
-    if place == file.resolve().parent and not (place / "manifest.json").exists():
+    if place == file.resolve().parent and not (place / MANIFEST).exists():
         raise _Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; name another")
 
 
+def _check_no_ensemble(out: Place) -> None:
+    from pipeline.place import MANIFEST
+
+    if MANIFEST in out.names():
+        raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
+
+
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from pipeline.place import MANIFEST, Directory
+    from pipeline.place import Directory
     from workflows.charts import ChartError, load_chart
     from workflows.charts.alone import measure_alone
     from workflows.reporting import write
@@ -146,8 +165,7 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     if arguments.dry_run:
         print(f"{file}: a chart of {kind.extent(scene)}, in one process, into {out}")
         return _DONE
-    if MANIFEST in out.names():
-        raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
+    _check_no_ensemble(out)
     try:
         if isinstance(out, Directory):
             out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
@@ -156,9 +174,9 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     except (ChartError, OSError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _UNFINISHED
-    except KeyboardInterrupt:
+    except Interrupted as interrupt:
         print("\ninterrupted; nothing was written", file=sys.stderr)
-        return _INTERRUPTED
+        return interrupt.exit_code
     print("\n".join(built.headline))
     print(f"report  {page}")
     return _DONE
@@ -196,12 +214,11 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
-    from pipeline.place import MANIFEST, place_of
+    from pipeline.place import place_of
     from workflows.reporting import compared, name_of, write
 
     place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
-    if MANIFEST in place.names():
-        raise _Wrong(f"--out: {place} holds an ensemble, whose report would be lost; name another directory")
+    _check_no_ensemble(place)
     try:
         built = compared(first, second)
     except ValueError as error:
@@ -216,8 +233,8 @@ def _status(arguments: argparse.Namespace) -> int:
 
     try:
         (watch if arguments.watch else say)(arguments.directory, arguments.plot)
-    except KeyboardInterrupt:  # of the looking: the run goes on
-        return _INTERRUPTED
+    except Interrupted as interrupt:  # of the looking: the run goes on
+        return interrupt.exit_code
     return _DONE
 
 
@@ -237,9 +254,9 @@ def _query(arguments: argparse.Namespace) -> int:
     try:
         with answer(arguments.directory, arguments.sql) as batches:
             write(batches, form, arguments.out, arguments.directory)
-    except KeyboardInterrupt:
+    except Interrupted as interrupt:
         print("\ninterrupted; no answer was written", file=sys.stderr)
-        return _INTERRUPTED
+        return interrupt.exit_code
     return _DONE
 
 
@@ -261,6 +278,7 @@ def _init(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
+    from workflows.keys import lines
     from workflows.starting import schema_text
 
     if arguments.chart is not None:
@@ -270,7 +288,7 @@ def _schema(arguments: argparse.Namespace) -> int:
             raise _Wrong(
                 f"CHART: expected one of {', '.join(KINDS)}, got {arguments.chart!r}; leave it out for ensembles"
             )
-    print(schema_text(arguments.chart), end="")
+    print("\n".join(lines(arguments.chart)) if arguments.keys else schema_text(arguments.chart).rstrip())
     return _DONE
 
 
@@ -294,8 +312,6 @@ _ON_DATA = {"run": _run, "status": _status, "verify": _verify, "report": _report
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = parser().parse_args(argv)
-    from pipeline.interrupt import Interrupted, interruptible
-
     try:
         with interruptible():
             return _BEFORE.get(arguments.command, _on_data)(arguments)
@@ -316,24 +332,11 @@ def main(argv: list[str] | None = None) -> int:
 def _on_data(arguments: argparse.Namespace) -> int:
     try:
         return _ON_DATA[arguments.command](arguments)
-    except _mistakes() as error:
+    except (SceneError, QueryError) as error:
         raise _Wrong(error) from error
-    except _mishaps() as error:
+    except (StoreError, ScheduleError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _UNFINISHED
-
-
-# Asked for when there is an error: the rooms that they are in take a second to load.
-def _mistakes() -> tuple[type[Exception], ...]:
-    from pipeline import QueryError, SceneError
-
-    return SceneError, QueryError
-
-
-def _mishaps() -> tuple[type[Exception], ...]:
-    from pipeline import ScheduleError, StoreError
-
-    return StoreError, ScheduleError
 
 
 if __name__ == "__main__":

@@ -48,13 +48,24 @@ class Drawing:
         self._asked.append((asked, recipe))
 
         def image() -> str:
-            while self._asked:  # nothing but images is missing: from the last on, draw here what is not begun there
-                last, its_recipe = self._asked.pop()
-                if last.cancel():
-                    self._drawn_here[last] = embedded(its_recipe())
-            return self._drawn_here.get(asked) or asked.result() or embedded(recipe())
+            self._draw_what_is_not_begun()
+            there = None if asked.cancelled() else asked.result()
+            return self._drawn_here.get(asked) or there or embedded(recipe())
 
         return image
+
+    def _draw_what_is_not_begun(self) -> None:
+        """Draw here, from the last on, until the process has begun all that is left.
+
+        Done when the first image is asked for, as all that is missing then is images. An error of any recipe is
+        raised there.
+        """
+        from analysis.figures import embedded
+
+        while self._asked:
+            asked, recipe = self._asked.pop()
+            if asked.cancel():
+                self._drawn_here[asked] = embedded(recipe())
 
     def _ask(self, recipe: Recipe) -> str | None:
         try:
@@ -72,7 +83,7 @@ def serve() -> None:
 
     from analysis.figures import embedded
 
-    gc.disable()  # a figure is full of cycles, which are looked for again and again; the process ends soon
+    gc.disable()  # figures are full of cycles, which are looked for again and again; of one report all find room
     embedded(Figure())  # meanwhile: the first figure has to find the fonts
     while True:
         try:

@@ -9,8 +9,9 @@ from typing import Any
 
 _CODES = """exit codes:
   0    done
-  1    not finished, members failed, or the data are damaged: the same command goes on
-  2    what was asked for is wrong, and the message says how
+  1    not done, or not to the end: members failed, data missing or damaged, a directory that holds something else;
+       the message says what to do, and what is done stays
+  2    what was asked for is wrong: an option, a scene, a question; nothing was done
   130  interrupted by Ctrl-C (SIGINT)
   143  ended by SIGTERM
 """
@@ -113,8 +114,10 @@ def parser() -> argparse.ArgumentParser:
         "print the JSON Schema of scene files, by which editors complete and check them",
         ("stickslip schema > stickslip.schema.json", "of ensembles, as `stickslip init` writes it"),
         ("stickslip schema stability", "of the scenes of a chart"),
+        ("stickslip schema --keys", "every key: default, meaning, values"),
     )
     schema.add_argument("chart", nargs="?", metavar="CHART", help="a kind of chart, the key `chart` of its scenes")
+    schema.add_argument("--keys", action="store_true", help="say it in words instead: a line for each key")
     completion = command(
         "completion",
         "print what makes a shell complete this command",
@@ -137,7 +140,11 @@ def _run(run: argparse.ArgumentParser) -> None:
     run.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
     run.add_argument("--accept-version", action="store_true", help="go on with data that another version began")
     run.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
-    run.add_argument("--dry-run", action="store_true", help="say what would be run, and run nothing")
+    run.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say what would be run and what it would take, by a pilot of some members; write nothing",
+    )
 
 
 def _examples(*examples: tuple[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from types import TracebackType
@@ -14,7 +15,7 @@ from pipeline.place import Where
 
 if TYPE_CHECKING:
     from pipeline import Progress
-    from pipeline.estimate import Estimate
+    from pipeline.estimate import Amounts, Estimate
 
 # What reads data loads pandas: only who is told of data waits for it, and no run does before it starts.
 
@@ -31,31 +32,59 @@ def clock(seconds: float) -> str:
 
 
 def in_words(found: Estimate) -> list[str]:
-    """An estimate in lines: time, disk, and where they come from."""
-    low, middle, high = found.seconds
-    core = " to ".join(f"{value:.3g}" for value in (found.core_seconds[0], found.core_seconds[2]))
-    disk = [value / 1e6 for value in found.n_bytes]
-    workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+    """An estimate in lines: time, disk, and where they come from; or why there is none."""
     others = f"; others use the machine too: {found.busy:.1f} s for one of a core" if found.busy > 1.2 else ""
     lines = [
-        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {workers}, report apart; {core} s of a core",
-        f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
+        *(_failures_in_words(found) if found.amounts is None else _amounts_in_words(found, found.amounts)),
         f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s{others}",
-        f"start   {found.start_seconds:.1f} s of the time, until workers are there",
     ]
+    if found.amounts is not None:
+        lines.append(f"start   {found.start_seconds:.1f} s of the time, until workers are there")
     if found.compile_seconds:
         lines.append(f"compile {found.compile_seconds:.0f} s, done now: the run finds the kernels compiled")
     return lines
 
 
+def _amounts_in_words(found: Estimate, amounts: Amounts) -> list[str]:
+    low, middle, high = amounts.seconds
+    core = " to ".join(f"{value:.3g}" for value in (amounts.core_seconds[0], amounts.core_seconds[2]))
+    disk = [value / 1e6 for value in amounts.n_bytes]
+    return [
+        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {_workers(found)}, report apart; {core} s of a "
+        f"core",
+        f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
+    ]
+
+
+def _workers(found: Estimate) -> str:
+    """How many workers there will be, and what limits them if there is less to do than they were asked for."""
+    started = min(found.asked_workers, found.n_shards)
+    words = f"{started} worker{'s' * (started > 1)}"
+    if found.workers < started:
+        return f"{words} (which share {found.workers} core{'s' * (found.workers > 1)})"
+    if started == found.asked_workers:
+        return words
+    return f"{words} ({'there is one shard' if started == 1 else f'there are {started} shards'})"
+
+
+def _failures_in_words(found: Estimate) -> list[str]:
+    n_failed = sum(found.failures.values())
+    return [
+        f"time    not known, nor is disk: {n_failed} of the pilot's {found.n_pilot} members failed",
+        *(f"failed  {count}: {reason}" for reason, count in found.failures.items()),
+    ]
+
+
 def say(directory: Where, plot: bool = False) -> None:
     """Print the status of a dataset; and draw its newest member, on a terminal."""
+    _say_unseen(plot)
     print("\n".join(_status_lines(Follower(directory).look()) + _drawn(directory, plot)))
 
 
 def watch(directory: Where, plot: bool = False) -> None:
     """Print the status of a dataset, again and again until nobody writes it any more."""
     follower = Follower(directory)
+    _say_unseen(plot)
     last: list[str] = []
     while True:
         view = follower.look()
@@ -68,6 +97,14 @@ def watch(directory: Where, plot: bool = False) -> None:
         if view.running is None:
             return
         time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
+
+
+def _say_unseen(plot: bool) -> None:
+    if plot:
+        from workflows.sparkline import obstacle
+
+        if obstacle():
+            print(f"plot    not drawn: {obstacle()}", file=sys.stderr)
 
 
 def _drawn(directory: Where, plot: bool) -> list[str]:
@@ -85,6 +122,9 @@ def _status_lines(view: View) -> list[str]:
         f"members {found.n_done} of {found.n_members} done: {outcomes}",
         f"shards  {found.n_shards} of {view.n_planned}, {found.n_bytes / 1e6:.2f} MB",
     ]
+    if found.n_missing:
+        where = shlex.quote(found.path)
+        lines.append(f"missing {found.n_missing} of the shards: `stickslip verify {where}` says which")
     if view.running is not None:
         pace = "" if view.rate is None else f", {view.rate:.3g} members/s"
         eta = "" if view.eta is None else f", {clock(view.eta)} to go"

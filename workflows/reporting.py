@@ -11,22 +11,21 @@ from analysis import AnalysisSettings, Report, build
 from analysis.comparison import Ensemble, compare
 from analysis.report import Image, on_demand
 from analysis.section import Data, Recipe
-from pipeline import Scene, Status, dataset_scene, status
+from pipeline import Scene, Status, StoreError, dataset_scene, status
 from pipeline.place import Directory, Where, place_of
 from pipeline.query import all_events, by_threshold, members, separations, series
 
 
-def report(path: Where, draw: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:
+def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
 
-    `draw` has the figures drawn, as in `analysis.build`: `workflows.drawing.Drawing` does it beside the statistics.
+    `drawn_by` has the figures drawn, as in `analysis.build`: `workflows.drawing.Drawing` does so beside the
+    statistics.
 
     Raises
     ------
     pipeline.StoreError
-        If there is no readable dataset.
-    ValueError
-        If no member is there yet.
+        If there is no readable dataset, or no member of it is done yet.
     """
     scene, found = _opened(path)
     frame = members(path)
@@ -40,7 +39,7 @@ def report(path: Where, draw: Callable[[Recipe], Image] = on_demand) -> tuple[Re
         separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
         thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
     )
-    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance, draw), found
+    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance, drawn_by), found
 
 
 def compared(path: Where, other: Where) -> Report:
@@ -49,9 +48,9 @@ def compared(path: Where, other: Where) -> Report:
     Raises
     ------
     pipeline.StoreError
-        If one is no readable dataset.
+        If one is no readable dataset, or no member of it is done yet.
     ValueError
-        If no member of one is there yet, or they have nothing in common.
+        If they have nothing in common.
     """
     places = (path, other)
     opened = [_opened(where) for where in places]
@@ -74,7 +73,7 @@ def compared(path: Where, other: Where) -> Report:
 def _opened(path: Where) -> tuple[Scene, Status]:
     scene, found = dataset_scene(path), status(path)
     if found.n_done == 0:
-        raise ValueError(f"{path}: no member is done yet; run the scene first")
+        raise StoreError(f"{path}: no member is done yet; run the scene first")
     return scene, found
 
 

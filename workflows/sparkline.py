@@ -17,16 +17,26 @@ _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _BLANK = 0x2800
 
 _WIDTH, _HEIGHT = 60, 4  # characters
+_COLUMNS = _WIDTH + 9  # of a terminal that it fits in, with its labels
+
+
+def obstacle() -> str:
+    """Why a drawing would not be seen; "" if it would."""
+    if not sys.stdout.isatty():
+        return "this is no terminal"
+    columns = shutil.get_terminal_size().columns
+    if columns < _COLUMNS:
+        return f"the terminal has {columns} columns, fewer than {_COLUMNS}"
+    takes_unicode = (sys.stdout.encoding or "").lower().startswith("utf")
+    return "" if takes_unicode else f"the terminal takes {sys.stdout.encoding}, and no Unicode"
 
 
 def newest(path: Where) -> list[str]:
     """n_stick(t) of the member committed last, drawn and labelled.
 
-    Nothing if there is none that did not fail, or if it cannot be seen: in a pipe, on a narrow terminal, or on one
-    that does not take Unicode.
+    Nothing if there is none that did not fail, or if there is an `obstacle`.
     """
-    sees = sys.stdout.isatty() and shutil.get_terminal_size().columns > _WIDTH + 8
-    if not sees or not (sys.stdout.encoding or "").lower().startswith("utf"):
+    if obstacle():
         return []
     kept = read_manifest(path).shards
     names = [commit.name for commit in read_commits(path) if commit.name in kept]

@@ -17,7 +17,7 @@ SCHEMA = "stickslip.schema.json"
 
 _HEAD = """#:schema ./{schema}
 # A scene: which systems, run how, what is kept, and what to make of it. All quantities are dimensionless.
-# `stickslip run {file} --dry-run` says what it would take.
+# `stickslip schema --keys` lists all keys; `stickslip run {file} --dry-run` says what the scene would take.
 """
 
 
@@ -31,7 +31,7 @@ def listing() -> list[str]:
     for name, file in shipped().items():
         table = tomllib.loads(file.read_text(encoding="utf-8"))
         lines.append(f"{name:16}{_members(table, file):>8}{_time(table.get('minutes')):>8}  {table['about']}")
-    return [*lines, "\ntime: on two cores, with the report and without compilation; a chart is no ensemble"]
+    return [*lines, "\ntime: on two cores, with the report and without compilation; a chart has no members"]
 
 
 def _members(table: dict[str, Any], file: Path) -> str:
@@ -67,12 +67,12 @@ def new_scene(file: Path) -> list[str]:
         raise NotWritten(
             f"FILE: expected a name that is free, got {str(file)!r}, which exists; name another, or remove it"
         ) from None
-    schema, named = file.with_name(SCHEMA), shlex.quote(str(file))
-    if not schema.exists():
-        schema.write_text(schema_text(None), encoding="utf-8")
+    beside, named = file.with_name(SCHEMA), shlex.quote(str(file))
+    if not beside.exists():
+        beside.write_text(schema_text(None), encoding="utf-8")
     return [
         f"scene   {file}",
-        f"schema  {schema}: editors with a TOML language server complete and check the scene by it",
+        f"schema  {beside}: editors with a TOML language server complete and check the scene by it",
         "next    edit the scene, then",
         f"  stickslip run {named} --dry-run    what it would take",
         f"  stickslip run {named}              run it, into runs/{file.stem}",
@@ -86,13 +86,18 @@ def _body() -> str:
     return "".join(line for line in lines[first:] if not line.startswith("minutes"))
 
 
-def schema_text(chart: str | None) -> str:
+def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from pipeline import Scene
     from pipeline.tables import json_schema
     from workflows.charts import kind
 
-    return json.dumps(json_schema(Scene if chart is None else kind(chart).scene), indent=1) + "\n"
+    return json_schema(Scene if chart is None else kind(chart).scene)
+
+
+def schema_text(chart: str | None) -> str:
+    """The same as the text of a file."""
+    return json.dumps(schema(chart), indent=1) + "\n"
 
 
 def completion(parser: argparse.ArgumentParser, shell: str) -> str:

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from analysis import words
 from analysis.chance import figures as chance_figures
@@ -26,7 +25,7 @@ from analysis.chance.clustering_tables import (
 from analysis.chance.nulls import draws_each
 from analysis.groups import Group
 from analysis.section import Column, Data, Picture, Row, Section, Table
-from analysis.tables import drift, records
+from analysis.tables import drift, records, typed
 
 #: Label, and at each x: the share of lengths above x means, observed, by chance, and of an exponential.
 Tail = tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -80,7 +79,7 @@ def verdict(rows: Sequence[Row], shares: Sequence[float], confidence: float) -> 
 
 
 def _percent(value: float) -> str:
-    return ("+" if value >= 0 else "−") + words.percent(abs(value))
+    return ("+" if value >= 0 else "-") + words.percent(abs(value))
 
 
 def _other_taus(rows: Sequence[Row], confidence: float) -> str:
@@ -170,7 +169,7 @@ def clustering_section(
     shown = list(found)
     taus, lengths = sorted(taus), sorted(lengths)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in SCHEMAS}
-    statements: list[str] = []
+    statements: list[list[str]] = []
     lead: list[str] = []
     tails: list[Tail] = []
     checks: list[str] = []
@@ -201,7 +200,7 @@ def clustering_section(
         if len(first) and any(row["is_beyond_chance"] is not None for row in first):
             said += [_other_taus(first, confidence), _fano_sentence(made["fano"]), _spans_sentence(made["spans"])]
         said = [f"{group.label}: {words.sentence(text)}" for text in said]
-        statements += said
+        statements.append(said)
         lead += said[:1] if len(said) > 1 else []
         tails += _tails(group.label, one)
         if one.null == INDEPENDENT:
@@ -209,16 +208,12 @@ def clustering_section(
                 f"{group.label}: without events of single blocks the null is independent exits, which does not keep "
                 "that a block must stick before it lets go; record events for the null of no coupling."
             )
-    frames = {
-        name: pd.DataFrame(
-            {key: pd.array([row[key] for row in rows[name]], dtype=kind) for key, kind in keys.items()}
-        )
-        for name, keys in SCHEMAS.items()
-    }
+    frames = {name: typed(keys, rows[name]) for name, keys in SCHEMAS.items()}
     return Section(
         title="Do exits cluster beyond chance?",
         question="Does one block letting go make others let go, more than blocks that ignore each other would show?",
-        statements=tuple(statements),
+        # groups that there is more to say of than one sentence first: long lists are folded on the page
+        statements=tuple(line for said in sorted(statements, key=lambda said: len(said) == 1) for line in said),
         lead=tuple(lead),
         method=(
             "Pairs of exits within tau of each other and Fano factors of counts, against what is expected (in closed "

@@ -28,8 +28,9 @@ from analysis.chance.nulls import block_steps, independent_sums, random_order, r
 from analysis.fits import LN2, Estimate, gamma, gamma_difference, over_matrices, ratio
 from analysis.groups import Group, generator, windows
 from analysis.section import Data
+from analysis.tables import F, I, S
 
-S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types of the tables
+B = "boolean"
 SCHEMAS: Mapping[str, Mapping[str, Any]] = {
     "pairs": {
         "group": S, "null": S, "tau": F, "n_matrices": I, "n_exits": I, "n_pairs": F, "n_pairs_null": F,

@@ -22,9 +22,8 @@ from analysis.chance.nulls import NullTally, block_steps, draws_each, independen
 from analysis.fits import Estimate, Undefined, gamma, gamma_difference, over_matrices
 from analysis.groups import Group, generator, windows
 from analysis.section import Column, Data, Picture, Row, Section, Table
-from analysis.tables import records
+from analysis.tables import F, I, S, records, typed
 
-S, I, F = "string", "Int64", "Float64"  # noqa: E741  nullable types of the table
 SCHEMA: Mapping[str, Any] = {
     "group": S, "n": I, "engine": S, "definition": S, "dt": F, "tau": F, "threshold": F, "n_cascades": I,
     "n_matrices": I, "mean_size": F, "gamma": F, "gamma_low": F, "gamma_high": F, "gamma_independent": F,
@@ -139,7 +138,7 @@ def _add(sheet: Sheet, row: int, win: Window, dt: Sequence[float], taus: Sequenc
 def map_table(made: Sequence[Sheet], confidence: float) -> pd.DataFrame:
     """One row a group, threshold and law: gamma with its interval, what chance gives, and the difference."""
     rows = [_row(sheet, law, cell, confidence) for sheet in made for law, cell in sheet.cells.items()]
-    return pd.DataFrame({name: pd.array([row[name] for row in rows], dtype=kind) for name, kind in SCHEMA.items()})
+    return typed(SCHEMA, rows)
 
 
 def _row(sheet: Sheet, law: Law, cell: Cell, confidence: float) -> dict[str, object]:
@@ -233,7 +232,7 @@ def map_section(
         ),
         tables=tuple(tables),
         pictures=tuple(_pictures(rows, own)),
-        assumptions=(_check(own, confidence),),
+        assumptions=(_check(own, nulls, confidence),),
     )
 
 
@@ -252,7 +251,11 @@ def _columns(rows: Sequence[Row]) -> tuple[Column, ...]:
 
 def _statements(rows: Sequence[Row], labels: Sequence[str]) -> list[str]:
     lines = []
-    for label in labels:
+    # groups with many cascades first: long lists are folded on the page
+    n_cascades = {
+        label: max((row["n_cascades"] for row in rows if row["group"] == label), default=0) for label in labels
+    }
+    for label in sorted(labels, key=lambda label: -n_cascades[label]):
         own = [row for row in rows if row["group"] == label and row["threshold"] is None]
         known = [row for row in own if row["gamma"] is not None and row["definition"] in SAMPLED]
         if not known:
@@ -351,14 +354,15 @@ def _by_threshold(under: Sequence[Row]) -> str:
     return f"the threshold, from c = {low:g} to {high:g}, moves gamma by {', by '.join(parts)}"
 
 
-def _check(own: Sequence[Row], confidence: float) -> str:
+def _check(own: Sequence[Row], nulls: Sequence[str], confidence: float) -> str:
     judged = [row for row in own if row["difference_low"] is not None]
     luck = words.number(len(judged) * (1 - confidence), 2)
+    is_null = "is" if ROTATION in nulls else "would, with events recorded, be"
     return (
         "Independence in the closed form takes no account of blocks having to stick before they let go: at steps "
-        "long against their time of sticking it fails without any coupling, and rotation is the null to read. "
-        f"The definitions share their data; of {words.count(len(judged), 'comparison')} about {luck} would differ by "
-        "luck."
+        f"long against their time of sticking it fails without any coupling. The null to read there {is_null} "
+        "rotation of blocks: each block's own series turned in time by a random amount. The definitions share their "
+        f"data; of {words.count(len(judged), 'comparison')} about {luck} would differ by luck."
     )
 
 

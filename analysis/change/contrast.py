@@ -23,6 +23,11 @@ from analysis.section import ChangePoints, Data
 
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2
+#: Why the difference of two shares is not that of the numbers beside it: said wherever both stand.
+SHARES_ADJUSTED = (
+    "as if each setting had two runs more, one with that end and one without, so that none of few is not read "
+    "as never"
+)
 _NONE = Estimate()
 #: The sigmoid engine certifies no collapse: laws are compared in what went quiet, certified or not.
 CERTIFIED = "share collapsed (certified)"
@@ -198,7 +203,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     if unjudged and not (paired and np.array_equal(a, b)):  # the same numbers are the same, whatever they mean
         return Contrast(one, len(a), len(b), reason=unjudged)
     if min(len(a), len(b)) < 2:
-        fewest = f"{min(len(a), len(b))} matrices"
+        fewest = words.count(min(len(a), len(b)), "matrix")
         which = f"{fewest} in which both have" if paired else f"{fewest} in one of the two with"
         return Contrast(one, len(a), len(b), reason=f"{which} something to count; two are needed")
     estimate = _share if one.is_share else over_matrices
@@ -272,18 +277,15 @@ def in_words(row: Mapping[str, Any]) -> str:
     """The verdict on a row of `judged`: the difference, its interval, and what was allowed."""
     if row["p_equivalent"] is None:
         return f"{equivalence.OPEN}: {row['reason']}"
-    value, margin = size_in_words(row), words.percent(row["margin"])
-    if row["verdict"] == equivalence.EQUIVALENT:
-        if row["relative"] == row["relative_low"] == row["relative_high"] == 0:
-            return f"{equivalence.EQUIVALENT}: the same number in every matrix"
-        is_seen = not row["relative_low"] <= 0 <= row["relative_high"]
-        more = ", a difference within the margin" if is_seen else ""
-        return f"{equivalence.EQUIVALENT} within {margin}: {value}{more}"
-    if row["verdict"] == equivalence.DIFFERENT:
-        is_beyond = row["relative_low"] > row["margin"] or row["relative_high"] < -row["margin"]
-        more = f"beyond the margin of {margin}" if is_beyond else f"whether by more than {margin} is open"
-        return f"{equivalence.DIFFERENT}: {value}, {more}"
-    return f"{equivalence.OPEN}: {value} against a margin of {margin}"
+    low, high = row["relative_low"], row["relative_high"]
+    if row["verdict"] == equivalence.EQUIVALENT and row["relative"] == low == high == 0:
+        return f"{equivalence.EQUIVALENT}: the same number in every matrix"
+    return equivalence.verdict_words(row, size_in_words(row), low, high, margin_in_words(row))
+
+
+def margin_in_words(row: Mapping[str, Any]) -> str:
+    """The margin of a row, in the unit of `size_in_words`."""
+    return f"{100 * row['margin']:.0f} points" if row["is_share"] else words.percent(row["margin"])
 
 
 def size_in_words(row: Mapping[str, Any]) -> str:
@@ -299,12 +301,7 @@ def _points(value: float) -> str:
 def judged(found: Sequence[Contrast], alpha: float) -> list[dict[str, Any]]:
     """Rows with verdicts, adjusted by Holm's rule over all of them, each kind of test by itself."""
     rows = [_row(one, alpha) for one in found]
-    tested = [row for row in rows if row["p_equivalent"] is not None]
-    for name in ("p_equivalent", "p_different"):
-        for row, adjusted in zip(tested, equivalence.holm([row[name] for row in tested]), strict=True):
-            row[f"{name}_holm"] = float(adjusted)
-    for row in tested:
-        row["verdict"] = equivalence.verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
+    equivalence.judge_together(rows, alpha)
     return rows
 
 

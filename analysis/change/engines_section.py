@@ -15,11 +15,13 @@ from analysis import words
 from analysis.change import figures as twin_figures
 from analysis.change.contrast import (
     CERTIFIED,
+    SHARES_ADJUSTED,
     Sample,
     Statistic,
     contrast,
     in_words,
     judged,
+    margin_in_words,
     sample,
     size_in_words,
     statistics,
@@ -125,7 +127,7 @@ def engines_section(
             twin_figures.contrasts(
                 panels,
                 "Bias against the reference in units of the declared margin (band), with the interval of the "
-                "equivalence test, not adjusted for the number of tests.",
+                f"equivalence test. {twin_figures.HOW_TO_READ}",
             ),
         )
         if panels
@@ -214,7 +216,12 @@ def _law_words(rows: Rows) -> str:
     text += f"{len(by[EQUIVALENT])} of {words.count(len(tested), 'statistic')} are equivalent within the margins"
     if by[DIFFERENT]:
         worst = max(by[DIFFERENT], key=lambda row: abs(row["relative"]) / row["margin"])
-        text += f"; {len(by[DIFFERENT])} differ, the most by its margin {worst['quantity']}, {size_in_words(worst)}"
+        found = f"{worst['quantity']}, {size_in_words(worst)} against a margin of {margin_in_words(worst)}"
+        text += (
+            f"; 1 differs: {found}"
+            if len(by[DIFFERENT]) == 1
+            else f"; {len(by[DIFFERENT])} differ, most of all {found}"
+        )
     if by[OPEN]:
         named = ", ".join(row["quantity"] for row in by[OPEN][:3])
         others = f" and {len(by[OPEN]) - 3} more" if len(by[OPEN]) > 3 else ""
@@ -271,15 +278,26 @@ def _table(kind: str, rows: Rows) -> Table:
         TOLERANCE: "Bias of looser tolerances against the tightest, paired by matrix.",
         THRESHOLD: "What further thresholds of sticking give on the same runs, against the members' own definition.",
     }
+    units = (
+        " Bias and interval are value minus reference; the verdict is on that difference relative to the reference, "
+        "which has an interval of its own: narrower where matrices differ in scale more than in the ratio."
+    )
+    if any(row["is_share"] for row in rows):
+        units += (
+            " Shares are of one run a matrix, gone quiet if collapsed or silent; their bias, which the verdict "
+            f"is on, is estimated {SHARES_ADJUSTED}."
+        )
     return Table(
         kind,
-        captions[kind],
+        captions[kind] + units,
         typed(_SCHEMA, rows),
         (
             Column("setting", "setting"), Column("statistic", "quantity"), Column("matrices", "n_matrices"),
             Column("reference", "of_reference"), Column("value", "value"), Column("bias", "difference", 2),
             Column("interval", ("difference_low", "difference_high")),
-            Column("in sampling errors", "in_errors", 2), Column("verdict", "statement"),
+            Column("in sampling errors", "in_errors", 2),
+            Column("p equivalent, adjusted", "p_equivalent_holm", show=words.p_text),
+            Column("p different, adjusted", "p_different_holm", show=words.p_text), Column("verdict", "statement"),
         ),
         max_rows=100,
         is_open=kind == LAW,

@@ -10,13 +10,14 @@ p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import optimize, special
 
-from analysis import student
+from analysis import student, words
 
 EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
 POWER = 0.8  # of the equivalence test, for the number of matrices that would be needed
@@ -106,6 +107,52 @@ def verdict(p_equivalent: float, p_different: float, alpha: float) -> str:
     if p_equivalent < alpha:
         return EQUIVALENT
     return DIFFERENT if p_different < alpha else OPEN
+
+
+def judge_together(rows: Sequence[dict[str, Any]], alpha: float) -> None:
+    """Write adjusted p-values and verdicts into rows that were tested; by Holm's rule, each kind of test by itself.
+
+    Rows without `p_equivalent` are left as they are. `by_itself` is the verdict without adjustment, `n_tests` the
+    number of rows adjusted for.
+    """
+    tested = [row for row in rows if row["p_equivalent"] is not None]
+    for name in ("p_equivalent", "p_different"):
+        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
+            row[f"{name}_holm"] = float(adjusted)
+    for row in tested:
+        row["verdict"] = verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
+        row["by_itself"] = verdict(row["p_equivalent"], row["p_different"], alpha)
+        row["n_tests"] = len(tested)
+
+
+def verdict_words(row: Mapping[str, Any], value: str, low: float, high: float, margin: str) -> str:
+    """The verdict on a row that was judged: what was found (`value`), what was allowed, and what adjusting changed.
+
+    Parameters
+    ----------
+    row : mapping
+        As `judge_together` leaves it, with `margin` in the unit of `low` and `high`.
+    value, margin : str
+        Difference with its interval, and margin, as they are read.
+    low, high : float
+        Interval of the difference, not adjusted.
+    """
+    if row["verdict"] == EQUIVALENT:
+        is_seen = not low <= 0 <= high
+        return f"{EQUIVALENT} within {margin}: {value}" + (", a difference within the margin" if is_seen else "")
+    by_itself = row["by_itself"]
+    not_after = ""
+    if by_itself not in (row["verdict"], OPEN):
+        p_value = words.p_is(row["p_equivalent_holm" if by_itself == EQUIVALENT else "p_different_holm"])
+        not_after = (
+            f"{by_itself} by itself, not after adjustment for {words.count(row['n_tests'], 'comparison')} "
+            f"(adjusted {p_value})"
+        )
+    if row["verdict"] == DIFFERENT:
+        is_beyond = low > row["margin"] or high < -row["margin"]
+        open_end = not_after or f"whether by more than {margin} is open"
+        return f"{DIFFERENT}: {value}, " + (f"beyond the margin of {margin}" if is_beyond else open_end)
+    return f"{OPEN}: {value} against a margin of {margin}" + (f"; {not_after}" if not_after else "")
 
 
 def power(n_matrices: int, spread: float, margin: float, alpha: float) -> float:

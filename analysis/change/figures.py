@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
+from analysis.change.growth_rates import GROWS, SHRINKS
 from analysis.figures import CYCLE, GREY, STYLE, subplots
 from analysis.section import Picture
 
@@ -24,6 +26,12 @@ Line = tuple[str, str, np.ndarray, np.ndarray]  # family (one colour), label, ti
 Panel = tuple[str, Sequence[Line], Sequence[Line], float | None]  # setting, distances, differences, level
 _DASHES = ("-", "--", "-.", ":")
 _MARKS = {EQUIVALENT: ("o", CYCLE[0]), DIFFERENT: ("s", CYCLE[1]), OPEN: ("D", GREY)}
+#: Of figures whose colours are verdicts and whose intervals are those of single tests.
+HOW_TO_READ = (
+    "Intervals are of each comparison by itself, colours are the verdicts, which are adjusted for the number of "
+    "comparisons: a grey bar may lie beyond the band, or clear of zero. Arrowheads: beyond the axis."
+)
+_WIDEST = 6.0  # margins to each side: what lies further out would leave no room for the others
 _NARROW = ("narrow_low", "narrow_high")
 
 
@@ -99,7 +107,7 @@ def _growth_rates(groups: Sequence[tuple[Row, Sequence[Row]]]) -> Figure:
             known = sorted((draw for draw in draws if draw["rate"] is not None), key=lambda draw: draw["rate"])
             x = k + 0.6 * (np.arange(len(known)) / max(len(known) - 1, 1) - 0.5)
             for at, draw in zip(x, known, strict=True):
-                is_beyond = draw["verdict"] in ("grows", "shrinks")
+                is_beyond = draw["verdict"] in (GROWS, SHRINKS)
                 ax.plot([at, at], [draw["low"], draw["high"]], color=CYCLE[k % 6], linewidth=0.8, alpha=0.6)
                 ax.plot([at], [draw["rate"]], "o", color=CYCLE[k % 6], markersize=4,
                         markerfacecolor=CYCLE[k % 6] if is_beyond else "white")  # fmt: skip
@@ -147,9 +155,7 @@ def forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Picture:
     return Picture(
         partial(_forest, panels),
         "Differences between changed runs and their bases in units of the declared margin (band), with the "
-        "interval of "
-        "the equivalence test (not adjusted for the number of tests). Ticks: how far two different matrices "
-        "typically "
+        f"interval of the equivalence test. {HOW_TO_READ} Ticks: how far two different matrices typically "
         "lie apart.",
         "Forest plot: one row for each change, one column for each quantity.",
     )
@@ -168,18 +174,15 @@ def _forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
             for ax, quantity in zip(row_axes, quantities, strict=True):
                 ax.axvspan(-1, 1, color=GREY, alpha=0.15, linewidth=0)
                 ax.axvline(0, color=GREY, linewidth=0.6)
-                for row in rows:
-                    if row["quantity"] != quantity:
-                        continue
-                    y, m = -changes.index(row["change"]), row["margin"]
-                    mark, colour = _MARKS[row["verdict"]]
-                    ax.plot([row["narrow_low"] / m, row["narrow_high"] / m], [y, y], color=colour, linewidth=1.4)
-                    ax.plot([row["difference"] / m], [y], mark, color=colour, markersize=4)
-                    redraw = row["redraw"]
+                some = [row for row in rows if row["quantity"] == quantity]
+                widest = min(max([1.3, *(_reach(row) for row in some)]), _WIDEST)
+                ax.set_xlim(-widest, widest)
+                for row in some:
+                    y, redraw = -changes.index(row["change"]), row["redraw"]
+                    _bar(ax, y, row["difference"], row, widest)
                     if redraw is not None:
-                        ax.plot([-redraw / m, redraw / m], [y, y], "|", color="black", markersize=5)
-                reach = max([1.3, *(_reach(row) for row in rows if row["quantity"] == quantity)])
-                ax.set_xlim(-min(reach, 6), min(reach, 6))
+                        ends = [-redraw / row["margin"], redraw / row["margin"]]
+                        ax.plot(ends, [y, y], "|", color="black", markersize=5)
                 ax.set_title(quantity.replace("_", "\n"), fontsize=8)
                 ax.tick_params(axis="y", length=0)
             row_axes[0].set_yticks([-k for k in range(len(changes))], [_short(change) for change in changes])
@@ -284,13 +287,12 @@ def _contrasts(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
         for ax, (label, rows) in zip(axes.flat, panels, strict=False):
             ax.axvspan(-1, 1, color=GREY, alpha=0.15, linewidth=0)
             ax.axvline(0, color=GREY, linewidth=0.6)
+            widest = min(
+                max(1.3, *(1.08 * abs(row[end]) / row["margin"] for row in rows for end in _NARROW)), _WIDEST
+            )
+            ax.set_xlim(-widest, widest)
             for row in rows:
-                y, m = names.index(row["quantity"]), row["margin"]
-                mark, colour = _MARKS[row["verdict"]]
-                ax.plot([row["narrow_low"] / m, row["narrow_high"] / m], [y, y], color=colour, linewidth=1.4)
-                ax.plot([row["relative"] / m], [y], mark, color=colour, markersize=4)
-            reach = max(1.3, *(1.08 * abs(row[end]) / row["margin"] for row in rows for end in _NARROW))
-            ax.set_xlim(-min(reach, 6), min(reach, 6))
+                _bar(ax, names.index(row["quantity"]), row["relative"], row, widest)
             ax.set_title(_wrapped(label), fontsize=8)
             ax.tick_params(axis="y", length=0)
             ax.set_xlabel("difference / margin")
@@ -304,6 +306,16 @@ def _contrasts(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
+
+
+def _bar(ax: Axes, y: float, value: float, row: Row, widest: float) -> None:
+    """A difference with its interval in units of the margin; an arrowhead at the edge where it lies further out."""
+    mark, colour = _MARKS[row["verdict"]]
+    x, *ends = (one / row["margin"] for one in (value, row["narrow_low"], row["narrow_high"]))
+    ax.plot(ends, [y, y], color=colour, linewidth=1.4)
+    if abs(x) > widest:
+        mark = ">" if x > 0 else "<"
+    ax.plot([min(max(x, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
 
 
 def _reach(row: Row) -> float:

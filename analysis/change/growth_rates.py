@@ -23,7 +23,7 @@ GROWTH_COLUMNS = {
 RATE_COLUMNS = {
     "setting": S, "n": I, "engine": S, "eps": F, "size": F, "matrix": I, "rate": F, "low": F, "high": F, "verdict": S,
 }  # fmt: skip
-GROWS, SHRINKS, OPEN, RUNAWAY = "grows", "shrinks", "within its error", "run away"  # of one draw
+GROWS, SHRINKS, WITHIN_ERROR, RUNAWAY = "grows", "shrinks", "within its error", "run away"  # of one draw
 ABOVE_ERROR = 10.0  # a displacement of so many tolerances of the sigmoid engine stands out from its errors
 
 
@@ -59,7 +59,7 @@ def growth_rows(
             for matrix, rate in found.rates.items()
         ]  # fmt: skip
         for draw in draws:
-            draw["verdict"] = GROWS if draw["low"] > 0 else SHRINKS if draw["high"] < 0 else OPEN
+            draw["verdict"] = GROWS if draw["low"] > 0 else SHRINKS if draw["high"] < 0 else WITHIN_ERROR
         verdicts = [draw["verdict"] for draw in draws]
         rows.append(
             {
@@ -68,7 +68,7 @@ def growth_rows(
                 "is_above_error": comparison in above,
                 "amplification_gap": _gap(reference, comparison, kept, ceiling), **_rate_columns(found),
                 "n_growing": verdicts.count(GROWS), "n_shrinking": verdicts.count(SHRINKS),
-                "n_open": verdicts.count(OPEN),
+                "n_open": verdicts.count(WITHIN_ERROR),
             }
         )  # fmt: skip
         rates += draws

@@ -71,6 +71,12 @@ class Setting:
     comparisons: tuple[Comparison, ...]
 
 
+def unchanged(members: pd.DataFrame) -> pd.DataFrame:
+    """Members that are no changed copy of another; all of them where each is one."""
+    changed = is_changed(members)
+    return members if changed.all() else members[~changed]
+
+
 def is_changed(members: pd.DataFrame) -> pd.Series:
     """Which members have other constants or another start than the original of their matrix."""
     changed = members["perturbation_size"] > 0

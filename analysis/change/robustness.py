@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
-from analysis import student
+from analysis import student, words
 from analysis.cascades import Law, Window, sizes
 from analysis.change import equivalence
 from analysis.change.equivalence import Compared
 from analysis.change.pairs import Comparison
-from analysis.fits import Undefined, correlation_time, gamma, jackknife
+from analysis.fits import Undefined, correlation_time, gamma, jackknife, jackknife_error
 
 #: quantities by name, and what the reader is told
 QUANTITIES: Mapping[str, str] = {
@@ -238,7 +238,9 @@ def compare(
     matrices = list(by_matrix.values())
     if len(matrices) < 2:
         return Result(
-            quantity, len(matrices), reason=f"{len(matrices)} matrices with both runs in motion; two are needed"
+            quantity,
+            len(matrices),
+            reason=f"{words.count(len(matrices), 'matrix')} with both runs in motion; two are needed",
         )
     base = changed = None
     if quantity == "distribution":
@@ -318,8 +320,7 @@ def _against(
     ratios = (typical.sum() - typical) / (g - 1) / left
     if root:
         ratio, ratios = np.sqrt(ratio), np.sqrt(ratios)
-    error = np.sqrt((g - 1) / g * np.sum((ratios - ratios.mean()) ** 2))
-    half = student.half_width(confidence, g - 1) * error
+    half = student.half_width(confidence, g - 1) * jackknife_error(ratios)
     return float(ratio), max(float(ratio - half), 0.0), float(ratio + half)
 
 

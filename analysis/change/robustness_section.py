@@ -12,7 +12,7 @@ from analysis import words
 from analysis.cascades import window
 from analysis.change import equivalence
 from analysis.change import figures as twin_figures
-from analysis.change.equivalence import EQUIVALENT, OPEN, holm, share_over_matrices
+from analysis.change.equivalence import EQUIVALENT, OPEN, share_over_matrices
 from analysis.change.pairs import Comparison, Setting, settings
 from analysis.change.robustness import (
     BAND,
@@ -169,15 +169,13 @@ def _test_rows(judged: Sequence[_Judged], alpha: float) -> Rows:
         # one row with the reason where no quantity can be compared
         results = untested[:1] if len(untested) == len(one.results) else one.results
         rows += [_identity(one.setting, one.comparison) | _result_row(result, alpha) for result in results]
-    tested = [row for row in rows if row["p_equivalent"] is not None]
-    for name in ("p_equivalent", "p_different"):
-        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
-            row[f"{name}_holm"] = float(adjusted)
-    for row in tested:
-        row["verdict"] = equivalence.verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
+    equivalence.judge_together(rows, alpha)
+    for row in rows:
+        if row["p_equivalent"] is None:
+            continue
         spread = row["error"] * np.sqrt(row["n_matrices"])
         if row["verdict"] == OPEN:
-            row["matrices_needed"] = equivalence.matrices_needed(spread, row["margin"], alpha / len(tested))
+            row["matrices_needed"] = equivalence.matrices_needed(spread, row["margin"], alpha / row["n_tests"])
         row["statement"] = verdict_words(row)
     return rows
 
@@ -215,7 +213,7 @@ def _redraw_rows(setting: Setting, runs: Mapping[str, Summary], margins: Mapping
             "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "kind": "redraw",
             "change": "all matrices redrawn", "quantity": name, "n_matrices": len(bases), **_test_row(test, alpha),
         }  # fmt: skip
-        row["verdict"] = equivalence.verdict(test.p_equivalent, test.p_different, alpha)
+        row["verdict"] = row["by_itself"] = equivalence.verdict(test.p_equivalent, test.p_different, alpha)
         row["statement"] = verdict_words(row)
         rows.append(row)
     return rows

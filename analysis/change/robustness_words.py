@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from analysis import words
+from analysis.change import equivalence
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.change.pairs import CONSTANTS, RATIOS, START, Setting
 from analysis.change.robustness import QUANTITIES
@@ -20,23 +21,13 @@ def verdict_words(row: Mapping[str, Any]) -> str:
     """A verdict with what it rests on: difference, interval, margin, and how many matrices more it takes."""
     difference, low, high = (words.signed_percent(row[name]) for name in ("difference", "low", "high"))
     value = f"{difference} ({low} to {high})"
-    margin = words.percent(row["margin"])
-    if row["verdict"] == EQUIVALENT:
-        apart = not row["low"] <= 0 <= row["high"]
-        return f"equivalent within {margin}: {value}" + (", a difference within the margin" if apart else "")
-    if row["verdict"] == DIFFERENT:
-        beyond = row["low"] > row["margin"] or row["high"] < -row["margin"]
-        return f"different: {value}, " + (
-            f"beyond the margin of {margin}" if beyond else f"whether by more than {margin} is open"
-        )
+    said = equivalence.verdict_words(row, value, row["low"], row["high"], words.percent(row["margin"]))
     needed = row.get("matrices_needed")
-    if needed is not None and needed > row["n_matrices"]:
-        more = f"; about {needed} matrices would be needed"
-    elif needed is not None:
-        more = "; the estimate itself stands near the margin"
-    else:
-        more = ""
-    return f"not enough data: {value} against a margin of {margin}{more}"
+    if row["verdict"] != OPEN or row["by_itself"] != OPEN or needed is None:
+        return said
+    if needed > row["n_matrices"]:
+        return f"{said}; about {needed} matrices would be needed"
+    return f"{said}; the estimate itself stands near the margin"
 
 
 def lead_words(setting: Setting, rows: Rows, frequencies: Rows, is_first: bool) -> list[str]:

@@ -337,7 +337,8 @@ def _tables(
     return (
         Table(
             "survival",
-            "Fates of unchanged runs, one a matrix; sustained is the share in motion at t_end.",
+            "Fates of unchanged runs, one a matrix; sustained is the share in motion at t_end. kappa n: the scale of "
+            "the stiffnesses times the number of blocks.",
             typed(_SCHEMA, rows),
             (
                 Column("setting", "setting"), Column("kappa n", "kappa_n"), Column("runs", "n_runs"),

@@ -9,9 +9,8 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from analysis.figures import CYCLE, GREY, STYLE, subplots
+from analysis.figures import CYCLE, GREY, STYLE, size_axis, subplots
 from analysis.law.goodness import Quotient
 
 _DASHES = ("-", "--", ":", "-.", (0, (5, 1)))
@@ -64,4 +63,4 @@ def _panel(ax: Axes, panel: Panel) -> None:
     ax.set_ylim(max(0.0, 1.0 - reach), 1.0 + reach)  # set by the data: a rival that is far off leaves the panel
     ax.set_title(panel.title)
     ax.set_xlabel("size of a cascade")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    size_axis(ax, int(sizes[-1]))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from analysis import student
-from analysis.fits import Estimate, Undefined, over_matrices, ratio
+from analysis.fits import Estimate, Undefined, jackknife_error, over_matrices, ratio
 from analysis.law.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
 
 
@@ -135,8 +135,7 @@ def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estim
         moved = -np.linalg.solve(rest, scores[:, :, None])[:, fit.free.index(which), 0]
     except np.linalg.LinAlgError:
         raise Undefined("the likelihood is flat at its maximum") from None
-    error = float(np.sqrt((n - 1) / n * np.sum((moved - moved.mean()) ** 2)))
-    half = student.half_width(confidence, n - 1) * error
+    half = student.half_width(confidence, n - 1) * jackknife_error(moved)
     value = float(fit.theta[which])
     return Estimate(value, value - half, value + half)
 

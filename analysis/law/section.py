@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from analysis import words
 from analysis.cascades import Law
@@ -28,12 +27,12 @@ from analysis.law.goodness import (
     rate,
 )
 from analysis.law.rivals import Rival, rivals
-from analysis.section import Column, Picture, Row, Section, Table
+from analysis.section import Column, Picture, Section, Table
+from analysis.tables import F, I, S, typed
 
 TAIL = 5  # the share of cascades of so many blocks or more is what a rival is compared by
 PANELS = 6  # groups drawn
 EVENTS = Law("events")
-S, I, F = "string", "Int64", "Float64"  # noqa: E741
 FIT_SCHEMA = {
     "group": S, "definition": S, "dt": F, "tau": F, "k_min": I, "k_max": I, "n_cascades": I, "n_matrices": I,
     "gamma": F, "gamma_low": F, "gamma_high": F, "gap": F, "gap_at": I, "gap_bound": F, "p_value": F,
@@ -129,29 +128,36 @@ def law_section(found: Sequence[Group], *, confidence: float = 0.95, k_min: int 
         if law.tau is None  # a block may let go twice in a cluster: n is no bound of its size
     ]
     events = [one for one in judged if one.law == EVENTS]
-    fits = pd.DataFrame(_typed([_fit_row(one, level) for one in judged], FIT_SCHEMA))
+    fits = typed(FIT_SCHEMA, [_fit_row(one, level) for one in judged])
     rows = [row for one in judged for row in _rival_rows(one)]
     of_events = [row for row in rows if row["definition"] == EVENTS.definition]
     sampled = [row for row in rows if row["definition"] != EVENTS.definition]
     return Section(
         title="The law of the sizes",
         question="Are the sizes of cascades exponential, and does another law describe them better?",
-        statements=tuple(line for one in events for line in _statements(one, confidence)),
+        # groups that the fit could be tested on first: long lists are folded on the page
+        statements=tuple(
+            line
+            for one in sorted(events, key=lambda one: (one.goodness.p_value is None, one.base is None))
+            for line in _statements(one, confidence)
+        ),
         lead=tuple(_statements(one, confidence)[0] for one in events if one.gamma.value is not None),
         method=(
             f"Likelihood of P(size = k) ~ exp(-gamma k), k = {k_min} to n, with intervals from leaving out matrices. "
             "The fit is tested by the largest gap between observed and fitted distribution function in units of its "
-            "standard error, against random signs of each matrix's part, with the tail cut where "
-            f"{_numbers(CUTS)} cascades are expected beyond. A rival that holds the exponential is judged by its "
+            "standard error, against random signs of each matrix's part; p is how often these give as large a gap, a "
+            f"range where it depends on whether the tail is cut where {_numbers(CUTS)} cascades are expected beyond. "
+            "A rival's gain is the mean over cascades of the log-likelihood under it minus that under the "
+            "exponential, in nats (natural logarithms). One that holds the exponential is judged by its "
             f"extra parameter, another by Vuong's test, over matrices and adjusted for {len(RIVALS)} rivals."
         ),
         tables=(
             Table("law_fit", "The exponential by each definition.", fits, _fit_columns(), len(fits)),
             Table(
                 "law_rivals", f"Rivals of the exponential, event by event; P(≥ {TAIL}) under each.",
-                pd.DataFrame(_typed(of_events, RIVAL_SCHEMA)), _rival_columns(), len(of_events),
+                typed(RIVAL_SCHEMA, of_events), _rival_columns(), len(of_events),
             ),
-            Table("law_rivals_sampled", "Rivals on samples.", pd.DataFrame(_typed(sampled, RIVAL_SCHEMA))),
+            Table("law_rivals_sampled", "Rivals on samples.", typed(RIVAL_SCHEMA, sampled)),
         ),
         pictures=tuple(_pictures(events, confidence)),
         assumptions=tuple(_assumptions(events, level)),
@@ -161,10 +167,6 @@ def law_section(found: Sequence[Group], *, confidence: float = 0.95, k_min: int 
 def _numbers(numbers: Sequence[int]) -> str:
     """Several numbers in a sentence."""
     return ", ".join(map(str, numbers[:-1])) + f" and {numbers[-1]}"
-
-
-def _typed(rows: Sequence[Row], schema: dict[str, Any]) -> dict[str, Any]:
-    return {name: pd.array([row[name] for row in rows], dtype=dtype) for name, dtype in schema.items()}
 
 
 def _fit_row(one: Judged, level: float) -> dict[str, Any]:
@@ -213,8 +215,8 @@ def _fit_columns() -> tuple[Column, ...]:
         Column("group", "group"), Column("definition", "definition"), Column("dt", "dt"),
         Column("cascades", "n_cascades"), Column("matrices", "n_matrices"), Column("gamma", "gamma"),
         Column("interval", ("gamma_low", "gamma_high")), Column("largest gap", "gap", 2), Column("at size", "gap_at"),
-        Column("at most", "gap_bound", 2), Column("p, least", "p_least", show=p_text),
-        Column("p, most", "p_most", show=p_text), Column("exponential", "verdict"),
+        Column("at most", "gap_bound", 2), Column("p, least", "p_least", show=words.p_text),
+        Column("p, most", "p_most", show=words.p_text), Column("exponential", "verdict"),
         Column("line through the log histogram: no estimate", "line"),
         Column("its bias", "line_bias", show=words.signed),
         Column("between matrices", "between", show=words.percent), Column("note", "reason"),
@@ -228,14 +230,9 @@ def _rival_columns() -> tuple[Column, ...]:
         Column("likelihood ratio", "likelihood_ratio"), Column("extra", "extra"),
         Column("its interval", ("extra_low", "extra_high")), Column(f"P(≥ {TAIL})", "tail"),
         Column("exponential's", "tail_exponential"), Column("observed", "tail_observed"),
-        Column("p, adjusted", "p_adjusted", show=p_text), Column("against the exponential", "verdict"),
+        Column("p, adjusted", "p_adjusted", show=words.p_text), Column("against the exponential", "verdict"),
         Column("note", "reason"),
     )  # fmt: skip
-
-
-def p_text(p_value: float) -> str:
-    """A p-value for a reader: not more digits than it deserves."""
-    return "< 0.001" if p_value < 0.001 else f"{p_value:.2g}"
 
 
 def _statements(one: Judged, confidence: float) -> list[str]:
@@ -258,8 +255,9 @@ def _fit_sentence(one: Judged, n: int, confidence: float) -> str:
         "not rejected": "the exponential is not rejected",
         "undecided": "whether the exponential is rejected depends on where the tail is cut",
     }[fit.verdict(1 - confidence)]
-    ends = list(dict.fromkeys(p_text(p_value) for p_value in (fit.p_least, fit.p_most)))
-    at = f"p = {' to '.join(ends)}".replace("= <", "<")
+    at = words.p_is(fit.p_least, fit.p_most)
+    if " to " in at and fit.verdict(1 - confidence) != "undecided":
+        at += " by where the tail is cut"
     size = (
         f"observed and fitted P(size ≤ k) differ by {words.number(fit.gap, 2)} at most (k = {fit.at}), and a "
         f"difference above {words.number(fit.bound, 2)} is excluded"

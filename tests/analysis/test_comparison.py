@@ -1,5 +1,7 @@
 """Two ensembles side by side: planted equal and unequal ones, what is set beside what, and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -112,3 +114,27 @@ def test_the_drawn_page_is_whole_and_the_same_twice(planted, tmp_path):
     one.write(tmp_path)
     back = pd.read_parquet(tmp_path / "report" / "compared.parquet")
     assert len(back) == 12
+
+
+def test_what_the_first_declares_no_margin_for_is_left_out(planted):
+    first, second = (ensemble(planted, name, draw=draw, n_matrices=3) for draw, name in enumerate("ab"))
+    some = replace(SETTINGS, margins={"rate": 0.1})
+    report = compare(replace(first, margins=some.margins), second, some)
+    assert report.tables["compared"]["quantity"].tolist()[0] == "exit rate"
+    assert len(report.tables["compared"]) == 1 + 3
+    assert "exit rate 10% of the first value; shares of runs 20 points." in report.html
+    assert "b declares other margins, which are not used: mean 10%" in report.html
+
+
+def test_bars_that_adjusting_takes_back_are_explained(planted):
+    """The same series, raised by what gives a t of 2.9 with 5 degrees of freedom: p = 0.03, adjusted 0.4."""
+    first, second = (ensemble(planted, name, n_matrices=6) for name in ("first", "second"))
+    for raised, (name, (t, n_stick)) in zip((40, 5, 30, 0, 45, 10), first.data.series.items(), strict=True):
+        second.data.series[name] = t, n_stick + raised
+    report = compare(first, second, SETTINGS)
+    table = report.tables["compared"].set_index("quantity")
+    alone = table[(table["p_different"] < 0.05) & (table["verdict"] == "not enough data")]
+    assert list(alone.index) == ["mean n_stick"]
+    assert "different by itself, not after adjustment for 11 comparisons" in alone["statement"].iloc[0]
+    assert "1 different would be; adjusted for 11 comparisons they are not" in report.html
+    assert "p different, adjusted" in report.html

@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from analysis.change.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, power
+from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
 from analysis.fits import gamma, ratio
 from analysis.section import Data
 
@@ -161,3 +161,25 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     one = next(one for one in statistics((0.5,), MARGINS) if one.name == "correlation time")
     assert "in 4 of 4 runs the window is too short for it" in contrast(one, found, other, True, 0.95).reason
     assert not contrast(one, found, found, True, 0.95).reason
+
+
+def test_a_verdict_that_adjusting_takes_back_is_said_with_its_p_value():
+    rows = [
+        {"p_equivalent": 1.0, "p_different": 0.02, "margin": 0.1},
+        {"p_equivalent": 0.02, "p_different": 0.4, "margin": 0.1},
+        {"p_equivalent": 0.02, "p_different": 0.001, "margin": 0.1},
+        {"p_equivalent": 0.5, "p_different": 0.5, "margin": 0.1},
+        {"p_equivalent": None, "p_different": None},
+    ]
+    judge_together(rows, 0.05)
+    assert [row.get("verdict") for row in rows] == [OPEN, OPEN, DIFFERENT, OPEN, None]
+    ends = [(-0.54, -0.07), (-0.05, 0.09), (0.02, 0.08), (-0.5, 0.9)]
+    said = [verdict_words(row, "x", low, high, "10%") for row, (low, high) in zip(rows, ends, strict=False)]
+    assert said == [
+        "not enough data: x against a margin of 10%; different by itself, not after adjustment for 4 comparisons "
+        "(adjusted p = 0.06)",  # Holm: the second smallest of four, three times itself
+        "not enough data: x against a margin of 10%; equivalent by itself, not after adjustment for 4 comparisons "
+        "(adjusted p = 0.08)",
+        "different: x, equivalent by itself, not after adjustment for 4 comparisons (adjusted p = 0.08)",
+        "not enough data: x against a margin of 10%",
+    ]

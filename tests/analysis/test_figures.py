@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from analysis import figures
+from analysis.change import figures as change_figures
+from analysis.change.equivalence import DIFFERENT, OPEN
 
 SIZES = [
     {
@@ -55,6 +58,22 @@ def test_trajectories_show_every_run_to_its_end():
     assert drawn.get_ydata().tolist() == [3, 5, 5]
 
 
+def test_trajectories_fit_into_their_row():
+    """n_stick of the second draw rises higher than that of the first, whose axis it shares."""
+    low, high = (("", np.array([0.0, 1.0]), np.array([0, top]), 10.0) for top in (5, 50))
+    figure = figures.trajectories([("a", [low, high])], t_burn=1.0)
+    assert all(ax.get_ylim()[0] == 0 and ax.get_ylim()[1] > 50 for ax in figure.axes)
+
+
+def test_one_size_alone_has_one_tick():
+    figure = figures.distributions(SIZES[:1], {"events": "events"})
+    FigureCanvasSVG(figure)
+    figure.draw_without_rendering()
+    (ax,) = figure.axes
+    low, high = ax.get_xlim()
+    assert [tick for tick in ax.get_xticks() if low <= tick <= high] == [1]
+
+
 def test_distribution_leaves_out_sizes_that_never_occur():
     ax = distributions().axes[0]
     chance, fit, observed = ax.lines[:3]
@@ -81,3 +100,15 @@ def test_a_figure_twice_is_the_same_bytes_without_a_date(draw):
     one, two = figures.svg(draw()), figures.svg(draw())
     assert one == two
     assert "<dc:date>" not in one
+
+
+def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
+    of = {"margin": 0.1, "verdict": DIFFERENT}
+    rows = [
+        of | {"quantity": "far", "relative": 1.5, "narrow_low": 1.2, "narrow_high": 1.8},
+        of | {"quantity": "near", "relative": 0.2, "narrow_low": 0.1, "narrow_high": 0.3, "verdict": OPEN},
+    ]
+    (ax,) = change_figures.contrasts([("n = 200", rows)], "").recipe().axes
+    points = {line.get_marker(): line.get_xdata().tolist() for line in ax.lines if len(line.get_xdata()) == 1}
+    assert points[">"] == [ax.get_xlim()[1]] == [6]
+    assert points["D"] == [2]

@@ -1,9 +1,11 @@
 """Estimates recover what was planted, intervals cover as often as they say."""
 
+import math
+
 import numpy as np
 import pytest
 
-from analysis import correlation_time, gamma, over_matrices, window
+from analysis import correlation_time, gamma, over_matrices, student, window
 from analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
 
 
@@ -109,3 +111,23 @@ def test_correlation_time_says_when_it_cannot_be_known():
     assert "does not change" in still.reason
     ramp = correlation_time(window(np.arange(100.0), np.arange(100), 0.0, 100.0))
     assert "fewer than" in ramp.reason
+
+
+@pytest.mark.parametrize("dof", [0, -1.0, float("nan")])
+def test_degrees_of_freedom_are_positive(dof):
+    for ask in (
+        lambda: student.half_width(0.95, dof),
+        lambda: student.quantile(0.5, dof),
+        lambda: student.below(1.0, dof),
+        lambda: student.two_sided(1.0, dof),
+    ):
+        with pytest.raises(ValueError, match="dof: expected degrees of freedom > 0, got"):
+            ask()
+
+
+def test_infinite_degrees_of_freedom_are_the_normal_distribution():
+    assert student.half_width(0.95, math.inf) == pytest.approx(1.959963984540054)
+    assert student.two_sided(1.959963984540054, math.inf) == pytest.approx(0.05)
+    for level in (0.0, 1.0, 95):
+        with pytest.raises(ValueError, match="confidence"):
+            student.half_width(level, 5)

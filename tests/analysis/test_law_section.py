@@ -51,6 +51,17 @@ def test_an_exponential_is_not_rejected_and_the_words_say_how_much_is_left_open(
     assert len(section.pictures) == 1
 
 
+def test_groups_whose_fit_can_be_tested_are_spoken_of_first(planted, settings):
+    members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 8)
+    kept = members[(members["engine"] == "sigmoid") | (members["matrix"] < 2)]  # two matrices are too few to test
+    section = law_section(filled(kept, series, settings))
+    assert [line.split(":")[0] for line in section.statements] == sorted(
+        (line.split(":")[0] for line in section.statements), reverse=True
+    )
+    assert "is not rejected" in section.statements[0]
+    assert section.tables[0].frame["group"][0] == "n = 200, coulomb"  # tables keep the order of groups
+
+
 def test_a_mixture_is_rejected_and_the_better_rival_named(planted, settings):
     section = law_section(mixed(planted, settings))
     assert "the exponential is rejected (p = < 0.001" not in section.statements[0]

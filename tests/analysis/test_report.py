@@ -117,6 +117,36 @@ def test_burn_in_table_sees_a_drift(planted, settings):
     assert "drifts by +45" in row["statement"]
     fair = report_of(planted.ensemble({"coulomb": LN2}, 20, n_steps=80), settings)
     assert "is not excluded" in fair.tables["burn_in"].iloc[0]["statement"]
+    assert "take gamma with care" not in text_of(fair)
+    assert "n_stick drifts" not in fair.headline[1]
+
+
+def test_a_drift_is_said_beside_gamma(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 5)
+    series = {name: (t, n_stick + t.astype(int)) for name, (t, n_stick) in series.items()}
+    report = report_of((members, series), settings)
+    assert report.headline[1].endswith("; n_stick drifts after t_burn.")
+    text = text_of(report)
+    said = text.index("n = 200, coulomb: Take gamma with care: n_stick drifts by +4")
+    gamma, mean = (text.index(f"n = 200, coulomb: {words}", said - 600) for words in ("Event", "Mean"))
+    assert gamma < said < mean
+
+
+def test_long_lists_begin_with_the_groups_that_have_data(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 7, n_steps=400)
+    for matrix in range(7):
+        name = f"few-{matrix}"
+        members.loc[len(members)] = planted.member(name, matrix, n=20)
+        series[name] = (np.array([0.0, 500.0]), np.array([3, 2]))
+    html = report_of((members, series), settings).html
+    for title in (
+        "the-law-of-the-sizes",
+        "gamma-by-definition,-step-and-threshold",
+        "do-exits-cluster-beyond-chance?",
+    ):
+        listed = re.findall("<li>(n = .*?),", html.partition(f'<h2 id="{title}">')[2].partition("<h2")[0])
+        assert listed[0] == "n = 200", title
+        assert "n = 20" in listed
 
 
 def test_members_that_stopped_are_counted_and_never_pooled(planted, settings):
@@ -218,6 +248,8 @@ def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, tmp_path, 
         assert set(report.tables["law"]["verdict"]) == {"not enough data"}
         # of runs that ended by themselves the headline says how they did
         assert "not enough data" in (text_of(report) if name == "all collapsed" else " ".join(report.headline))
+    seen = report.tables["sizes"].query("definition == 'events' and n_cascades > 0")
+    assert ("size (events)" in text_of(report)) == (len(seen) > 1)  # neither a head without a table nor a law of one
     assert_honest(report)
     report.write(tmp_path)
 
@@ -315,6 +347,7 @@ def test_every_gamma_stands_with_its_definition_and_the_null(planted, settings):
         (lambda m, s: (m.assign(outcome="done"), s), "'done'"),
         (lambda m, s: (m.assign(t_end=100.0), s), "t_burn"),
         (lambda m, s: (m, {}), "coulomb-000"),
+        (lambda m, s: (m.assign(outcome="collapsed"), {}), "the collapsed member 'coulomb-000'"),
         (lambda m, s: (m, s | {"coulomb-001": (np.array([500.0]), np.array([1]))}), "coulomb-001"),
     ],
 )

@@ -17,7 +17,8 @@ from typing import Any
 
 from pipeline import expand, place
 from tests.faults.registry import fault
-from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, until, wait
+from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
+from tests.processes import until
 
 
 @fault(quick=5, full=200, timeout=600)

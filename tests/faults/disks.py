@@ -10,13 +10,14 @@ import time
 from pathlib import Path
 
 from tests.faults.registry import fault
-from tests.faults.world import World, end_of, remount, small_disk, until
+from tests.faults.world import World, end_of, remount, small_disk
+from tests.processes import until
 
 
 def _one_clear_refusal(words: str, reason: str) -> None:
     lines = words.strip().splitlines()
     last = lines[-1]
-    assert last.startswith("pipeline.place.StoreError: "), words
+    assert last.startswith("pipeline.errors.StoreError: "), words
     assert reason in last, words
     assert "run the same scene again: the shards that are done are kept" in last, words
 

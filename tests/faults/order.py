@@ -10,7 +10,8 @@ import time
 
 from pipeline.store import Store
 from tests.faults.registry import fault
-from tests.faults.world import World, end_of, until, wait
+from tests.faults.world import World, end_of, wait
+from tests.processes import until
 
 
 @fault(quick=4, full=60, timeout=300)

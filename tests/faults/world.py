@@ -200,14 +200,6 @@ def end_of(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, 
     return process.returncode, out, err
 
 
-def until(is_so: Callable[[], bool], timeout: float = 60.0) -> None:
-    """Wait for something to come true."""
-    end = time.monotonic() + timeout
-    while not is_so():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.01)
-
-
 def children(pid: int) -> list[int]:
     """The processes that a process started and that compute: workers, not their helpers."""
     found = []

@@ -76,11 +76,13 @@ def measure(workers: int) -> int:
             to_go = [batch for batch, _ in Store(out, scene, source).look()[1]]
             before = status(out).n_bytes if name == RESUMED else 0
             found = estimate(scene, to_go, workers)
+            if found.amounts is None:
+                raise RuntimeError(f"{name}: members failed: {found.failures}")
             start = time.perf_counter()
             size = (run_scene(scene, source, out, workers=workers).n_bytes - before) / 1e6
             took = time.perf_counter() - start
-        low, middle, high = found.seconds
-        least, mean, most = (value / 1e6 for value in found.n_bytes)
+        low, middle, high = found.amounts.seconds
+        least, mean, most = (value / 1e6 for value in found.amounts.n_bytes)
         n_held += low <= took <= high
         print(
             f"{name:26} {found.n_members:5} {found.pilot_seconds:7.1f} {found.busy:4.1f}  "

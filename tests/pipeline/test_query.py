@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from pipeline import QueryError, StoreError, expand, query
+from pipeline import QueryError, StoreError, expand, parse_scene, query, run_scene
 from pipeline.shards import SCHEMA, scalars
 
 
@@ -26,6 +26,15 @@ def test_members_table(finished, scene):
     assert frame["perturbation_draw"].dtype == pd.Int32Dtype()  # holds nulls, and stays whole
     assert frame["tol"].isna().sum() == (frame["engine"] == "sigmoid").sum()
     assert set(frame.loc[frame["engine"] == "sigmoid", "stick"]) == {"threshold"}
+
+
+def test_no_column_says_nan_where_there_is_nothing(finished):
+    frame = query.members(finished)
+    empty = [name for name in frame if frame[name].isna().any()]
+    assert {"reason", "ratio", "stick", "perturbation_reading", "tol"} <= set(empty)
+    for name in empty:
+        assert {type(value) for value in frame[name] if pd.isna(value)} == {type(pd.NA)}, name
+    assert frame["engine"].dtype == pd.Series(["whole"]).dtype
 
 
 def test_members_filtered_and_chosen(finished, scene):
@@ -44,6 +53,9 @@ def test_members_filtered_and_chosen(finished, scene):
         query.members(finished, columns=["egine"])
     with pytest.raises(QueryError, match="filters: expected a condition"):
         query.members(finished, filters=[("colour", "=", 5)])
+    for no_filter in (("n", "==", 5), 5):
+        with pytest.raises(QueryError, match=r"filters: expected a condition.*write a list of tuples"):
+            query.members(finished, filters=no_filter)
 
 
 def test_series_are_the_runs_own(finished, scene):
@@ -85,8 +97,36 @@ def test_events_come_back_whole(finished, scene):
 def test_unknown_member_and_no_dataset(finished, tmp_path):
     with pytest.raises(QueryError, match="got 'n5-m001-coulomb'; did you mean 'n5-m00"):
         query.n_stick(finished, "n5-m001-coulomb")
+    with pytest.raises(QueryError, match=r"there are n3-m000-coulomb.*, \.\.\.$"):
+        query.n_stick(finished, "x")
+    for number in (0, None):
+        with pytest.raises(QueryError, match=f"member_id: expected the name of a member, got {number}; `members`"):
+            query.n_stick(finished, number)
     with pytest.raises(StoreError, match=r"found no manifest\.json"):
         query.members(tmp_path)
+    with pytest.raises(StoreError, match=r"nowhere: expected a dataset, found no such directory; name the directory"):
+        query.members(tmp_path / "nowhere")
+    (tmp_path / "a.parquet").touch()
+    with pytest.raises(StoreError, match=r"a\.parquet: expected a dataset, found a file; name the directory"):
+        query.members(tmp_path / "a.parquet")
+
+
+def test_what_was_not_recorded_is_named_with_the_key_that_records_it(source, tmp_path):
+    bare = source.replace(b"events = true", b"events = false").replace(b"n = [5, 3]", b"n = 3")
+    run_scene(parse_scene(bare), bare, tmp_path, workers=0)
+    words = "events: expected a dataset with events, got one without; set `events = true` under [record]"
+    asked = [
+        lambda: query.events(tmp_path, "n3-m000-coulomb-1e-10"),
+        lambda: query.sql(tmp_path, "SELECT * FROM Events"),
+        lambda: query.sql(tmp_path, "PIVOT events ON mode USING count(*)"),
+    ]
+    for ask in asked:
+        with pytest.raises(QueryError) as caught:
+            ask()
+        assert str(caught.value) == words
+    for part, line in (("separation", r"`separation = 5\.0` under \[record\]"), ("thresholds", r"under \[\[engine")):
+        with pytest.raises(QueryError, match=rf"{part}: expected a dataset with {part}, got one without; .*{line}"):
+            query.sql(tmp_path, f"SELECT * FROM {part}")
 
 
 def test_a_shard_that_is_not_in_the_manifest_is_not_read(copy):
@@ -206,6 +246,24 @@ def test_all_that_reads_is_allowed(text, finished):
     assert len(query.sql(finished, text))
 
 
+@pytest.mark.parametrize("fault", [BrokenPipeError(32, "gone"), OSError(28, "full"), pa.ArrowInvalid("of a writer")])
+def test_what_goes_wrong_where_an_answer_goes_is_no_fault_of_the_dataset(fault, finished):
+    with pytest.raises(type(fault)) as caught:
+        _fail_on_reading(finished, fault)
+    assert caught.value is fault
+
+
+def _fail_on_reading(path, fault):
+    with query.answer(path, "FROM n_stick") as batches:
+        next(iter(batches))
+        raise fault
+
+
+def test_what_goes_wrong_in_the_middle_of_an_answer_is_the_querys_fault(finished):
+    with pytest.raises(QueryError, match=r"query: .*late"):
+        query.sql(finished, "SELECT CASE WHEN range > 2900000 THEN error('late') END FROM range(3000000)")
+
+
 def test_names_are_only_names(finished, tmp_path):
     """Quotes, semicolons and SQL in a path or a name are letters."""
     odd = tmp_path / 'it\'s "odd"; DROP VIEW members --'
@@ -265,7 +323,7 @@ def test_a_table_holds_the_lists_too(finished):
 
 def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
     monkeypatch.setattr("pipeline.query._PART", 60_000)  # some parts
-    columns, filters = ["member_id", "n", "tol", "n_exits"], [("engine", "=", "coulomb")]
+    columns, filters = ["member_id", "n", "tol", "n_exits", "stick"], [("engine", "=", "coulomb")]
     lazy = query.dask_members(finished, columns, filters)
     assert lazy.npartitions > 2
     whole = lazy.compute(scheduler="sync")
@@ -274,7 +332,8 @@ def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
     assert whole["tol"].dtype == pd.Float64Dtype()  # may be null elsewhere
     assert dict(lazy.dtypes) == dict(whole.dtypes)
     for name in columns:
-        assert list(whole[name]) == list(want[name])
+        assert list(whole[name].isna()) == list(want[name].isna())
+        assert list(whole[name].dropna()) == list(want[name].dropna())
     assert lazy["n_exits"].mean().compute(scheduler="sync") == want["n_exits"].mean()
     with pytest.raises(QueryError, match="columns: expected columns"):
         query.dask_members(finished, ["colour"])

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import dask
 import pytest
 from distributed import LocalCluster
 
@@ -90,6 +91,18 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
     done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 1
     assert 'call run_scene under if __name__ == "__main__":' in done.stderr.splitlines()[-1]
+    assert 'expected run_scene to be called under if __name__ == "__main__":, got a script' in done.stderr
+
+
+def test_batches_whose_workers_died_are_run_again(scene, source, finished, content, tmp_path, monkeypatch):
+    monkeypatch.setattr(schedule, "_compute", lambda task: os._exit(1))
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+    ):
+        result = run_scene(scene, source, tmp_path / "out", workers=0, scheduler=cluster.scheduler_address)
+    assert result.is_complete
+    assert content(tmp_path / "out") == content(finished)
 
 
 def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, tmp_path):

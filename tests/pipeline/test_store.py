@@ -282,8 +282,9 @@ def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy
     assert ["CRC checksum" in problem for problem in verify(copy)] == [True]
     with pytest.raises(StoreError, match=r"CRC checksum.*run the scene again"):
         query.members(copy, columns=["member_id"])
-    with pytest.raises(query.QueryError):
-        query.sql(copy, "SELECT member_id FROM members")
+    for more in ("", ", range(20000)"):  # found before the first rows, and after
+        with pytest.raises(StoreError, match=r"a shard cannot be read.*CRC checksum.*run the scene again"):
+            query.sql(copy, f"SELECT member_id FROM members{more}")
 
 
 # ------------------------------------------------------------------------------------------ refusals
@@ -303,6 +304,33 @@ def test_another_scene_is_refused_with_the_difference(copy, source):
                   "choose another directory"):  # fmt: skip
         assert words in str(caught.value)
     assert listing(copy) == before
+
+
+def test_the_key_that_was_changed_comes_before_what_follows_from_it(copy, source):
+    changed = source.replace(b"events = true", b"events = false")
+    changed = changed.replace(b"[perturbation]\nsizes = [0.05, 0.01]", b"")
+    with pytest.raises(StoreError) as caught:
+        run_scene(parse_scene(changed), changed, copy, workers=0)
+    keys = [part.partition(":")[0] for part in str(caught.value).split("; ")[1:]]
+    written = ["perturbation.sizes", "record.events"]
+    picked = ["engine[0].picked_for", "engine[0].tol", "engine[1].atol"]
+    assert keys == [*written, *picked, "and 4 keys more", "choose another directory, or restore the scene"]
+
+
+def test_a_source_of_another_scene_is_refused_before_anything_is_made(scene, source, tmp_path):
+    changed = source.replace(b"seed = 7", b"seed = 8")
+    with pytest.raises(ValueError, match=rf"source: expected the file of the scene \(hash {scene.hash[:12]}\), got"):
+        run_scene(scene, changed, tmp_path / "out", workers=0)
+    with pytest.raises(ValueError, match="source: expected TOML"):
+        run_scene(scene, b"[", tmp_path / "out", workers=0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_shard_that_is_gone_is_counted(copy):
+    assert status(copy).n_missing == 0
+    shards(copy)[2].unlink()
+    found = status(copy)
+    assert (found.n_missing, found.is_complete) == (1, True)
 
 
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):

@@ -435,6 +435,21 @@ def test_bad_input_names_the_argument(name, call):
         call()
 
 
+@pytest.mark.parametrize(
+    ("engine", "settings", "message"),
+    [
+        ("sigmoid", {"tol": 1e-6}, r'tol: unknown to the engine "sigmoid".* rtol, atol, .*did you mean .rtol.\?$'),
+        ("coulomb", {"eps": 0.1}, 'eps: unknown to the engine "coulomb", which takes tol, stop_early; .*"sigmoid"$'),
+        ("coulomb", {"tol": 1e-6, "samples": 10}, "samples: .*; leave it out$"),
+        ("coulomb", {"z0s": 1.0}, "z0s: .*; leave it out$"),
+        ("sigmoid", {"teval": [1.0]}, "teval: .*; did you mean 't_eval'\\?$"),
+    ],
+)
+def test_an_unknown_setting_is_told_what_the_engine_takes(engine, settings, message):
+    with pytest.raises(TypeError, match=f"^{message}"):
+        simulate(ONE, 0.0, 0.0, 1.0, engine=engine, **settings)
+
+
 def test_arguments_are_left_alone():
     z0, w0 = np.array([0.5]), np.array([0.1])
     stiffness = np.array([[1.0]])

@@ -77,6 +77,20 @@ def test_axes_given_are_drawn_on_and_returned(plot, clean):
     figure.savefig("/dev/null", format="png")
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (2, 1), (1, 2)])
+def test_the_legend_covers_nothing(shape, clean):
+    """It is inside the axes, over the last block, so that it covers neither blocks nor a neighbour's labels."""
+    figure = Figure()
+    ax = RUN.events.plot(ax=figure.subplots(*shape, squeeze=False)[-1, 0])
+    figure.savefig("/dev/null", format="png")
+    box, axes = ax.get_legend().get_window_extent(), ax.get_window_extent()
+    assert axes.x0 <= box.x0 < box.x1 <= axes.x1
+    assert ax.transData.transform((0.0, RUN.events.n - 0.5))[1] <= box.y0 + 1.0  # a pixel
+    assert box.y1 <= axes.y1 + 1.0
+    labels = [label.get_text() for label in ax.get_yticklabels() if label.get_text()]
+    assert max(map(int, labels)) < RUN.events.n
+
+
 @pytest.mark.parametrize("plot", [RUN.plot, RUN.events.plot])
 def test_without_axes_a_new_figure_is_drawn(plot, clean):
     mine, _ = plt.subplots()

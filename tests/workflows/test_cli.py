@@ -1,11 +1,13 @@
 """The command as a person meets it: what it prints, what it leaves, its exit codes."""
 
 import csv
+import dataclasses
 import io
 import json
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -19,7 +21,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import workflows
-from pipeline import Progress, load_scene, query
+from pipeline import Progress, load_scene, query, status
 from pipeline.live import Began
 from pipeline.manifest import read_manifest, read_tasks
 from workflows.cli import main
@@ -122,11 +124,14 @@ def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
     ("sql", "more", "words"),
     [
         ("SELECT list(n) AS ns FROM members", ["--format", "csv"], ["'ns'", "unnest it", "parquet"]),
-        (QUESTION, ["--out", "{dataset}/manifest.json"], ["--out", "outside the dataset"]),
+        (QUESTION, ["--out", "{dataset}/manifest.json", "--format", "csv"], ["--out", "outside the dataset"]),
         (QUESTION, ["--out", "{dataset}/data/new.csv"], ["--out", "outside the dataset"]),
         (QUESTION, ["--out", "{here}"], ["--out", "directory", "name a file"]),
         (QUESTION, ["--out", "{here}/none/a.csv"], ["--out", "cannot be written", "name another"]),
         ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
+        (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet or .txt", "a.xlsx", "--format"]),
+        ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.csv"], ["--format", "csv can hold", "cast them"]),
+        ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.parquet"], ["--format", "parquet can hold"]),
     ],
 )
 def test_an_answer_that_cannot_be_written(sql, more, words, dataset, tmp_path, capsys):
@@ -137,7 +142,34 @@ def test_an_answer_that_cannot_be_written(sql, more, words, dataset, tmp_path, c
     assert (dataset / "manifest.json").read_bytes() == before
 
 
-def test_an_interrupted_query(dataset, tmp_path):
+@pytest.mark.parametrize("name", ["a.csv", "a.CSV"])
+def test_the_name_says_the_form_unless_another_is_asked_for(name, dataset, tmp_path):
+    file = tmp_path / name
+    assert main(["query", str(dataset), QUESTION, "--out", str(file)]) == 0
+    assert file.read_text().startswith('"member_id","n"')
+    assert main(["query", str(dataset), QUESTION, "--out", str(file.with_suffix(".dat")), "--format", "csv"]) == 0
+    assert file.with_suffix(".dat").read_bytes() == file.read_bytes()
+    assert main(["query", str(dataset), QUESTION, "--out", str(file.with_suffix(".txt"))]) == 0
+    assert file.with_suffix(".txt").read_text().split()[:2] == ["member_id", "n"]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_who_reads_an_answer_may_stop_and_a_full_disk_is_called_so(form, dataset):
+    question = ["query", str(dataset), "FROM n_stick, range(1000)", "--format", form]
+    command = [sys.executable, "-m", "stickslip", *question]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (1, "")
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("stickslip: [Errno 28] No space left on device; make room")
+    assert "shard" not in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_query(number, dataset, tmp_path):
     endless = "SELECT sum(a.t * b.range * c.range) FROM n_stick a, range(1000000) b, range(1000000) c"
     command = [
         sys.executable,
@@ -154,9 +186,9 @@ def test_an_interrupted_query(dataset, tmp_path):
         assert process.poll() is None
         time.sleep(0.1)
     time.sleep(1.0)
-    process.send_signal(2)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", "\ninterrupted; no answer was written\n")
+    assert (process.returncode, out, err) == (128 + number, "", "\ninterrupted; no answer was written\n")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -183,6 +215,11 @@ BAD = {
     "missing table": ("[start]\nz = -0.7\nw = -0.4\n", "", ["start", "add [start]"]),
     "missing key": ("t_end = 40.0\n", "", ["run.t_end", "add `t_end = 1000.0`"]),
     "text for a number": ("t_end = 40.0", 't_end = "long"', ["run.t_end", "number", "`t_end = 1000.0`"]),
+    "number in quotes": ("t_end = 40.0", 't_end = "4e1"', ["run.t_end", "number", "write it without quotes: 4e1"]),
+    "half a matrix in quotes": ("matrices = 3", 'matrices = "3.5"', ["run.matrices", "integer", "`matrices = 20`"]),
+    "several eps": (
+        'name = "sigmoid"', 'name = "sigmoid"\neps = [0.03, 0.01]', ["engine[1].eps", "table [[engine]] of its own"],
+    ),
     "half a matrix": ("matrices = 3", "matrices = 3.5", ["run.matrices", "integer", "3.5"]),
     "true for a number": ("t_end = 40.0", "t_end = true", ["run.t_end", "number"]),
     "number for text": ('"antisymmetric"', "1", ["system.coupling", "string"]),
@@ -320,6 +357,15 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     assert "running" not in said
 
 
+def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
+    copy = shutil.copytree(dataset, tmp_path / "a copy")
+    next((copy / "data").iterdir()).unlink()
+    assert main(["status", str(copy)]) == 0
+    assert f"missing 1 of the shards: `stickslip verify '{copy}'` says which" in capsys.readouterr().out
+    assert main(["status", str(dataset)]) == 0
+    assert "missing" not in capsys.readouterr().out
+
+
 def test_progress_in_words(dataset, tmp_path):
     stream = io.StringIO()
     with Watch(tmp_path, stream) as watch:
@@ -337,7 +383,8 @@ def test_dry_run_writes_nothing(shipped_scene, tmp_path, monkeypatch, capsys):
     assert main(["run", shipped_scene, "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert re.search(rf": {load_scene(find(shipped_scene)).n_members} members in \d+ shards?, into ", said)
-    time_line = re.search(r"^time +(\d+:\d+|\d+:\d+:\d+) \((\S+) to (\S+)\) on [12] workers?, ", said, re.MULTILINE)
+    on = r"on [12] workers?( \(there is one shard\))?, "
+    time_line = re.search(rf"^time +(\d+:\d+|\d+:\d+:\d+) \((\S+) to (\S+)\) {on}", said, re.MULTILINE)
     low, middle, high = (
         sum(60**k * int(x) for k, x in enumerate(reversed(time_line[i].split(":")))) for i in (2, 1, 3)
     )
@@ -428,6 +475,14 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
 def test_comparisons_that_cannot_be(dataset, capsys, more, code, words):
     assert main(["report", str(dataset), *more]) == code
     assert words in capsys.readouterr().err
+
+
+def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, monkeypatch, capsys):
+    none_done = dataclasses.replace(status(dataset), n_done=0)
+    monkeypatch.setattr("workflows.reporting.status", lambda path: none_done)
+    for more in ([], ["--compare", str(dataset)]):
+        assert main(["report", str(dataset), *more]) == 1
+        assert "no member is done yet; run the scene first" in capsys.readouterr().err
 
 
 def test_a_comparison_never_takes_the_place_of_a_dataset(dataset, capsys):

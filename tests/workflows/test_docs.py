@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import doctest
 import json
+import os
 import re
 import shlex
+import subprocess
 import sys
 import tomllib
 import types
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -19,8 +22,10 @@ import pytest
 import scipy.io
 import scipy.sparse
 
+from analysis.change.survival import fate
+from analysis.groups import OUTCOMES
 from analysis.section import Data
-from pipeline import parse_scene
+from pipeline import parse_scene, query, run_scene
 from sim import coupling, draw_system, perturb_system
 from workflows.cli import main
 
@@ -103,7 +108,24 @@ def test_first_scene_in_python(first, monkeypatch):
     assert len(names["table"]) == 8
     assert len(names["t"]) == len(names["count"]) > 1
     monkeypatch.setitem(matplotlib.rcParams, "backend", "agg")
-    assert run_python("first-scene", 1)["run"].outcome == "finished"
+    assert run_python("first-scene", 2)["run"].outcome == "finished"
+
+
+def test_first_scene_as_a_script(first, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(blocks(page("first-scene"), "python")[1])
+    (tmp_path / "mine.toml").write_bytes((first / "mine.toml").read_bytes())
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("8 members {")
+    outcomes = re.findall(r"^\| `(\w+)` \|", page("first-scene"), flags=re.MULTILINE)
+    assert set(outcomes) == set(OUTCOMES)
+    assert next((tmp_path / "runs" / "mine" / "data").iterdir()).read_bytes() == (
+        next((first / "runs" / "mine" / "data").iterdir()).read_bytes()
+    )
 
 
 def test_first_scene_counts_the_members(first):
@@ -112,6 +134,21 @@ def test_first_scene_counts_the_members(first):
     assert f"make {scene.n_members} members" in page("first-scene")
     table = blocks(page("first-scene"), "text")[0].splitlines()[1:]
     assert sum(int(row.split()[-1]) for row in table) == scene.n_members
+
+
+def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
+    """With its six matrices: the table of outcomes, and who still moves at the end."""
+    source = (first / "six.toml").read_bytes()
+    run_scene(parse_scene(source), source, tmp_path / "mine", workers=0)
+    (command,) = (words for words in commands("first-scene") if words[0] == "query")
+    rows = [tuple(map(str, row)) for row in query.sql(tmp_path / "mine", command[2]).itertuples(index=False)]
+    assert rows == [tuple(line.split()) for line in blocks(page("first-scene"), "text")[0].splitlines()[1:]]
+    series = {name: (t, n_stick) for name, t, n_stick in query.series(tmp_path / "mine")}
+    fates = Counter(
+        (row.n, fate(row.outcome, series[row.member_id], 200.0))
+        for row in query.members(tmp_path / "mine").itertuples()
+    )
+    assert fates == {(60, "collapsed"): 5, (60, "silent"): 7, (120, "silent"): 1, (120, "sustained"): 11}
 
 
 def test_the_sections_are_those_of_a_report(first):
@@ -169,8 +206,6 @@ def test_a_coupling_is_one_line(monkeypatch):
 
 
 def test_a_statistic_is_a_section(first):
-    from pipeline import query
-
     data = Data(
         query.members(first / "runs" / "mine"), {name: (t, n) for name, t, n in query.series(first / "runs" / "mine")}
     )

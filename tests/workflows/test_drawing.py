@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from analysis import figures
 from analysis.report import on_demand
+from tests.processes import is_running, until
 from workflows.drawing import Drawing
 
 
@@ -69,15 +70,4 @@ def test_the_process_outlives_neither_its_use_nor_its_owner() -> None:
         assert owner.stdout is not None
         drawer = int(owner.stdout.readline())
         os.kill(owner.pid, signal.SIGKILL)
-    deadline = time.monotonic() + 30
-    while _is_running(drawer):
-        assert time.monotonic() < deadline, "it goes on without its owner"
-        time.sleep(0.05)
-
-
-def _is_running(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"  # dead, and nobody has asked how
+    until(lambda: not is_running(drawer))

@@ -66,3 +66,6 @@ def test_on_a_terminal_the_newest_member_is_drawn(dataset, monkeypatch, capsys):
 def test_nothing_is_drawn_where_it_cannot_be_seen(is_terminal, columns, is_seen, dataset, monkeypatch, capsys):
     pretend(monkeypatch, is_terminal, columns)
     assert bool(sparkline.newest(dataset)) is is_seen
+    assert main(["status", str(dataset), "--plot"]) == 0
+    why = f"the terminal has {columns} columns, fewer than 69" if is_terminal else "this is no terminal"
+    assert capsys.readouterr().err == ("" if is_seen else f"plot    not drawn: {why}\n")

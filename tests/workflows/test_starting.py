@@ -16,7 +16,9 @@ import pipeline
 import sim
 import stickslip
 from pipeline import Scene, load_scene
+from pipeline.scene import TOLERANCES
 from pipeline.tables import json_schema
+from sim import COUPLINGS
 from workflows.charts import KINDS, kind
 from workflows.cli import main
 from workflows.scenes import chart_of, find, shipped
@@ -124,6 +126,43 @@ def test_schema_is_printed(capsys):
     assert json.loads(capsys.readouterr().out) == json_schema(Scene)
     assert main(["schema", "stability"]) == 0
     assert "stiffness" in json.loads(capsys.readouterr().out)["properties"]
+
+
+def listed(chart, capsys):
+    """The lines of `schema --keys`, by path; a path may stand in the tables of several engines."""
+    assert main(["schema", *([chart] if chart else []), "--keys"]) == 0
+    _, *lines = capsys.readouterr().out.splitlines()
+    return [line.split(maxsplit=1) for line in lines if re.match(r"[a-z_.]+ .*\)$", line)]
+
+
+def paths(table, path=""):
+    for key, value in table.items():
+        for found in value if isinstance(value, list) else [value]:
+            if isinstance(found, dict):
+                yield from paths(found, f"{path}{key}.")
+            elif key != "name":
+                yield path + key
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_the_list_of_keys_has_all_that_scenes_use(name, capsys):
+    known = {path for path, _ in listed(chart_of(find(name)), capsys)}
+    assert set(paths(tomllib.loads(find(name).read_text()))) <= known
+
+
+def test_the_list_of_keys_is_the_schema(capsys):
+    schema = json_schema(Scene)
+    fields = [field for table in [schema, *schema["$defs"].values()] for field in table["properties"].items()]
+    keys = [key for key, field in fields if key != "name" and "$ref" not in json.dumps(field)]
+    found = listed(None, capsys)
+    assert sorted(path.rpartition(".")[2] for path, _ in found) == sorted(keys)
+    words = dict(found)
+    assert all(f'"{name}"' in words["system.coupling"] for name in COUPLINGS)
+    assert words["run.purpose"].endswith('("statistics", "paths")')
+    assert re.fullmatch(r"to be given, say 1000\.0 +end of each run \(number > 0\)", words["run.t_end"])
+    for key in ("tol", "rtol", "atol"):
+        picked = [f"{tolerances[key]:g}" for tolerances in TOLERANCES.values()]
+        assert words[f"engine.{key}"].startswith(f"picked, {picked[0]} or {picked[1]} ")
 
 
 @pytest.mark.parametrize(

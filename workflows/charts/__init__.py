@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
+from pipeline.errors import SceneError
 from pipeline.scene import MINUTES
-from pipeline.tables import Positive, SceneError, StrictTable, as_scene, parse_toml, read_source
+from pipeline.tables import Positive, StrictTable, as_scene, parse_toml, read_source
 
 if TYPE_CHECKING:
     from analysis import Report

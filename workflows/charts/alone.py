@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.child import ONE_THREAD, environment, python
 from workflows.charts import ChartError, load_chart
 
 #: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.
@@ -66,12 +66,9 @@ def measure_alone(file: Path) -> Any:
     ChartError
         If that process ends early.
     """
-    one_thread = dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-    )
     done = subprocess.run(
-        [sys.executable, "-m", "workflows.charts.alone", str(file)],
-        env={**os.environ, **one_thread}, stdout=subprocess.PIPE, text=True, check=False,
+        [*python(), "-m", "workflows.charts.alone", str(file)],
+        env=environment() | ONE_THREAD, stdout=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
     if done.returncode:
         raise ChartError(f"the measurement ended with exit code {done.returncode}; its own words are above")

@@ -1,0 +1,19 @@
+"""What can go wrong, by whose doing. Loads nothing: who catches an error need not load what raises it."""
+
+from __future__ import annotations
+
+
+class SceneError(ValueError):
+    """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
+
+
+class QueryError(ValueError):
+    """The question cannot be answered. The message says what was expected and what came."""
+
+
+class StoreError(RuntimeError):
+    """The dataset cannot be written or read. The message says which file, why, and what to do."""
+
+
+class ScheduleError(RuntimeError):
+    """The run could not be done to its end. What is committed stays; the message says what to do."""

@@ -1,0 +1,54 @@
+"""Processes beside this one: they load what it has loaded, and outlive nobody."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+from pipeline import expand
+from pipeline.alone import compute_alone
+from pipeline.child import environment, environment_kept, python
+from pipeline.members import Batch
+from pipeline.shards import Recording, compute
+from tests.processes import is_running, until
+
+
+def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
+    """Where a user works there may be a sim.py."""
+    for name in ("sim", "pipeline", "pickle"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
+    batch = Batch("batch", tuple(expand(scene)[:2]))
+    here, there = compute(batch, Recording.of(scene)), compute_alone(batch, Recording.of(scene))
+    assert there.shard == here.shard
+
+
+def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
+    pid = tmp_path / "pid"
+    hanging = (
+        "import os, time; from pathlib import Path; from pipeline.child import end_with_the_parent\n"
+        f"end_with_the_parent(); Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(99)"
+    )
+    code = f"from pipeline.child import Child; Child({hanging!r}).wait()"
+    with subprocess.Popen([*python(), "-c", code], env=environment()) as parent:
+        until(lambda: pid.exists() and pid.read_text() != "")
+        os.kill(parent.pid, signal.SIGKILL)
+    until(lambda: not is_running(int(pid.read_text())))
+
+
+def test_the_environment_is_as_it_was(monkeypatch):
+    monkeypatch.setenv("STICKSLIP_THERE", "1")
+    monkeypatch.setenv("STICKSLIP_GONE", "1")
+    before = dict(os.environ)
+    with environment_kept():
+        os.environ |= {"STICKSLIP_THERE": "2", "STICKSLIP_NEW": "3"}
+        del os.environ["STICKSLIP_GONE"]
+    assert dict(os.environ) == before
+
+
+def test_the_path_holds_the_working_directory_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", "/else"])
+    assert environment()["PYTHONPATH"] == f"{tmp_path}{os.pathsep}/else"
