@@ -24,7 +24,7 @@ import workflows
 from pipeline import Progress, load_scene, query, status
 from pipeline.live import Began
 from pipeline.manifest import read_manifest, read_tasks
-from workflows.cli import main
+from workflows.cli import _BEFORE, main
 from workflows.progress import Watch
 from workflows.scenes import find, shipped
 
@@ -166,6 +166,16 @@ def test_who_reads_an_answer_may_stop_and_a_full_disk_is_called_so(form, dataset
     assert done.returncode == 1
     assert done.stderr.startswith("stickslip: [Errno 28] No space left on device; make room")
     assert "shard" not in done.stderr
+
+
+def test_a_command_has_one_thread_and_leaves_the_environment_as_it_was(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    seen = {}
+    monkeypatch.setitem(_BEFORE, "scenes", lambda arguments: seen.update(os.environ) or 0)
+    before = dict(os.environ)
+    assert main(["scenes"]) == 0
+    assert seen["OMP_NUM_THREADS"] == seen["OPENBLAS_NUM_THREADS"] == "1"
+    assert dict(os.environ) == before
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
