@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
 from analysis.change.growth_rates import GROWS, SHRINKS
@@ -183,6 +184,7 @@ def _forest(panels: Sequence[tuple[str, Sequence[Row]]]) -> Figure:
                     if redraw is not None:
                         ends = [-redraw / row["margin"], redraw / row["margin"]]
                         ax.plot(ends, [y, y], "|", color="black", markersize=5)
+                ax.xaxis.set_major_locator(MaxNLocator(3, integer=True))  # narrow panels
                 ax.set_title(quantity.replace("_", "\n"), fontsize=8)
                 ax.tick_params(axis="y", length=0)
             row_axes[0].set_yticks([-k for k in range(len(changes))], [_short(change) for change in changes])
