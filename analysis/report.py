@@ -224,8 +224,8 @@ def _leading(answered: Sequence[Section], data: Data) -> list[Section]:
     """The sections that answer what the scene is for; none where that is the law of cascades."""
     of_changes = [section for section in answered if section.of_changes]
     of_fates = [section for section in answered if section.title == FATES]
-    unchanged = data.members[~is_changed(data.members)]
-    if unchanged["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5:  # how they ended is what there is to tell
+    bases = data.members[~is_changed(data.members)]
+    if bases["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5:  # how they ended is what there is to tell
         return of_fates + of_changes
     asks_fates = "growth_rate" in data.members and bool(data.members["growth_rate"].notna().any())
     return of_changes or (of_fates if asks_fates else [])

@@ -39,6 +39,14 @@ def environment_kept() -> Iterator[None]:
                 os.environ[name] = before[name]
 
 
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Within: libraries that are loaded, here or in processes that are started, have one thread each."""
+    with environment_kept():
+        os.environ.update(ONE_THREAD)
+        yield
+
+
 class Child(subprocess.Popen[bytes]):
     """A Python process that runs `code`, deaf to Ctrl-C, which is this process's to answer.
 

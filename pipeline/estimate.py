@@ -32,7 +32,7 @@ import numpy as np
 from scipy import special
 
 from pipeline import kernels
-from pipeline.child import ONE_THREAD, environment_kept
+from pipeline.child import one_thread
 from pipeline.errors import ScheduleError
 from pipeline.members import Batch, Member
 from pipeline.scene import Scene
@@ -226,8 +226,7 @@ def _kinds(members: list[Member]) -> list[_Kind]:
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Processes like a run's workers."""
-    with environment_kept():
-        os.environ.update(ONE_THREAD)
+    with one_thread():
         pool = ProcessPoolExecutor(
             count, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
         )

@@ -208,7 +208,7 @@ def _results(
         for task in todo:
             yield compute(*task)
         return
-    n_workers = min(workers, max(len(todo), len(cold)))
+    n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
     with connect(n_workers, scheduler) as client:
         # side by side, where one batch would have them compiled one after the other; nobody waits for it
         for member in cold.values():
@@ -221,7 +221,7 @@ def _results(
             )
             # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
             for _ in range(_ATTEMPTS):
-                lost = yield from _submit(client, lost, _compute_alone, lambda: max(1, n_workers), scheduler)
+                lost = yield from _submit(client, lost, _compute_alone, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
             raise ScheduleError(
                 "expected the scheduler to stay until the end, lost it; start it again, then run the same scene "

@@ -312,11 +312,10 @@ _ON_DATA = {"run": _run, "status": _status, "verify": _verify, "report": _report
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = parser().parse_args(argv)
-    from pipeline.child import ONE_THREAD, environment_kept
+    from pipeline.child import one_thread
 
     try:
-        with interruptible(), environment_kept():
-            os.environ.update(ONE_THREAD)  # a report's products are small, and a member's digits are a worker's
+        with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's
             return _BEFORE.get(arguments.command, _on_data)(arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)

@@ -103,8 +103,8 @@ def _say_unseen(plot: bool) -> None:
     if plot:
         from workflows.sparkline import obstacle
 
-        if obstacle():
-            print(f"plot    not drawn: {obstacle()}", file=sys.stderr)
+        if why := obstacle():
+            print(f"plot    not drawn: {why}", file=sys.stderr)
 
 
 def _drawn(directory: Where, plot: bool) -> list[str]:
