@@ -1,0 +1,132 @@
+"""The independent engine itself, against closed forms, energy and 34-digit arithmetic."""
+
+import numpy as np
+import pytest
+
+from sim import System
+from tests.independent import Case, Path, follow, sensitivity
+
+from .reference import follow as follow_in_34_digits
+
+
+def listed(path: Path) -> list[tuple[float, int, int]]:
+    return [(pytest.approx(t, abs=1e-12), i, m) for t, i, m in zip(path.t, path.block, path.mode, strict=True)]
+
+
+def run(*system: object, t_end: float) -> Path:
+    return follow(Case.of(*system), t_end)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("system", "t_end", "events"),
+    [
+        ((3.5, 1, -0.2, -0.7, -0.4), 4.5, [(0.09197880284020456, 0, 0), (3.9564549379897342, 0, 1)]),
+        ((3.5, 1, 0.2, -0.7, -0.4), 13.0, [(0.49802862992843305, 0, 0), (11.540118914788621, 0, -1)]),
+    ],
+)
+def test_one_block(system, t_end, events):
+    """AUDIT of the formulas: 40-digit values."""
+    assert listed(run([[0.2]], *system, t_end=t_end)) == events
+
+
+def test_one_block_crosses_and_sticks():
+    events = [(0.29075098367384344, 0, -1), (3.231881443452085, 0, 0), (4.104721534065557, 0, 1)]
+    assert listed(run([[1.0]], 0.1, 1, -0.2, 3, 1, t_end=9.0)) == [
+        (pytest.approx(t, abs=1e-12), i, m) for t, i, m in events
+    ]
+
+
+def test_two_blocks():
+    """Figure 2: rho = 0.1, kappa = 1.1, 1.6, kappa12 = 0.5, v = -1."""
+    path = run([[1.6, -0.5], [-0.5, 2.1]], 0.1, 1, -1, 0, -1, t_end=30.0)
+    expected = [(0.5625, 1, 1), (0.8162276148517664, 0, 1), (6.168800188684988, 0, 0), (6.287311406713242, 0, 1)]
+    assert listed(path) == expected
+    np.testing.assert_allclose(path.z, [-1.0401911196217937, -0.8589369248824921], rtol=0, atol=1e-13)
+
+
+def test_an_undamped_block_swings_about_its_place_for_ever():
+    path = run([[1.0]], 0, 1, -0.2, 0, -0.2, t_end=300.0)
+    t = np.linspace(5.0, 300.0, 500)
+    assert listed(path) == [(5.0, 0, 1)]  # and grazes the belt every period: no event
+    z, w = path.at(t)
+    np.testing.assert_allclose(z[:, 0], -1 - 0.2 * np.sin(t - 5), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(w[:, 0], -0.2 * np.cos(t - 5), rtol=0, atol=1e-12)
+
+
+def test_a_graze_is_no_event_and_a_dip_is_two():
+    assert run([[1.0]], 0, 0, -1, 1, 0, t_end=20.0).t == []  # w = -sin t
+    half = np.arccos(1 - 1e-6)
+    path = run([[1.0]], 0, 0, 1e-6 - 1, 1, 0, t_end=3.0)
+    np.testing.assert_allclose(path.t, [np.pi / 2 - half, np.pi / 2 + half], rtol=0, atol=1e-9)
+    assert path.mode == [-1, 1]
+
+
+def test_a_belt_at_rest():
+    path = run(np.eye(2), 0, 1, 0, [4.5, 0.5], 0, t_end=100.0)
+    assert path.initial_mode == (-1, 0)
+    assert listed(path) == [(pytest.approx(np.pi, abs=1e-12), 0, 1), (pytest.approx(2 * np.pi, abs=1e-12), 0, 0)]
+
+
+def test_twins_change_together_and_what_rests_at_its_bound_holds():
+    path = run(np.eye(3) * 1.4 + 0.3, 0.1, 1, -0.2, 3, 1, t_end=20.0)
+    assert path.block == [0, 1, 2] * (len(path.t) // 3)
+    assert path.t[::3] == path.t[1::3] == path.t[2::3]
+    held = run([[1, -1], [-1, 1]], 0, 1, -0.5, [1, 0], -0.5, t_end=50.0)
+    assert (held.initial_mode, held.t) == ((0, 0), [])
+
+
+def test_nilpotent_stiffness_is_a_polynomial():
+    """z_2 is free, w_2 = 1; z_1'' = -3 z_2 while block 1 is free too."""
+    path = run([[0, 3], [0, 0]], 0, 0, -50, 0, [0, 1], t_end=7.0)
+    np.testing.assert_allclose(path.z, [-(7.0**3) / 2, 7.0], rtol=1e-13)
+
+
+def test_energy_is_lost_to_damping_and_friction_only():
+    """v = 0, K symmetric: d/dt (w^2 + z K z) / 2 = -R w^2 - mu |w|."""
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(4, 4))
+    k, r, mu = a @ a.T, rng.uniform(0, 0.2, 4), rng.uniform(0, 1, 4)
+    path = follow(Case.of(k, r, mu, 0, 3 * rng.normal(size=4), 3 * rng.normal(size=4)), 6.0)
+    edges = np.unique([0.0, *path.t, 6.0])
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    lost = 0.0
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        _, w = path.at(low + (high - low) * (nodes + 1) / 2)
+        lost += (high - low) / 2 * weights @ ((r * w**2).sum(axis=1) + np.abs(w) @ mu)
+    z, w = path.at([0.0, 6.0])
+    energy = ((w**2).sum(axis=1) + np.einsum("ti,ij,tj->t", z, k, z)) / 2
+    assert len(path.t) > 10
+    assert energy[0] - energy[1] == pytest.approx(lost, abs=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["random", "ties"])
+def test_small_systems_in_34_digits(kind):
+    seed = np.random.SeedSequence().entropy
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    n_events = 0
+    for n in (1, 2, 2):
+        if kind == "ties":
+            k, r = rng.integers(-1, 3, (n, n)) / 1.0, rng.integers(0, 2, n) / 2
+            mu, v, z, w = 1.0, -0.5, rng.integers(-1, 2, n) / 1.0, -0.5
+        else:
+            k, r = rng.normal(size=(n, n)) + 2 * np.eye(n), rng.uniform(0, 1, n)
+            mu, v, z, w = rng.uniform(0, 1, n), rng.normal(), 2 * rng.normal(size=n), rng.normal(size=n)
+        expected = follow_in_34_digits(System(k, r, mu, v), z, w, 3.0)
+        path = follow(Case.of(k, r, mu, v, z, w), 3.0)
+        assert (path.block, path.mode) == (expected.block, expected.mode)
+        assert list(path.initial_mode) == expected.initial_mode
+        np.testing.assert_allclose(path.t, expected.t, rtol=0, atol=1e-7)  # a tangency halves the digits
+        np.testing.assert_allclose(path.z, expected.z, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(path.w, expected.w, rtol=0, atol=1e-10)
+        n_events += len(path.t)
+    print(f"{n_events} events")
+
+
+def test_sensitivity_is_that_of_the_motion():
+    """z'' = z grows like exp(t); a damped block forgets."""
+    rng = np.random.default_rng(0)
+    grows = sensitivity(Case.of([[-1.0]], 0, 0, 0, 1, 1), 10.0, rng)
+    forgets = sensitivity(Case.of([[1.0]], 2, 0, 0, 1, 1), 30.0, rng)
+    assert 1 < grows.at_end < 10  # relative to what the run reaches; t / 2 for the rate
+    assert forgets.at_end < 1e-6
