@@ -173,6 +173,8 @@ def test_exits_and_entries_of_blocks_counted_by_hand():
     assert steps.step.tolist() == [-1, 1, 1, -1]
     later = block_steps(**MODES, t_start=2.0, t_stop=6.0)  # what came before still says which mode an event ends
     assert (later.t.tolist(), later.step.tolist()) == ([3.0], [1])
+    meet = [block_steps(**MODES, t_start=start, t_stop=stop).t.tolist() for start, stop in ((0.0, 3.0), (3.0, 7.0))]
+    assert meet == [[1.0, 2.0, 3.0], [7.0]]  # (t_start, t_stop]
     empty = block_steps(*(np.array([], dtype=int),) * 3, np.zeros(2), 0.0, 1.0)
     assert len(rotated(empty, np.random.default_rng(0)).t) == 0
 

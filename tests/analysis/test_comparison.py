@@ -90,7 +90,9 @@ def test_settings_that_differ_are_matched_by_what_they_share(planted):
 def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):
     first, second = (ensemble(planted, name, n_matrices=3) for name in ("first", "second"))
     other = Ensemble("second", second.data, 50.0, MARGINS | {"gamma": 0.01}, {})
-    html = compare(first, other, SETTINGS).html
+    report = compare(first, other, SETTINGS)
+    pd.testing.assert_frame_equal(report.tables["compared"], compare(first, second, SETTINGS).tables["compared"])
+    html = report.html
     assert "second declares other margins, which are not used: gamma 1%" in html
     assert "second declares t_burn = 50, which is not used" in html
     assert "declares other margins" not in compare(first, second, SETTINGS).html

@@ -26,6 +26,7 @@ from pipeline.live import Began
 from pipeline.manifest import read_manifest, read_tasks
 from workflows.cli import _BEFORE, main
 from workflows.progress import Watch
+from workflows.reporting import compared
 from workflows.scenes import find, shipped
 
 
@@ -473,6 +474,18 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
     table = pd.read_parquet(out / "report" / "compared.parquet")
     assert set(table["relative"].dropna()) == {0.0}
     assert "<script" not in (out / "report.html").read_text()
+
+
+def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr("analysis.comparison.embedded", lambda figure: "data:image/svg+xml;base64,")
+    other = shutil.copytree(dataset, tmp_path / "other")
+    scene = (other / "scene.toml").read_text().replace("t_burn = 1.0", "t_burn = 20.0").replace("[0.5]", "[1.0]")
+    (other / "scene.toml").write_text(scene + "[analysis.margins]\nmean = 0.9\n")
+    alone, first, second = (
+        compared(*pair).tables["compared"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
+    )
+    pd.testing.assert_frame_equal(first, alone)
+    assert (second["margin"][0], second["first"][0]) != (first["margin"][0], first["first"][0])
 
 
 @pytest.mark.parametrize(
