@@ -158,8 +158,8 @@ def main():
     for n_matrices in (5, 20, 100):
         for k_min in (1, 3):
             for name, make in TRUE.items():
-                found = rate_coverage(make, n_matrices, 1000, k_min)
-                print(f"coverage of gamma, {n_matrices} matrices, k_min = {k_min}, {name}: {np.round(found, 3)}", flush=True)
+                found = np.round(rate_coverage(make, n_matrices, 1000, k_min), 3)
+                print(f"coverage of gamma, {n_matrices} matrices, k_min = {k_min}, {name}: {found}", flush=True)
 
 
 if __name__ == "__main__":

@@ -188,7 +188,9 @@ def test_share_between_matrices(spread):
 
 def test_share_between_by_hand():
     """1 - W / V, and V / W over 1 - share an F with matrices - 1 and stretches - matrices degrees of freedom."""
-    parts = [np.array(rows, dtype=float) for rows in ([[9, 4], [7, 4]], [[30, 6], [22, 6], [25, 6]], [[5, 4], [6, 4]])]
+    parts = [
+        np.array(rows, dtype=float) for rows in ([[9, 4], [7, 4]], [[30, 6], [22, 6], [25, 6]], [[5, 4], [6, 4]])
+    ]
     values, errors = np.array([jackknife(gamma, part) for part in parts]).T
     ratio = values.var(ddof=1) / np.mean(errors**2)
     found = between_share(parts, 0.5)

@@ -72,7 +72,7 @@ def test_runs_of_one_matrix_are_not_independent():
 
 
 def test_what_the_runs_of_matrices_are_worth_by_hand():
-    """Shares 1, 0, 1/2, 1/2 of two runs each: residuals 1, -1, 0, 0, variance 4/3 * 2 / 64 = 1/24, and 1/4 over that."""
+    """Shares 1, 0, 1/2, 1/2 of two runs each: residuals 1, -1, 0, 0, variance 4/3 * 2 / 64 = 1/24 of 1/4."""
     share, low, high, trials = share_over_matrices(np.array([[2, 2], [0, 2], [1, 2], [1, 2]]), 0.95)
     assert (share, trials) == (0.5, pytest.approx(6))
     assert (low, high) == pytest.approx(wilson(3, 6, 0.95))

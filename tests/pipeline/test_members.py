@@ -107,18 +107,19 @@ def test_the_seed_of_the_scene_moves_every_draw(scene, source):
         assert one.engine == "coulomb" or not np.array_equal(one.ratios(), other.ratios())
 
 
-def test_settings_reach_the_engine(scene, monkeypatch):
+def test_settings_reach_the_engine(source, monkeypatch):
+    scene = change(source, it=('ratio = "uniform"', 'rtol = 1e-7\natol = 1e-9\nratio = "uniform"'))
     seen = []
     monkeypatch.setattr("sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings)))
     members = by_id(scene)
     members["n3-m000-coulomb-1e-10"].simulate()
-    members["n5-m002-sigmoid-0.03-u1-1e-8-1e-8-c1"].simulate()
+    members["n5-m002-sigmoid-0.03-u1-1e-7-1e-9-c1"].simulate()
     assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "t_eval": (), "engine": "coulomb", "tol": 1e-10})
     n, _, _, settings = seen[1]
     assert n == 5
     assert settings.pop("ratio").shape == (5,)
     assert settings == {
-        "t_end": 8.0, "t_eval": (), "engine": "sigmoid", "thresholds": (), "eps": 0.03, "rtol": 1e-8, "atol": 1e-8,
+        "t_end": 8.0, "t_eval": (), "engine": "sigmoid", "thresholds": (), "eps": 0.03, "rtol": 1e-7, "atol": 1e-9,
         "stick": "threshold", "threshold": 1.0,
     }  # fmt: skip
 

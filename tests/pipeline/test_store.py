@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import hashlib
 import json
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +22,7 @@ import pipeline
 import sim
 from pipeline import Progress, StoreError, expand, parse_scene, query, run_member, run_scene, status, verify
 from pipeline.manifest import read_manifest
+from pipeline.place import Directory
 from pipeline.shards import SCHEMA, Recording, scalars
 
 ROOT = Path(pipeline.__file__).parents[1]
@@ -180,6 +183,35 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
     assert not (out / ".lock").exists()
     run_scene(scene, source, out, workers=0)
     assert content(out) == content(finished)
+
+
+def test_content_is_on_the_disk_before_its_name_and_the_name_before_we_go_on(tmp_path, monkeypatch):
+    calls = []
+
+    def fsync(descriptor):
+        found = os.fstat(descriptor)
+        calls.append(("sync", "directory" if stat.S_ISDIR(found.st_mode) else found.st_size))
+
+    replace = os.replace
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", lambda old, new: (calls.append(("name", Path(new).name)), replace(old, new)))
+    Directory(tmp_path).replace("file", b"x" * 100_000)
+    assert calls == [("sync", 100_000), ("name", "file"), ("sync", "directory")]
+
+
+def test_a_shard_is_there_before_the_manifest_says_so(scene, source, tmp_path, monkeypatch):
+    """Looked at wherever a crash could leave things for good: at each sync."""
+    out, fsync, looks = tmp_path / "out", os.fsync, []
+
+    def look(descriptor):
+        fsync(descriptor)
+        with contextlib.suppress(StoreError):  # not a dataset yet
+            looks.append(status(out).n_missing)
+
+    monkeypatch.setattr(os, "fsync", look)
+    run_scene(scene, source, out, workers=0)
+    assert len(looks) > len(shards(out))
+    assert set(looks) == {0}
 
 
 # ------------------------------------------------------------------------------------------ damage

@@ -46,6 +46,15 @@ def test_one_block_on_the_belt(force, mode):
     assert assert_follows_reference(system, z0, -0.5, 3.0).initial_mode == [mode]
 
 
+def test_a_force_beyond_mu_by_more_than_rounding_lets_go():
+    """F - mu = e: e'' = -k e from e = 2e-13, e' = k v, on a belt so slow that it takes a while."""
+    k, v = 0.5, -2e-13
+    run = simulate(System([[k]], 0.0, 1.0, v), (1 + 2e-13) / k, v, 5.0, **EXACT)
+    assert run.events.initial_mode.tolist() == [-1]
+    # w - v = -(integral of e) is back at 0 where tan(sqrt(k) t / 2) = 2 sqrt(k); z itself is known to 500 ulps
+    assert listed(run)[0] == (pytest.approx(2 / np.sqrt(k) * np.arctan(2 * np.sqrt(k)), rel=1e-2), 0, 0)
+
+
 @pytest.mark.parametrize(("stiffness", "v"), [(0.5, -0.5), (0.5, 0.5), (-0.5, -0.5), (-0.5, 0.5)])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_one_block_at_its_fold_leaves_if_the_force_grows(stiffness, v, side):
@@ -81,7 +90,26 @@ def test_a_force_that_rests_at_its_bound_holds():
     np.testing.assert_allclose(run.z, [-499.0, -500.0], rtol=1e-14)
 
 
+@pytest.mark.parametrize("coupling", [0.0, 0.25])
+def test_two_blocks_that_reach_their_bounds_at_one_instant_both_leave(coupling):
+    """Riding at v = -1/2, F = K z falls from (0, -1/2) + coupling to -1 at t = 2 in both; all numbers are dyadic."""
+    stiffness = np.array([[1.0, coupling], [coupling, 0.5]])
+    corner = np.linalg.solve(stiffness, [-1.0, -1.0])
+    run = simulate(System(stiffness, 0.0, 1.0, -0.5), corner + 1.0, -0.5, 2.5, **EXACT)
+    t, block, mode = run_arrays(run)
+    assert (run.events.initial_mode.tolist(), block.tolist(), mode.tolist()) == ([0, 0], [0, 1], [1, 1])
+    np.testing.assert_allclose(t, 2.0, rtol=1e-15)
+    assert run.events.change_points()[1].tolist() == [2, 0]
+
+
 # No friction: a free oscillator z = cos t, w = -sin t.
+
+
+@pytest.mark.parametrize("v", [-0.25, 0.25])
+def test_a_free_block_on_the_belt_leaves_to_the_side_it_is_pulled_to(v):
+    """z = v sin t, w = v cos t: slower than the belt until 2 pi."""
+    run = simulate(free(v), 0.0, v, 6.0, **EXACT)
+    assert (run.events.initial_mode.tolist(), len(run.events)) == ([-np.sign(v)], 0)
 
 
 def free(v, n=1):

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from sim import System, draw_system, simulate
 from sim.esdirk import EMBEDDED, NODES, TABLEAU
+from sim.fate import Collapse
 from sim.kernels import tanh_positive
 
 START = (-0.7, -0.4)
@@ -73,6 +74,41 @@ def test_tanh():
     y = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 2000)))
     ours = numba.vectorize(lambda value: tanh_positive(value))(y)
     assert np.abs(ours - np.tanh(y)).max() <= 2 * np.finfo(float).eps
+
+
+def test_rtol_counts_where_values_are_large_and_atol_where_they_are_small():
+    """The same free oscillation, z = size cos t, from far out and from close by."""
+    system = System([[1.0]], 0.0, 0.0, 0.0)
+
+    def steps(size, rtol, atol):
+        run = simulate(system, size, 0.0, 20.0, engine="sigmoid", rtol=rtol, atol=atol)
+        assert abs(run.z[0] - size * np.cos(20.0)) < 100 * (atol + rtol * size)
+        return run.stats.n_steps
+
+    of_rtol, of_atol = {"rtol": 1e-5, "atol": 1e-9}, {"rtol": 1e-9, "atol": 1e-5}
+    assert 3 * steps(1e3, **of_rtol) < steps(1e3, **of_atol)
+    assert 3 * steps(1e-3, **of_atol) < steps(1e-3, **of_rtol)
+
+
+def test_the_error_of_z_is_kept_too():
+    """A slow oscillation, z = 100 sin(t / 100), w = cos(t / 100): what w errs by, z errs by a hundredfold."""
+    run = simulate(System([[1e-4]], 0.0, 0.0, 0.0), 0.0, 1.0, 500.0, engine="sigmoid", rtol=1e-12, atol=1e-6)
+    assert abs(run.z[0] - 100 * np.sin(5.0)) < 3e-5
+
+
+@pytest.mark.parametrize("excess", [-0.002, 0.002])
+def test_collapse_under_the_smoothed_law_is_certain_where_the_bound_says(excess):
+    """One block at rest, K = 1, R = 3, mu = 1, delta = 0.1, eigenvalues (-3 +- sqrt 5) / 2.
+
+    While |w| < |v| - m friction differs from mu by at most 2 exp(-20 m), which moves w by at most 2 / sqrt 5 times
+    that. The best m makes |v| - m - 4 / sqrt 5 exp(-20 m) the largest: |v| - (1 + ln(80 / sqrt 5)) / 20, which is
+    -0.0289 at |v| = 0.2.
+    """
+    speed = (1 + np.log(80 / np.sqrt(5))) / 20 + excess
+    assert 0.2 - speed + excess == pytest.approx(-0.0289, abs=5e-5)
+    system = System([[1.0]], 3.0, 1.0, -speed)
+    certificate = Collapse(system, 0.0, np.array([0.1])).certify(system.rest_state([1]), np.zeros(1), 1)
+    assert certificate.is_certain == (excess > 0)
 
 
 def errors_against_coulomb(system, eps, t_end):
