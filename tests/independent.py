@@ -2,11 +2,11 @@
 
     z'' + R z' + K z + mu lambda = 0,    lambda_i in Sign(z_i' - v)
 
-While no block changes its mode the motion is linear, X' = M X with X = (z, (w - v) / rate, 1), and exp(M t) is taken by
-Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |M|: singular, nilpotent, defective and
-undamped systems need no care. What may end the motion, (w - v) of a slipping block and mu -+ F of a sticking one,
-F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch is
-missed. A function that vanishes at the start, to the order k, is divided by t^k exactly: its k-th derivative is
+While no block changes its mode the motion is linear, X' = M X with X = (z, (w - v) / rate, 1), and exp(M t) is taken
+by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |M|: singular, nilpotent, defective
+or undamped systems need no care. What may end the motion, (w - v) of a slipping block and mu -+ F of a sticking one,
+F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch
+is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly: its k-th derivative is
 averaged.
 
 At an instant every block with w = v is decided anew, all together: by |F| against mu, and at |F| = mu by the first
@@ -55,7 +55,13 @@ class Case:
 
     @classmethod
     def of(
-        cls, stiffness: ArrayLike, damping: ArrayLike, friction: ArrayLike, belt_speed: float, z0: ArrayLike, w0: ArrayLike
+        cls,
+        stiffness: ArrayLike,
+        damping: ArrayLike,
+        friction: ArrayLike,
+        belt_speed: float,
+        z0: ArrayLike,
+        w0: ArrayLike,
     ) -> Case:
         """From what `sim.System` and `simulate` take; numbers stand for all blocks."""
         matrix = np.array(stiffness, dtype=float)
@@ -111,7 +117,8 @@ class Path:
         """z, w at times in [0, t_end], each (m, n)."""
         times = np.atleast_1d(np.asarray(times, dtype=float))
         index = np.searchsorted([piece[0] for piece in self.pieces], times, side="right") - 1
-        x = np.array([self.pieces[k][2].state(self.pieces[k][1], t - self.pieces[k][0]) for k, t in zip(index, times, strict=True)])
+        found = [self.pieces[k] for k in index]
+        x = np.array([flow.state(x, t - start) for t, (start, x, flow) in zip(times, found, strict=True)])
         n, rate = self.case.n, self.case.rate
         return x[:, :n], self.case.belt_speed + rate * x[:, n : 2 * n]
 
@@ -298,7 +305,7 @@ class _Follower:
                 return
 
     def search(self, end: float, count: int) -> tuple[int, float | None]:
-        """Over up to `count` sub-intervals: those without an event, and tau of the first event in the next, if any."""
+        """Over up to `count` sub-intervals: those without an event, tau of the first in the next."""
         flow = self.flow(self.mode)
         starts = flow.powers[:count] @ self.x if count > 1 else self.x[None]
         functions = flow.functions(starts)
