@@ -2,6 +2,7 @@ from . import query as query
 from .audit import Status as Status
 from .audit import status as status
 from .audit import verify as verify
+from .errors import AddressError as AddressError
 from .errors import QueryError as QueryError
 from .errors import SceneError as SceneError
 from .errors import ScheduleError as ScheduleError

@@ -1,27 +1,36 @@
-"""The workers of a run: of this machine, or of a cluster that is there already."""
+"""The workers of a run: of this machine, or of a cluster that is there already.
+
+Dask runs whatever code it is sent. What is opened here listens on this machine alone, and obeys those who show a
+certificate that is made for the one run and never leaves its processes; its files lie where nobody else writes.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import os
 import signal
+import socket
 import tempfile
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
+from typing import Any
 
 import dask
-from distributed import Client, LocalCluster
+from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
+from distributed.comm import get_address_host_port
+from distributed.core import rpc
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from pipeline.child import ONE_THREAD, environment_kept
-from pipeline.errors import ScheduleError
+from pipeline.errors import AddressError, ScheduleError
 from pipeline.interrupt import unbroken
 
 log = logging.getLogger(__name__)
 
 #: Seconds to wait for a scheduler at a given address.
-CONNECT_TIMEOUT = 10.0
+CONNECT_TIMEOUT = 5.0
 
 _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
@@ -36,28 +45,66 @@ _LOCAL_CLUSTER = {
 }
 
 
+def check_address(address: str) -> None:
+    """See that a scheduler answers at an address: `Client`, told a wrong one, hangs in its own destructor.
+
+    Raises
+    ------
+    AddressError
+        If it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
+    """
+    try:
+        # whoever refuses does so at once, where dask asks again and again
+        socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
+        with silence_logging_cmgr(logging.CRITICAL):
+            identity = LoopRunner().run_sync(_who_is_at, address)
+        if "workers" not in identity:
+            raise ValueError(f"a {identity['type']} answers there")
+    # in turn: refused or silent; no address; no certificate for tls; tcp, where dask is told to encrypt;
+    # another service's words, taken for the length of a message
+    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        why = " ".join(str(error).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
+        raise AddressError(
+            f"scheduler: expected the address of a running dask scheduler, tcp://HOST:PORT, or tls://HOST:PORT with "
+            f"certificates in dask's configuration, distributed.comm.tls, got {address!r} ({why}); start one with "
+            f"`dask scheduler`, or leave the address out to run on this machine"
+        ) from error
+
+
+async def _who_is_at(address: str) -> dict[str, Any]:
+    security = Security().get_connection_args("client")
+    async with rpc(address, timeout=CONNECT_TIMEOUT, connection_args=security) as server:
+        return await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT)
+
+
 @contextlib.contextmanager
-def connect(workers: int, scheduler: str | None) -> Iterator[Client]:
-    """A client of the cluster at an address, or of a local one that lives as long as the with-block."""
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError) as error:  # refused, timed out, no address
-            raise ScheduleError(
-                f"scheduler: expected the address of a running dask scheduler, got {scheduler!r} ({error}); "
-                f"start one with `dask scheduler`, or leave the address out to run on this machine"
-            ) from error
-        with client:
+def connect(workers: int, scheduler: str | Client | None, dashboard: bool = False) -> Iterator[Client]:
+    """A client of a cluster that is there, or, for as long as the with-block, of local workers."""
+    if scheduler is None:
+        with local(workers, dashboard) as client:
+            yield client
+    elif isinstance(scheduler, Client):
+        _look_at(scheduler)
+        yield scheduler
+    else:
+        with Client(scheduler, timeout=CONNECT_TIMEOUT, security=Security(), set_as_default=False) as client:
             _look_at(client)  # before all handlers fall silent
             with silence_logging_cmgr(logging.CRITICAL), client:  # what matters reaches the caller as an error
                 yield client
-        return
+
+
+@contextlib.contextmanager
+def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
+    """A client of new workers on this machine, which live as long as the with-block.
+
+    `dashboard` opens dask's, which asks nobody on this machine who they are.
+    """
     # around all of it: a cluster in the middle of closing still has connections to complain of
-    with silence_logging_cmgr(logging.CRITICAL), _one_thread(), contextlib.ExitStack() as opened:
+    with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
         with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
             loop = _deaf_loop()
             opened.callback(loop.stop)
-            cluster = _local_cluster(workers, loop)
+            cluster = _local_cluster(workers, dashboard, loop, opened)
             client = Client(cluster, set_as_default=False)
             opened.callback(_close, client, cluster)
             opened.callback(_kill, cluster)
@@ -89,13 +136,13 @@ def _threads_of_libraries() -> set[str]:
     return {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
 
 
-def _close(client: Client, cluster: LocalCluster) -> None:
+def _close(client: Client, cluster: SpecCluster) -> None:
     with unbroken():
         client.close()
         cluster.close()
 
 
-def _kill(cluster: LocalCluster) -> None:
+def _kill(cluster: SpecCluster) -> None:
     """End the workers, idle or in the middle of what nobody waits for any more: asked to, they take seconds."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
@@ -118,26 +165,51 @@ def _deaf_loop() -> LoopRunner:
     return loop
 
 
-def _local_cluster(workers: int, loop: LoopRunner) -> LocalCluster:
+class QuietScheduler(Scheduler):
+    """Without the web server that dask gives it, which tells anybody who asks of workers and logs."""
+
+    def start_http_server(self, *_: Any, **__: Any) -> None:
+        """Open nothing."""
+
+
+class QuietWorker(Worker):
+    """As `QuietScheduler`."""
+
+    def start_http_server(self, *_: Any, **__: Any) -> None:
+        """Open nothing."""
+
+
+def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
+    where = dask.config.get("temporary-directory") or tempfile.gettempdir()
     try:
-        return LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
+        # dask looks for modules in its directory, and takes one that is there already, whosever it is
+        own = tempfile.TemporaryDirectory(prefix="stickslip-", dir=where, ignore_cleanup_errors=True)
+        settings = {**_LOCAL_CLUSTER, "temporary-directory": opened.enter_context(own)}
+        opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
+        here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
+        here |= {"dashboard": False}
+        pages = {"dashboard": True, "dashboard_address": "127.0.0.1:0"} if dashboard else {}
+        worker = {
+            "cls": Nanny,
+            "options": {
+                **here,
+                "worker_class": QuietWorker,
+                "nthreads": 1,
+                "memory_limit": 1.0 / workers,
+                "silence_logs": logging.CRITICAL,  # what matters reaches the caller as an error
+            },
+        }
+        return SpecCluster(
+            scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": here | pages},
+            workers=dict.fromkeys(range(workers), worker),
+            worker=worker,
             loop=loop.loop,
-            dashboard_address=":0",  # any free port: two runs at once do not quarrel over one
-            silence_logs=logging.CRITICAL,  # what matters reaches the caller as an error
+            security=here["security"],
+            silence_logs=logging.CRITICAL,
         )
     except (OSError, RuntimeError) as error:
         raise ScheduleError(
-            f"expected {workers} workers on this machine, could not start them ({error}); see that "
-            f"{dask.config.get('temporary-directory') or tempfile.gettempdir()} can be written, then run the same "
-            f'scene again; in a script, which every worker loads, call run_scene under if __name__ == "__main__":'
+            f"expected {workers} workers on this machine, could not start them ({error}); see that {where} can be "
+            f"written, then run the same scene again; in a script, which every worker loads, call run_scene under "
+            f'if __name__ == "__main__":'
         ) from error
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let workers started in the with-block load their libraries with one thread; restore this process's own."""
-    with environment_kept(), dask.config.set(_LOCAL_CLUSTER):  # dask sets the variables here, for workers to inherit
-        yield

@@ -17,3 +17,7 @@ class StoreError(RuntimeError):
 
 class ScheduleError(RuntimeError):
     """The run could not be done to its end. What is committed stays; the message says what to do."""
+
+
+class AddressError(ScheduleError):
+    """No scheduler answers at the address that was given; nothing was done."""

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
-from importlib.util import find_spec
 from multiprocessing import current_process
 from typing import Any
 
@@ -20,7 +19,7 @@ from distributed.comm import CommClosedError
 from pipeline import kernels
 from pipeline.alone import compute_alone
 from pipeline.audit import Status, status
-from pipeline.cluster import connect
+from pipeline.cluster import check_address, connect
 from pipeline.errors import ScheduleError
 from pipeline.live import Began
 from pipeline.members import Member, expand
@@ -59,7 +58,7 @@ class Progress:
     cost_resumed: float  #: part of `cost_done` that was there at the start
     elapsed: float  #: seconds since the start
     last_shard: str | None
-    dashboard: str | None = None  #: address of dask's, once there is one
+    dashboard: str | None = None  #: address of dask's, if there is one
     compiling: tuple[str, ...] = ()  #: engines whose kernels are compiled first, on this machine
 
     @property
@@ -74,10 +73,11 @@ def run_scene(
     source: bytes,
     out: Where,
     workers: int = 2,
-    scheduler: str | None = None,
+    scheduler: str | Client | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     retry_failed: bool = False,
     accept_version: bool = False,
+    dashboard: bool = False,
 ) -> Status:
     """Run a scene into the dataset at `out`, or what is missing of it; the same bytes whatever the workers.
 
@@ -93,15 +93,17 @@ def run_scene(
         which is resumed, or of a part of it, which is extended.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
-    scheduler : str, optional
-        Address of a running dask cluster, used instead of local workers. Its workers need this package and
-        should have one thread each.
+    scheduler : str or distributed.Client, optional
+        Address of a running dask cluster, or a client of one, used instead of local workers. Its workers need this
+        package and should have one thread each.
     on_progress : callable, optional
         Called with a `Progress` at the start and after each commit.
     retry_failed : bool
         Whether to run shards with failed members again.
     accept_version : bool
         Whether to go on with a dataset that another version of the program began; numbers may differ.
+    dashboard : bool
+        Whether local workers have dask's dashboard, which anybody on this machine may look at.
 
     Raises
     ------
@@ -109,8 +111,10 @@ def run_scene(
         If `workers` is negative, or `source` is not the file of `scene`.
     StoreError
         If the directory cannot be used or written.
+    AddressError
+        If no scheduler answers at the address; nothing was done.
     ScheduleError
-        If the scheduler cannot be reached or is lost, workers do not come up, or run another version.
+        If the scheduler is lost, workers do not come up, or run another version.
     """
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
@@ -120,6 +124,8 @@ def run_scene(
             "it is loaded, and every worker loads it; write that line above the call"
         )
     start = time.monotonic()
+    if isinstance(scheduler, str):
+        check_address(scheduler)
     with Store(out, scene, source, retry_failed, accept_version) as store:
         members = {batch.name: len(batch.members) for batch, _ in store.tasks}
         costs = {batch.name: batch.cost for batch, _ in store.tasks}
@@ -131,12 +137,14 @@ def run_scene(
         firsts = kernels.one_an_engine(member for batch, _ in store.todo for member in batch.members)
         cold = {engine: one for engine, one in firsts.items() if scheduler is None and kernels.is_cold(engine)}
 
-        dashboard: str | None = None
+        link: str | None = None
 
-        def connected(address: str) -> None:
-            nonlocal dashboard
-            dashboard = address
-            store.note(f"dashboard {address}")
+        def connected(client: Client) -> None:
+            nonlocal link
+            with contextlib.suppress(KeyError):  # it has none
+                link = client.dashboard_link or None
+            if link is not None:
+                store.note(f"dashboard {link}")
 
         def report(last_shard: str | None = None) -> None:
             if on_progress is not None:
@@ -152,7 +160,7 @@ def run_scene(
                         cost_resumed=before,
                         elapsed=time.monotonic() - start,
                         last_shard=last_shard,
-                        dashboard=dashboard,
+                        dashboard=link,
                         compiling=tuple(cold),
                     )
                 )
@@ -160,7 +168,7 @@ def run_scene(
         report()
         store.note(Began(time.time(), n_before, before).line)
         # closed at once if a commit fails or the user interrupts, and the workers with it
-        with contextlib.closing(_results(store.todo, cold, workers, scheduler, connected)) as results:
+        with contextlib.closing(_results(store.todo, cold, workers, scheduler, dashboard, connected)) as results:
             for result in results:
                 if result.program != program():
                     raise ScheduleError(
@@ -195,10 +203,11 @@ def _results(
     todo: list[Task],
     cold: Mapping[str, Member],
     workers: int,
-    scheduler: str | None,
-    connected: Callable[[str], None],
+    scheduler: str | Client | None,
+    dashboard: bool,
+    connected: Callable[[Client], None],
 ) -> Generator[Result]:
-    """The batches' results in the order they come in; `connected` is told the address of dask's dashboard.
+    """The batches' results in the order they come in; `connected` is told the client, once there is one.
 
     `cold` has a member of each engine that is to be compiled.
     """
@@ -209,12 +218,11 @@ def _results(
             yield compute(*task)
         return
     n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
-    with connect(n_workers, scheduler) as client:
+    with connect(n_workers, scheduler, dashboard) as client:
         # side by side, where one batch would have them compiled one after the other; nobody waits for it
         for member in cold.values():
             fire_and_forget(client.submit(kernels.load, [member], pure=False))
-        if scheduler is not None or find_spec("bokeh") is not None:  # without it there is a page that says so
-            connected(client.dashboard_link)
+        connected(client)
         try:
             lost = yield from _submit(
                 client, todo, _compute, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
@@ -241,7 +249,7 @@ def _submit(
     todo: list[Task],
     work: Callable[..., Result],
     window: Callable[[], int],
-    scheduler: str | None,
+    scheduler: str | Client | None,
 ) -> Generator[Result, None, list[Task]]:
     """Yield results as they come in, with so many batches in flight; return the batches whose workers died."""
     waiting = iter(todo)
@@ -278,7 +286,7 @@ def _submit(
 class _Watch:
     """Patience while waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
 
-    def __init__(self, client: Client, scheduler: str | None) -> None:
+    def __init__(self, client: Client, scheduler: str | Client | None) -> None:
         self._client, self._scheduler = client, scheduler
         self._looked = self._alive = time.monotonic()
 

@@ -8,12 +8,13 @@ import os
 import shlex
 import sys
 from collections.abc import Sized
+from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from pipeline.errors import QueryError, SceneError, ScheduleError, StoreError
+from pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
 from pipeline.interrupt import Interrupted, interruptible
 from workflows.parser import parser
 
@@ -43,17 +44,23 @@ def _run(arguments: argparse.Namespace) -> int:
     out = place_of(arguments.out if arguments.out is not None else Path("runs") / file.stem)
     if isinstance(out, Directory):
         _check_directory(out.path, file)
-    if chart_of(file) is not None:
+    is_chart = chart_of(file) is not None
+    if arguments.scheduler is not None and (is_chart or arguments.dry_run or arguments.only is not None):
+        raise _Wrong(
+            "--scheduler: expected none with a chart, --dry-run or --only, which use this machine; leave it out"
+        )
+    if is_chart:
         return _run_chart(arguments, file, out)
     if arguments.dry_run:
         return _say_estimate(arguments, file, out)
     if arguments.only is not None:
         return _run_member(file, arguments.only)
-    with Drawing() as drawing:  # before all else: what it loads, and what is loaded here, takes a second each
+    # before all else: what it loads, and what is loaded here, takes a second each
+    with nullcontext() if arguments.no_report else Drawing() as drawing:
         return _run_ensemble(arguments, file, out, drawing)
 
 
-def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing) -> int:
+def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing | None) -> int:
     from pipeline import parse_scene, run_scene
     from pipeline.interrupt import last_act
     from pipeline.place import DATA, SCENE, Directory
@@ -68,7 +75,9 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
 
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
-            Thread(target=import_module, args=("workflows.reporting",), daemon=True).start()  # while workers compute
+            if drawing is not None:
+                # while workers compute
+                Thread(target=import_module, args=("workflows.reporting",), daemon=True).start()
             status = run_scene(
                 scene,
                 source,
@@ -78,8 +87,10 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
                 on_progress=watch,
                 retry_failed=arguments.retry_failed,
                 accept_version=arguments.accept_version,
+                dashboard=arguments.dashboard,
             )
-            _write_report(out, drawing)
+            if drawing is not None:
+                _write_report(out, drawing)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
@@ -91,6 +102,8 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
         copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
         alone = ["stickslip", "run", copy, "--only", str(status.first_failed)]
         print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
+    if drawing is None:
+        print(f"report  none was asked for: {shlex.join(['stickslip', 'report', str(out)])} makes it")
     print(f"time    {clock(watch.elapsed)}, report apart")
     return _UNFINISHED if status.failures else _DONE
 
@@ -160,8 +173,6 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from workflows.reporting import write
 
     kind, scene = load_chart(file)
-    if arguments.scheduler:
-        raise _Wrong("--scheduler: expected none with a chart, which is measured on one core here; leave it out")
     if arguments.dry_run:
         print(f"{file}: a chart of {kind.extent(scene)}, in one process, into {out}")
         return _DONE
@@ -184,8 +195,8 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
 def _again(arguments: argparse.Namespace, out: Place) -> str:
     where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
-    retry = ["--retry-failed"] if arguments.retry_failed else []
-    return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *retry])
+    flags = [flag for flag in ("--retry-failed", "--no-report") if getattr(arguments, flag[2:].replace("-", "_"))]
+    return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
 
 
 def _write_report(directory: Where, drawing: Drawing) -> None:
@@ -334,7 +345,7 @@ def main(argv: list[str] | None = None) -> int:
 def _on_data(arguments: argparse.Namespace) -> int:
     try:
         return _ON_DATA[arguments.command](arguments)
-    except (SceneError, QueryError) as error:
+    except (SceneError, QueryError, AddressError) as error:
         raise _Wrong(error) from error
     except (StoreError, ScheduleError) as error:
         print(f"stickslip: {error}", file=sys.stderr)

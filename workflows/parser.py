@@ -135,8 +135,13 @@ def _run(run: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
     )
     where = run.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=_count, default=2, metavar="N", help="local processes (default: 2)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster")
+    # a default in text: argparse takes a value that is the default itself for one that was not given
+    where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
+    run.add_argument(
+        "--dashboard", action="store_true", help="open dask's, at 127.0.0.1, to whoever uses this machine (bokeh)"
+    )
+    run.add_argument("--no-report", action="store_true", help="only run; `stickslip report DIR` makes the report")
     run.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
     run.add_argument("--accept-version", action="store_true", help="go on with data that another version began")
     run.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")

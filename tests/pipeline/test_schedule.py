@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 
-import dask
 import pytest
-from distributed import LocalCluster
 
 from pipeline import Progress, ScheduleError, cluster, expand, run_scene, schedule, status, verify
 from pipeline.store import Store
@@ -35,8 +33,8 @@ def test_workers_give_the_bytes_of_this_process(workers, scene, source, finished
 
 
 def test_a_running_cluster_can_be_used(scene, source, finished, content, tmp_path):
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        run_scene(scene, source, tmp_path / "out", scheduler=cluster.scheduler_address)
+    with cluster.local(1) as client:
+        run_scene(scene, source, tmp_path / "out", scheduler=client)
     assert content(tmp_path / "out") == content(finished)
 
 
@@ -96,11 +94,8 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
 
 def test_batches_whose_workers_died_are_run_again(scene, source, finished, content, tmp_path, monkeypatch):
     monkeypatch.setattr(schedule, "_compute", lambda task: os._exit(1))
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
-    ):
-        result = run_scene(scene, source, tmp_path / "out", workers=0, scheduler=cluster.scheduler_address)
+    with cluster.local(1) as client:
+        result = run_scene(scene, source, tmp_path / "out", workers=0, scheduler=client)
     assert result.is_complete
     assert content(tmp_path / "out") == content(finished)
 

@@ -347,6 +347,37 @@ def test_workers_are_counted_from_one(workers, small_scene, capsys):
     assert "--workers" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("more", [["--workers", "2"], ["--workers", "3"], ["--workers=1"]])
+def test_workers_here_or_a_scheduler_there(more, small_scene, capsys):
+    for argv in (["--scheduler", "tcp://127.0.0.1:9", *more], [*more, "--scheduler", "tcp://127.0.0.1:9"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(["run", str(small_scene), *argv])
+        assert re.search(r"error: argument --\w+: not allowed with argument --\w+$", capsys.readouterr().err.strip())
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:9", ""])
+def test_a_wrong_address_is_refused_before_anything_is_done(address, dataset, small_scene, tmp_path, capsys):
+    before = {file: file.stat().st_mtime_ns for file in dataset.rglob("*")}
+    for out in (tmp_path / "out", dataset):  # to do, or done
+        argv = ["run", str(small_scene), "--out", str(out), "--scheduler", address]
+        refused(argv, ["scheduler: expected the address", repr(address), "`dask scheduler`"], capsys)
+    assert list(tmp_path.iterdir()) == []
+    assert {file: file.stat().st_mtime_ns for file in dataset.rglob("*")} == before
+    for more in (["--dry-run"], ["--only", "n12-m000-coulomb-1e-10"]):
+        refused([*argv, *more], ["--scheduler: expected none with", "leave it out"], capsys)
+
+
+def test_a_run_without_a_report(small_scene, dataset, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "a run"
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "workflows.reporting", None)  # nothing of it is loaded
+        assert main(["run", str(small_scene), "--out", str(out), "--workers", "1", "--no-report"]) == 0
+    assert f"stickslip report '{out}' makes it" in capsys.readouterr().out
+    assert not (out / "report.html").exists()
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_bytes() == (dataset / "report.html").read_bytes()
+
+
 def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     """A lock file as a driver leaves it: this process."""
     copy = shutil.copytree(dataset, tmp_path / "copy")

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -65,14 +66,19 @@ def shards(path):
     return {file.name: file.read_bytes() for file in (path / "data").iterdir()}
 
 
-def test_what_slurm_is_told(slurm):
+def test_what_slurm_is_told(slurm, tmp_path, monkeypatch):
     before = signal.getsignal(signal.SIGINT)
     jobqueue = pytest.importorskip("dask_jobqueue.slurm")
     signal.signal(signal.SIGINT, before)  # it sets one of its own
     asked = ["mine.toml", "--out", "x", "--per-job", "8", "--memory", "3", "--minutes", "90", "--queue", "long"]
     arguments = slurm.parser().parse_args([*asked, "--account", "blocks", "--cache", "/scratch/kernels"])
+    monkeypatch.chdir(tmp_path)
     with jobqueue.SLURMCluster(**slurm.slurm_settings(arguments)) as cluster:
         script = cluster.job_script()
+        assert cluster.scheduler_address.startswith("tls://")
+        assert cluster.scheduler.services == {}  # no web server
+        files = re.findall(rf"--tls-\S+ ({tmp_path}/\S+)", script)
+        assert [stat.S_IMODE(os.stat(file).st_mode) for file in files] == [0o600] * 3
     for line in (
         "#SBATCH --cpus-per-task=8",
         "#SBATCH -t 01:30:00",
@@ -83,6 +89,7 @@ def test_what_slurm_is_told(slurm):
         "export MKL_NUM_THREADS=1",
         "export NUMBA_NUM_THREADS=1",
         "export NUMBA_CACHE_DIR=/scratch/kernels",
+        "export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)",
     ):
         assert line in script.splitlines()
     assert re.search(r" --nthreads 1 .*--nworkers 8 ", script)

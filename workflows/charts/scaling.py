@@ -8,7 +8,6 @@ that of one product of a dense K of that n with a vector (numpy, float64), measu
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import Counter
@@ -21,11 +20,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy.sparse
-from distributed import Client, LocalCluster
 from pydantic import AfterValidator, BeforeValidator, Field
 
 import sim
 from pipeline import parse_scene, run_scene
+from pipeline.cluster import local
 from pipeline.members import MATRIX
 from pipeline.tables import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
 from workflows.charts import ChartScene, Say
@@ -412,15 +411,10 @@ def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
         ("sigmoid", "picked", smooth),
     )
     found = []
-    with (
-        LocalCluster(
-            n_workers=scene.workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with local(scene.workers) as client:
         client.run(warm)
         for engine, tolerance, settings in engines:
-            seconds, n_failed = _pipeline(scene, engine, settings, scheduler=cluster.scheduler_address)
+            seconds, n_failed = _pipeline(scene, engine, settings, scheduler=client)
             found.append((engine, tolerance, settings, n_failed, seconds))
     rows = []
     for engine, tolerance, settings, n_failed, seconds in found:

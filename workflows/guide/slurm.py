@@ -8,11 +8,17 @@ SIGTERM, it takes its jobs back, and leaves a dataset that the same command goes
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from distributed import Client, Security
+
 from pipeline import Interrupted, SceneError, ScheduleError, StoreError, interruptible, load_scene, run_scene
+from pipeline.cluster import QuietScheduler, local
 from pipeline.interrupt import unbroken
 from workflows.progress import Watch
 from workflows.scenes import find
@@ -46,6 +52,8 @@ def parser() -> argparse.ArgumentParser:
 def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     """What dask-jobqueue is told: jobs of so many processes, each of one thread, that leave before they are ended."""
     prologue = [f"export {name}_NUM_THREADS=1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
+    # of its own: a worker looks for modules there, and the common one is whoever's came first
+    prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
     if arguments.cache:
         prologue.append(f"export NUMBA_CACHE_DIR={arguments.cache}")
     hours, minutes = divmod(arguments.minutes, 60)
@@ -59,23 +67,37 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
         "queue": arguments.queue,
         "account": arguments.account,
         "job_script_prologue": prologue,
-        "worker_extra_args": ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{STAGGER}s"],
+        "worker_extra_args": ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{STAGGER}s", "--no-dashboard"],
+        # others use these machines: who has not the run's certificate is not obeyed. Workers find theirs in files
+        # that their owner alone reads, in the directory that jobs are asked for and begin in
+        "security": Security.temporary(),
+        "shared_temp_directory": os.getcwd(),
+        "scheduler_cls": QuietScheduler,
     }
 
 
-def start(arguments: argparse.Namespace) -> Cluster:
-    """A cluster that keeps so many workers, as far as it gets them."""
+@contextlib.contextmanager
+def start(arguments: argparse.Namespace) -> Iterator[Client]:
+    """A client of a cluster that keeps so many workers, as far as it gets them, while the with-block lasts."""
     if arguments.local:
-        from distributed import LocalCluster
-
-        return LocalCluster(n_workers=arguments.workers, threads_per_worker=1, dashboard_address=":0")
+        with local(arguments.workers) as client:
+            yield client
+        return
     from dask_jobqueue.slurm import SLURMCluster
 
-    cluster = SLURMCluster(**slurm_settings(arguments))
-    # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
-    n_jobs = -(-arguments.workers // arguments.per_job)
-    cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
-    return cluster
+    with contextlib.ExitStack() as opened:
+        with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
+            cluster = SLURMCluster(**slurm_settings(arguments))
+            opened.callback(_close, cluster)
+        # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
+        n_jobs = -(-arguments.workers // arguments.per_job)
+        cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
+        yield opened.enter_context(Client(cluster, set_as_default=False))
+
+
+def _close(cluster: Cluster) -> None:
+    with unbroken():
+        cluster.close()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -86,23 +108,11 @@ def main(argv: list[str] | None = None) -> int:
         scene = load_scene(file)
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
-        with interruptible():
-            with unbroken():  # a cluster that is half built would leave its jobs behind
-                cluster = start(arguments)
-            try:
-                print(f"dask    {cluster.dashboard_link}, waiting for the first of {arguments.workers} workers")
-                cluster.wait_for_workers(1)
-                with Watch(arguments.out) as watch:
-                    status = run_scene(
-                        scene,
-                        file.read_bytes(),
-                        arguments.out,
-                        scheduler=cluster.scheduler_address,
-                        on_progress=watch,
-                    )
-            finally:
-                with unbroken():
-                    cluster.close()
+        with interruptible(), start(arguments) as client:
+            print(f"dask    waiting for the first of {arguments.workers} workers")
+            client.wait_for_workers(1)
+            with Watch(arguments.out) as watch:
+                status = run_scene(scene, file.read_bytes(), arguments.out, scheduler=client, on_progress=watch)
     except Interrupted as interrupt:
         print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
         return interrupt.exit_code

@@ -1,0 +1,127 @@
+"""Who may have a run's workers do something: nobody else on the machine; and what an address has to be."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import re
+import socket
+import stat
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import dask
+import pytest
+from distributed import Security
+from distributed.core import rpc
+from distributed.utils import LoopRunner
+
+from pipeline import AddressError, cluster, run_scene
+
+
+def listening(pids):
+    """The addresses at which processes listen, as the kernel's tables of TCP have them."""
+    inodes = set()
+    for pid in pids:
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):  # closed since, as the listing of the directory is
+                if found := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry)):
+                    inodes.add(found[1])
+    places = set()
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in inodes:
+                host, port = fields[1].split(":")
+                words = bytes.fromhex(host)
+                network = b"".join(words[k : k + 4][::-1] for k in range(0, len(words), 4))
+                places.add((socket.inet_ntop(family, network), int(port, 16)))
+    return places
+
+
+def processes_of(client):
+    return [os.getpid(), *client.run(os.getpid).values()]
+
+
+@pytest.mark.parametrize("dashboard", [False, True])
+def test_nothing_listens_but_on_the_loopback_and_no_web_server_unless_asked_for(dashboard):
+    before = listening([os.getpid()])
+    with cluster.local(2, dashboard) as client:
+        opened = listening(processes_of(client)) - before
+        assert {host for host, _ in opened} == {"127.0.0.1"}
+        assert len(opened) == 1 + 2 * 2 + dashboard  # the scheduler; workers, and who watches them
+        assert bool(client.dashboard_link) == dashboard
+    assert listening([os.getpid()]) == before
+
+
+def test_who_has_not_the_certificate_of_the_run_is_not_answered():
+    async def ask(address, security):
+        connection = security.get_connection_args("client")
+        async with rpc(address, timeout=5, connection_args=connection) as server:
+            return await asyncio.wait_for(server.identity(), 5)
+
+    before = listening([os.getpid()])
+    with cluster.local(1) as client:
+        opened = sorted(listening(processes_of(client)) - before)
+        own = client.security
+        assert len(opened) == 3
+        for host, port in opened:
+            assert "id" in LoopRunner().run_sync(ask, f"tls://{host}:{port}", own)
+            for scheme, security in (("tcp", Security()), ("tls", Security.temporary())):
+                with pytest.raises(OSError):  # closed at once
+                    LoopRunner().run_sync(ask, f"{scheme}://{host}:{port}", security)
+
+
+def test_dask_looks_for_modules_where_nobody_else_writes(tmp_path):
+    """Dask puts its directory first on the path of modules: in /tmp it would be whoever's made it first."""
+    with dask.config.set({"temporary-directory": str(tmp_path)}), cluster.local(1) as client:
+        (directory,) = client.run(lambda dask_worker: dask_worker.local_directory).values()
+        (own,) = tmp_path.iterdir()
+        assert Path(directory).is_relative_to(own)
+        assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_certificates_of_dasks_configuration_open_an_address(scene, source, finished, content, tmp_path):
+    with cluster.local(1) as client:
+        names = {"ca-file": "tls_ca_file", "client.cert": "tls_client_cert", "client.key": "tls_client_key"}
+        tls = {f"distributed.comm.tls.{key}": getattr(client.security, name) for key, name in names.items()}
+        with dask.config.set(tls):
+            run_scene(scene, source, tmp_path / "out", scheduler=client.scheduler.address)
+        with pytest.raises(AddressError, match=r"certificates in dask's configuration, distributed\.comm\.tls"):
+            run_scene(scene, source, tmp_path / "other", scheduler=client.scheduler.address)
+    assert content(tmp_path / "out") == content(finished)
+    assert not (tmp_path / "other").exists()
+
+
+class _Page(BaseHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+def test_what_is_no_scheduler_is_refused(monkeypatch):
+    monkeypatch.setattr("pipeline.cluster.CONNECT_TIMEOUT", 1.0)
+    silent = socket.create_server(("127.0.0.1", 0))
+    with silent, HTTPServer(("127.0.0.1", 0), _Page) as web, cluster.local(1) as client:
+        threading.Thread(target=web.serve_forever, daemon=True).start()
+        addresses = {
+            f"tcp://127.0.0.1:{silent.getsockname()[1]}": "no answer in 1 s",
+            f"tcp://127.0.0.1:{web.server_port}": "",
+            client.scheduler.address.replace("tls", "tcp"): "",
+            "tcp://127.0.0.1:9": "Connection refused",
+            "nonsense": "missing port",
+            "http://127.0.0.1:8786": "unknown address scheme",
+            "": "missing port",
+        }
+        for address, why in addresses.items():
+            with pytest.raises(AddressError, match=f"^scheduler: expected .* got {address!r} .*{why}") as error:
+                cluster.check_address(address)
+            assert "\n" not in str(error.value)
+        web.shutdown()
+        names = {"ca-file": "tls_ca_file", "client.cert": "tls_client_cert", "client.key": "tls_client_key"}
+        tls = {f"distributed.comm.tls.{key}": getattr(client.security, name) for key, name in names.items()}
+        (worker,) = client.run(lambda dask_worker: dask_worker.address).values()
+        with dask.config.set(tls), pytest.raises(AddressError, match="a QuietWorker answers there"):
+            cluster.check_address(worker)
