@@ -107,6 +107,14 @@ def test_the_seed_of_the_scene_moves_every_draw(scene, source):
         assert one.engine == "coulomb" or not np.array_equal(one.ratios(), other.ratios())
 
 
+def test_no_two_draws_share_their_numbers(scene):
+    """Whatever a draw is for: its n, its matrix and its own number count."""
+    systems = {(m.n, m.matrix): m.system().damping[0] for m in expand(scene) if m.perturbation_draw is None}
+    ratios = {(m.n, m.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
+    shares = [value / 3.5 - 1 for value in systems.values()] + [1 - value for value in ratios.values()]
+    assert len(np.unique(np.round(shares, 12))) == len(shares) == 18
+
+
 def test_settings_reach_the_engine(source, monkeypatch):
     scene = change(source, it=('ratio = "uniform"', 'rtol = 1e-7\natol = 1e-9\nratio = "uniform"'))
     seen = []
