@@ -30,11 +30,16 @@ def test_paired_by_the_t_interval_of_differences():
 
 def test_independent_by_welch():
     rng = np.random.default_rng(1)
-    a, b = rng.normal(30, 2, 12), rng.normal(31, 5, 20)
+    a, b = rng.normal(30, 2, 12), rng.normal(60, 5, 20)
     found = contrast(MEAN, of(a), of(b, first=100), False, 0.95)
     low, high = stats.ttest_ind(b, a, equal_var=False).confidence_interval(0.95)
     assert (found.difference.low, found.difference.high) == pytest.approx((low, high))
     assert (found.n_first, found.n_second) == (12, 20)
+    # the quotient b / a to first order: the error of a counts b / a times
+    errors = a.std(ddof=1) / np.sqrt(12) * b.mean() / a.mean() ** 2, b.std(ddof=1) / np.sqrt(20) / a.mean()
+    assert found.test.difference == pytest.approx(b.mean() / a.mean() - 1)
+    assert found.test.error == pytest.approx(np.hypot(*errors))
+    assert found.test.dof == pytest.approx(np.hypot(*errors) ** 4 / (errors[0] ** 4 / 11 + errors[1] ** 4 / 19))
 
 
 def test_only_shared_matrices_are_pairs():

@@ -15,6 +15,7 @@ import time
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -22,7 +23,7 @@ import pytest
 
 import workflows
 from pipeline import Progress, load_scene, query, status
-from pipeline.live import Began
+from pipeline.live import Began, Follower
 from pipeline.manifest import read_manifest, read_tasks
 from workflows.cli import _BEFORE, main
 from workflows.progress import Watch
@@ -397,6 +398,18 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "6 of 6 done: " in said
     assert "running" not in said
+
+
+def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    monkeypatch.setattr("pipeline.live.time", SimpleNamespace(time=lambda: 1010.0))
+    costs = {batch.name: batch.cost for batch, _ in read_tasks(copy, read_manifest(copy))}
+    follower = Follower(copy)
+    follower._costs |= {"one more": 3.0 * sum(costs.values())}  # of four parts one is done, half of it before
+    began = Began(1000.0, 2, 0.5 * sum(costs.values()))
+    (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\n{began.line}\n")
+    view = follower.look()
+    assert (view.eta, view.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
 
 
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
