@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sim
-from pipeline import SceneError, expand, parse_scene, run_scene, shards, verify
+from pipeline import SceneError, StoreError, expand, parse_scene, run_scene, shards, verify
 from pipeline.query import all_events, by_threshold, events, members, separations, series
 
 SOURCE = b"""\
@@ -107,6 +107,20 @@ def test_the_separation_is_that_of_two_runs(scene, kept):
             assert distance[k] == pytest.approx(np.linalg.norm(gaps) / 2.0, rel=1e-12)  # sqrt(n) = 2
     assert found["n4-m000-t0.001-coulomb-1e-10"][1][0] == pytest.approx(1e-3, rel=1e-9)
     assert found["n4-m000-p0.05-d0-coulomb-1e-10"][1][0] == 0.0
+
+
+def test_the_last_time_is_not_lost_by_rounding(tmp_path):
+    """0.3 / 0.1 < 3 in floating point, and 3 * 0.1 > 0.3."""
+    text = SOURCE.replace(b"t_end = 11.0", b"t_end = 0.3").replace(b"separation = 2.5", b"separation = 0.1")
+    text = text.replace(b"t_burn = 1.0", b"t_burn = 0.0")
+    run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
+    assert {len(distance) for _, _, distance in separations(tmp_path / "out")} == {4}
+
+
+def test_a_scene_that_grows_keeps_its_step(kept):
+    text = SOURCE.replace(b"matrices = 2", b"matrices = 3").replace(b"separation = 2.5", b"separation = 5.0")
+    with pytest.raises(StoreError, match=r"record\.separation: 5\.0 here, 2\.5 there"):
+        run_scene(parse_scene(text), text, kept, workers=0)
 
 
 def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):

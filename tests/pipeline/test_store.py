@@ -23,7 +23,8 @@ import sim
 from pipeline import Progress, StoreError, expand, parse_scene, query, run_member, run_scene, status, verify
 from pipeline.manifest import read_manifest
 from pipeline.place import Directory
-from pipeline.shards import SCHEMA, Recording, scalars
+from pipeline.shards import SCHEMA, Recording, compute, scalars
+from pipeline.store import Store
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -212,6 +213,34 @@ def test_a_shard_is_there_before_the_manifest_says_so(scene, source, tmp_path, m
     run_scene(scene, source, out, workers=0)
     assert len(looks) > len(shards(out))
     assert set(looks) == {0}
+
+
+def test_a_line_that_a_crash_cut_short_spoils_no_other(tmp_path):
+    (tmp_path / "lines").write_bytes(b"one\ntw")
+    with Directory(tmp_path).record("lines") as append:
+        append(b"three\n")
+    assert (tmp_path / "lines").read_bytes() == b"one\nthree\n"
+
+
+def test_a_commit_that_fails_is_forgotten(scene, source, tmp_path, monkeypatch):
+    with Store(tmp_path, scene, source) as store:
+        first, second = (compute(*task) for task in store.todo[:2])
+        fsync, calls = os.fsync, []
+
+        def full(descriptor):
+            calls.append(descriptor)
+            if len(calls) > 2:  # the shard and its name are there
+                raise OSError(errno.ENOSPC, "No space left on device")
+            fsync(descriptor)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", full)
+            with pytest.raises(StoreError, match="No space left"):
+                store.commit(first)
+        store.commit(second)
+        assert store.done == {second.name}
+    assert verify(tmp_path) == []
+    assert [file.name for file in shards(tmp_path)] == [second.name]
 
 
 # ------------------------------------------------------------------------------------------ damage

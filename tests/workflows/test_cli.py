@@ -18,6 +18,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -25,6 +26,7 @@ import workflows
 from pipeline import Progress, load_scene, query, status
 from pipeline.live import Began, Follower
 from pipeline.manifest import read_manifest, read_tasks
+from workflows import answers
 from workflows.cli import _BEFORE, main
 from workflows.progress import Watch
 from workflows.reporting import compared
@@ -120,6 +122,14 @@ def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
     assert lines[-1] == "... 234 rows more: --format csv has them all"
     assert main(["query", str(dataset), "SELECT n FROM members WHERE n < 0"]) == 0
     assert capsys.readouterr().out == "no rows (n)\n"
+
+
+def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_path):
+    pieces = pa.table({"k": range(1800)}).to_batches(max_chunksize=600)
+    answers.write(pa.RecordBatchReader.from_batches(pieces[0].schema, pieces), "table", tmp_path / "k.txt", "data")
+    head, *rows, more = (tmp_path / "k.txt").read_text().splitlines()
+    assert (head.split(), [int(row) for row in rows]) == (["k"], list(range(1000)))
+    assert more == "... 800 rows more: --format csv has them all"
 
 
 @pytest.mark.parametrize(
