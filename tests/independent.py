@@ -31,8 +31,8 @@ _NODES = 18
 _REACH = 3.0  # sub-interval times rate: the first coefficient left out is 2 (3 / 4)^18 / 18! = 2e-18
 _BATCH = 16
 _ROUNDING = 1e-12  # of the sizes met so far: what is smaller vanishes
-_EVENTS_MAX = 20_000
-_PIECES_MAX = 200_000
+_EVENTS_MAX = 5_000
+_PIECES_MAX = 50_000
 
 _TAU = (1 - np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)) / 2
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(2 * _TAU - 1, _NODES - 1))

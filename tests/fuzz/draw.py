@@ -1,0 +1,222 @@
+"""Cases: which system, start, length, engine and settings, from a seed and a number alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from tests.independent import Case, Floats
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A case, how long it runs, under which engine, and the seed of what the checks draw."""
+
+    seed: int
+    number: int
+    family: str
+    engine: Literal["coulomb", "sigmoid"]
+    case: Case
+    t_end: float
+    settings: dict[str, Any]
+
+    def rng(self) -> Rng:
+        """For what the checks draw."""
+        return np.random.default_rng([self.seed, self.number, 1])
+
+    def words(self) -> str:
+        """Lines of Python that run it."""
+        case = self.case
+        k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
+        settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
+        return (
+            f"system = System({k}, {r}, {mu}, {case.belt_speed!r})\n"
+            f"run = simulate(system, {z}, {w}, {self.t_end!r}, engine={self.engine!r}{settings})"
+        )
+
+
+def _plain(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _grounded(springs: Floats, ground: Floats) -> Floats:
+    """Springs between blocks (symmetric) and to the ground, eq. (6)."""
+    return np.diag(ground + springs.sum(axis=1)) - springs
+
+
+def _chain(rng: Rng, n: int) -> Floats:
+    springs = np.zeros((n, n))
+    for i in range(n - 1):
+        springs[i, i + 1] = springs[i + 1, i] = rng.choice([1.0, rng.uniform(0.2, 3)])
+    ground = rng.uniform(0, 1, n) if rng.random() < 0.5 else np.eye(n)[0]
+    return _grounded(springs, ground)
+
+
+def _stiff(rng: Rng, n: int) -> Floats:
+    springs = np.triu(10 ** rng.uniform(2, 3, (n, n)) * (rng.random((n, n)) < 0.6), 1)
+    ground = np.where(rng.random(n) < 0.5, 10 ** rng.uniform(2, 3, n), rng.uniform(0, 1, n))
+    return _grounded(springs + springs.T, ground)
+
+
+def _antisymmetric(rng: Rng, n: int) -> Floats:
+    u = rng.uniform(-1, 1, (n, n)) * rng.choice([0.2, 1.0, 3.0])
+    return (u - u.T) / 2 + np.diag(np.abs(np.diag(u)))
+
+
+def _symmetric(rng: Rng, n: int) -> Floats:
+    a = rng.normal(size=(n, n))
+    return a @ a.T / n if rng.random() < 0.7 else (a + a.T) / 2
+
+
+def _singular(rng: Rng, n: int) -> Floats:
+    rank = int(rng.integers(0, n)) if n > 1 else 0
+    left = rng.normal(size=(n, rank))
+    return left @ (left.T if rng.random() < 0.5 else rng.normal(size=(rank, n)))
+
+
+def _nilpotent(rng: Rng, n: int) -> Floats:
+    order = rng.permutation(n)
+    return np.triu(rng.normal(size=(n, n)), 1)[np.ix_(order, order)]
+
+
+def _sparse(rng: Rng, n: int) -> Floats:
+    k = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.3)
+    return k + np.diag(rng.choice([0.0, 1.0, 2.0], n))
+
+
+def _identical(rng: Rng, n: int) -> Floats:
+    a, b = rng.uniform(0.1, 2), rng.uniform(-0.5, 0.5)
+    return a * np.eye(n) + b * np.ones((n, n))
+
+
+def _integers(rng: Rng, n: int) -> Floats:
+    k = rng.integers(-1, 2, (n, n)) * 1.0
+    k = np.triu(k) + np.triu(k, 1).T if rng.random() < 0.5 else k
+    return k + np.diag(rng.integers(0, 4, n) * 1.0)
+
+
+def _full(rng: Rng, n: int) -> Floats:
+    return rng.normal(size=(n, n)) + rng.choice([0.0, 2.0]) * np.eye(n)
+
+
+FAMILIES: dict[str, Callable[[Rng, int], Floats]] = {
+    "antisymmetric": _antisymmetric,
+    "chain": _chain,
+    "full": _full,
+    "identical": _identical,
+    "integers": _integers,
+    "nilpotent": _nilpotent,
+    "singular": _singular,
+    "sparse": _sparse,
+    "stiff": _stiff,
+    "symmetric": _symmetric,
+}
+#: Of the cases, in this order over and over: each engine meets each family.
+_ENGINES: tuple[Literal["coulomb", "sigmoid"], ...] = ("coulomb", "coulomb", "sigmoid")
+_REACH = 14.0  # time times growth: what grows e^14-fold can still be judged
+_TURNS = 3000.0  # time times rate: what the references do in a second
+
+
+def _size(rng: Rng) -> int:
+    sizes = ((1, 2), (2, 3), (3, 4), (4, 7), (7, 13), (13, 21))
+    return int(rng.integers(*sizes[rng.choice(len(sizes), p=[0.25, 0.25, 0.15, 0.25, 0.07, 0.03])]))
+
+
+def _damping(rng: Rng, n: int) -> Floats:
+    kind = rng.choice(["none", "weak", "paper", "wide", "negative", "some"], p=[0.2, 0.25, 0.2, 0.15, 0.08, 0.12])
+    if kind == "none":
+        return np.zeros(n)
+    if kind == "paper":
+        return rng.uniform(3.5, 7, n)
+    if kind == "wide":
+        return 10 ** rng.uniform(-8, np.log10(50), n)
+    if kind == "negative":
+        return np.where(rng.random(n) < 0.5, -(10 ** rng.uniform(-2, -0.5, n)), rng.uniform(0, 1, n))
+    return rng.uniform(0, 1, n) * (rng.random(n) < (0.5 if kind == "some" else 1.0))
+
+
+def _friction(rng: Rng, n: int) -> Floats:
+    kind = rng.choice(["equal", "mixed", "some", "none"], p=[0.45, 0.3, 0.2, 0.05])
+    if kind == "equal":
+        return np.full(n, rng.choice([1.0, rng.uniform(0.1, 3)]))
+    return rng.uniform(0, 2, n) * (rng.random(n) < {"mixed": 1.0, "some": 0.6, "none": 0.0}[kind])
+
+
+def _start(rng: Rng, k: Floats, r: Floats, mu: Floats, v: float) -> tuple[Floats, Floats]:
+    n = len(r)
+    kinds = ["anywhere", "on the belt", "some on the belt", "at the edge", "at rest"]
+    kind = rng.choice(kinds, p=[0.4, 0.2, 0.15, 0.15, 0.1])
+    z = rng.normal(size=n) * rng.choice([0.3, 1.0, 3.0])
+    w = rng.normal(size=n)
+    if kind == "on the belt":
+        w = np.full(n, v)
+    if kind == "some on the belt":
+        w = np.where(rng.random(n) < 0.5, v, w)
+    if kind == "at the edge":  # F = R v + K z = +-mu, for all blocks or some
+        force = rng.choice([-1.0, 1.0], n) * mu * np.where(rng.random(n) < 0.7, 1.0, rng.random(n))
+        z, w = np.linalg.lstsq(k, force - r * v, rcond=None)[0], np.full(n, v)
+    if kind == "at rest":
+        z, w = rng.choice([0.0, 1.0]) * z, np.zeros(n)
+    return z, w
+
+
+def _growth(case: Case) -> float:
+    """The largest real part of the rates, all blocks slipping, and each held or alone."""
+    n = case.n
+
+    def of(free: Floats) -> float:
+        k, r = case.stiffness[np.ix_(free, free)], np.diag(case.damping[free])
+        a = np.block([[np.zeros_like(k), np.eye(len(k))], [-k, -r]])
+        return float(np.linalg.eigvals(a).real.max())
+
+    every = np.arange(n)
+    parts = [every, *([np.delete(every, i) for i in range(n)] if n > 1 else []), *([i] for i in range(n))]
+    return max(of(np.asarray(part)) for part in parts)
+
+
+def longest(case: Case) -> float:
+    """How long a run of it can be judged."""
+    return min(_REACH / max(_growth(case), 1e-9), _TURNS / case.rate)
+
+
+def draw(seed: int, number: int) -> Trial:
+    """Case `number` of a seed."""
+    rng = np.random.default_rng([seed, number])
+    family = list(FAMILIES)[number % len(FAMILIES)]
+    engine = _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
+    n = _size(rng)
+    k = FAMILIES[family](rng, n)
+    speeds = [-0.2, 0.2, -1.0, 1.0, 0.0, 30.0, -30.0, rng.normal()]
+    v = float(rng.choice(speeds, p=[0.35, 0.12, 0.1, 0.1, 0.1, 0.03, 0.03, 0.17]))
+    r, mu = _damping(rng, n), _friction(rng, n)
+    if family == "integers":
+        v = float(rng.integers(-2, 3)) / 2
+        r, mu = rng.integers(0, 3, n) / 2, rng.choice([0.0, 1.0, 1.0, 2.0], n)
+        z = rng.integers(-2, 3, n) * 1.0
+        w = np.where(rng.random(n) < 0.6, v, rng.integers(-2, 3, n) * 1.0)
+    elif family == "identical":
+        r, mu = np.full(n, r[0]), np.full(n, mu[0])
+        kinds = rng.integers(0, rng.integers(1, 3), n)  # one kind of start, or two
+        z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, r, mu, v))
+    else:
+        z, w = _start(rng, k, r, mu, v)
+    case = Case(k, r, mu, v, z, w)
+    lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]
+    length = rng.choice(lengths, p=[0.25, 0.6, 0.15])
+    t_end = float(min(length, longest(case)))
+    settings: dict[str, Any]
+    if engine == "coulomb":
+        settings = {"tol": float(rng.choice([1e-10, 1e-6, 1e-8, 1e-12, 1e-13], p=[0.75, 0.07, 0.08, 0.05, 0.05]))}
+    else:
+        tol = float(10.0 ** -rng.integers(3, 9))
+        settings = {"eps": float(10 ** rng.uniform(-3, -1)), "rtol": tol, "atol": tol}
+        if rng.random() < 0.3:
+            settings["ratio"] = rng.uniform(0.1, 1, n)
+        if rng.random() < 0.5:
+            settings["thresholds"] = [0.5, 3.0]
+    return Trial(seed, number, family, engine, case, t_end, settings)

@@ -1,0 +1,330 @@
+"""Run a case in several ways and hold each against the reference."""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import odeint
+from scipy.linalg import block_diag
+from scipy.sparse import csc_array
+
+from sim import IntegrationError, Run, System, simulate
+from tests.fuzz.draw import Trial, draw, longest
+from tests.fuzz.series import by_block, compare
+from tests.independent import Case, Floats, Path, Undecided, follow
+
+#: Error over tol times sensitivity beyond which a run is wrong.
+LIMIT = 100.0
+_PATIENCE = 10.0  # seconds of this process for one run
+_FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
+_ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
+_CHANGED = 3  # runs with changed start and constants
+
+_EACH = ("damping", "friction", "z0", "w0")
+
+Simulate = Callable[..., Run]
+
+
+class Endless(RuntimeError):
+    """A run took longer than any should."""
+
+
+@dataclass
+class Verdict:
+    """What came of a case: the worst error over what is allowed, what failed, what could not be judged."""
+
+    worst: float = 0.0
+    failures: list[str] = field(default_factory=list)
+    notes: Counter[str] = field(default_factory=Counter)
+
+    def fail(self, how: str, what: str) -> None:
+        self.failures.append(f"{how}: {what}")
+
+
+@contextmanager
+def patience(seconds: float = _PATIENCE) -> Iterator[None]:
+    """Raise `Endless` after so much time of this process."""
+
+    def stop(*_: object) -> None:
+        raise Endless
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """z, w (m, 2n) of a case at times, and how much an error of one unit of tol may move them there (m,).
+
+    Under the exact law `modes` by block, of the run and of the `changed` ones; under the smoothed one its widths.
+    """
+
+    case: Case
+    times: Floats
+    state: Floats
+    unit: Floats
+    modes: Sequence[Any] = ()
+    changed: Sequence[Any] = ()
+    delta: Floats | None = None
+
+    def renumbered(self, order: NDArray[np.int64]) -> Truth:
+        """With the blocks in this order."""
+        case = self.case
+        each = {name: getattr(case, name)[order] for name in _EACH}
+        return replace(
+            self,
+            case=replace(case, stiffness=case.stiffness[np.ix_(order, order)], **each),
+            state=self.state[:, np.concatenate((order, case.n + order))],
+            modes=[self.modes[i] for i in order] if self.modes else (),
+            changed=[[other[i] for i in order] for other in self.changed],
+            delta=None if self.delta is None else self.delta[order],
+        )
+
+    def beside(self, other: Truth) -> Truth:
+        """Of two systems as one; under the exact law."""
+        a, b = self.case, other.case
+        each = {name: np.concatenate((getattr(a, name), getattr(b, name))) for name in _EACH}
+        return Truth(
+            replace(a, stiffness=block_diag(a.stiffness, b.stiffness), **each),
+            self.times,
+            np.hstack([self.state[:, : a.n], other.state[:, : b.n], self.state[:, a.n :], other.state[:, b.n :]]),
+            np.maximum(self.unit, other.unit),
+            [*self.modes, *other.modes],
+            [[*one, *two] for one, two in zip(self.changed, other.changed, strict=True)],
+        )
+
+    def later(self, m: int) -> Truth:
+        """From sample m on, without its series."""
+        return replace(self, times=self.times[m:], state=self.state[m:], unit=self.unit[m:], modes=())
+
+
+def _so_far(path: Path, times: Floats) -> Floats:
+    """The largest |z|, |w| and |v| of the run until each time."""
+    n, v = path.case.n, abs(path.case.belt_speed)
+    x = np.abs([piece[1] for piece in path.pieces])
+    speeds = v + path.case.rate * x[:, n : 2 * n].max(axis=1)
+    largest = np.maximum.accumulate(np.maximum(x[:, :n].max(axis=1), speeds))
+    before = np.searchsorted([piece[0] for piece in path.pieces], times, side="right") - 1
+    return np.maximum.accumulate(np.maximum(largest[before], np.abs(np.hstack(path.at(times))).max(axis=1)))
+
+
+def _modes(path: Path) -> Any:
+    return by_block(path.t, path.block, path.mode, path.initial_mode)
+
+
+def exact_truth(case: Case, times: Floats, t_end: float, size: float, rng: np.random.Generator) -> Truth:
+    """By the independent engine; its runs are changed by `size`."""
+    path = follow(case, t_end)
+    others = [follow(case.perturbed(rng, size), t_end) for _ in range(_CHANGED)]
+    state = np.hstack(path.at(times))
+    moved = np.max([np.abs(np.hstack(other.at(times)) - state).max(axis=1) for other in others], axis=0) / size
+    unit = np.maximum(_so_far(path, times), np.maximum.accumulate(moved))
+    return Truth(case, times, state, unit, _modes(path), [_modes(other) for other in others])
+
+
+def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Generator, size: float = 1e-6) -> Truth:
+    """By LSODA of ODEPACK at tolerances that two runs agree upon."""
+
+    def state(case: Case, tol: float) -> Floats:
+        n, k, r, mu, v = case.n, case.stiffness, case.damping, case.friction, case.belt_speed
+
+        def f(x: Floats, _: float) -> Floats:
+            w = x[n:]
+            return np.concatenate((w, -r * w - k @ x[:n] - mu * np.tanh((w - v) / delta)))
+
+        def jacobian(x: Floats, _: float) -> Floats:
+            slope = mu / delta / np.cosh(np.clip((x[n:] - v) / delta, -300, 300)) ** 2
+            return np.block([[np.zeros((n, n)), np.eye(n)], [-k, -np.diag(r + slope)]])
+
+        start = np.concatenate((case.z0, case.w0))
+        at = np.concatenate(([0.0], times))
+        x, told = odeint(f, start, at, Dfun=jacobian, rtol=tol, atol=tol, mxstep=200_000, full_output=True)
+        if told["message"] != "Integration successful." or not np.isfinite(x).all():
+            raise Undecided(told["message"])
+        return x[1:]
+
+    best = state(case, 1e-13)
+    doubt = np.abs(state(case, 1e-11) - best).max(axis=1)
+    others = [state(case.perturbed(rng, size), 1e-11) for _ in range(_CHANGED)]
+    moved = np.max([np.abs(other - best).max(axis=1) for other in others], axis=0) / size
+    scale = 1 + np.maximum.accumulate(np.abs(best).max(axis=1))
+    unit = np.maximum(scale, np.maximum.accumulate(moved))
+    if (doubt > 1e-9 * unit).any():
+        raise Undecided(f"two references differ by {doubt.max():.1e}")
+    return Truth(case, times, best, unit, delta=delta)
+
+
+def _errors(run: Run, truth: Truth, tol: float) -> Floats:
+    """At the sample times that the run reached, and at its end if that is a sample time."""
+    m = len(run.samples)
+    errors = np.abs(np.hstack([run.samples.z, run.samples.w]) - truth.state[:m]).max(axis=1) / (tol * truth.unit[:m])
+    if run.t_end == truth.times[-1]:
+        end = np.abs(np.concatenate((run.z, run.w)) - truth.state[-1]).max() / (tol * truth.unit[-1])
+        errors = np.append(errors, end)
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+class _Judge:
+    def __init__(self, trial: Trial, run: Simulate) -> None:
+        self.trial, self._run, self.verdict = trial, run, Verdict()
+        self.rng = trial.rng()
+        self.is_exact = trial.engine == "coulomb"
+        tol: Any = trial.settings["tol" if self.is_exact else "rtol"]
+        self.tol = max(tol, _FINEST)
+        self.times = np.append(np.sort(self.rng.uniform(0, trial.t_end, 12)), trial.t_end)
+
+    def truth(self, case: Case) -> Truth:
+        if self.is_exact:
+            return exact_truth(case, self.times, self.trial.t_end, LIMIT * self.tol, self.rng)
+        settings: Any = self.trial.settings
+        delta = np.broadcast_to(settings.get("ratio", 1.0), case.n) * settings["eps"]
+        return smooth_truth(case, self.times, delta, self.rng)
+
+    def run(self, how: str, truth: Truth, *, sparse: bool = False, t_end: float = 0.0, **settings: Any) -> Run | None:
+        """None, and a failure, if the run does not end or gives up."""
+        case = truth.case
+        k = csc_array(case.stiffness) if sparse else case.stiffness
+        system = System(k, case.damping, case.friction, case.belt_speed)
+        settings = self.trial.settings | settings
+        if truth.delta is not None:
+            settings["ratio"] = truth.delta / self.trial.settings["eps"]
+        try:
+            with patience():
+                return self._run(
+                    system, case.z0, case.w0, t_end or self.trial.t_end, engine=self.trial.engine, **settings
+                )
+        except Endless:
+            self.verdict.fail(how, f"did not end in {_PATIENCE:.0f} s")
+        except MemoryError:
+            self.verdict.fail(how, "ran out of memory")
+        except (IntegrationError, ArithmeticError, ValueError, IndexError) as error:
+            self.verdict.fail(how, f"{type(error).__name__}: {error}")
+        return None
+
+    def hold(self, how: str, run: Run | None, truth: Truth, parts: int = 1) -> None:
+        """A run with samples at all times against the truth."""
+        if run is None:
+            return
+        verdict, n_expected = self.verdict, len(truth.times)
+        if run.outcome == "diverged":
+            if run.t_end > self.trial.t_end:
+                verdict.fail(how, f"diverged at t = {run.t_end!r}, past the end")
+            size = max(np.abs(run.z).max(), np.abs(run.w).max())
+            if run.t_end < self.trial.t_end and np.abs(truth.state[-1]).max() < size:
+                verdict.fail(how, f"diverged at t = {run.t_end:.6g}, which it does not: {run.reason}")
+        elif run.t_end != self.trial.t_end or len(run.samples) != n_expected:
+            verdict.fail(how, f"{run.outcome} at t = {run.t_end!r} with {len(run.samples)} samples of {n_expected}")
+        errors = _errors(run, truth, parts * self.tol)
+        verdict.worst = max(verdict.worst, float(errors.max(initial=0.0)))
+        if (errors > LIMIT).any():
+            k = int(np.argmax(errors > LIMIT))
+            at = truth.times[min(k, n_expected - 1)]
+            verdict.fail(how, f"error {errors.max():.3g} tol times sensitivity, {errors[k]:.3g} at t = {at:.6g}")
+        elif truth.modes:
+            self._series(how, run, truth)
+        elif not self.is_exact:
+            self._layers(how, run, truth)
+
+    def _series(self, how: str, run: Run, truth: Truth) -> None:
+        events = run.events
+        seen = by_block(events.t, events.block, events.mode, events.initial_mode)
+        error = LIMIT * self.tol * float((truth.unit / truth.unit[0]).max())
+        time = max(1.0, 1 / truth.case.rate)
+        for i, (mine, its) in enumerate(zip(seen, truth.modes, strict=True)):
+            if any(b[0] <= a[0] for a, b in pairwise(mine[1:])):
+                self.verdict.fail(how, f"block {i} has two events at one time")
+            others = [other[i] for other in truth.changed]
+            slack, shortest = error * max(time, self.trial.t_end), 10 * np.sqrt(error) * time
+            kind, words = compare(mine, its, others, slack, shortest, events.t_end)
+            self.verdict.notes[kind] += 1
+            if kind == "differs":
+                self.verdict.fail(how, f"series of block {i}: {words}")
+
+    def _layers(self, how: str, run: Run, truth: Truth) -> None:
+        """Modes at the sample times, where the truth is clear of the edge of the layer."""
+        case, delta = truth.case, truth.delta
+        z, y = truth.state[:, : case.n], truth.state[:, case.n :] - case.belt_speed
+        spare = (LIMIT * self.tol * truth.unit)[:, None]
+        free = case.friction == 0
+        force = np.abs(case.damping * case.belt_speed + z @ case.stiffness.T)
+        doubt = spare * (1 + np.abs(case.stiffness).sum(axis=1))
+        definitions = [(None, run.events, delta * np.log(1 / delta))]
+        definitions += [(c, series, c * delta) for c, series in run.by_threshold.items()]
+        for name, series, band in definitions:
+            known = truth.times <= series.t_end
+            modes = np.array([series.mode_at(t) for t in truth.times[known]]).reshape(-1, case.n)
+            sticks, slips = (np.abs(y) < band - spare) & ~free, np.abs(y) > np.where(free, 0, band) + spare
+            if name is None:
+                sticks &= force < case.friction - doubt
+                slips |= (force > case.friction + doubt) & (np.abs(y) > spare)
+            wrong = (sticks[known] & (modes != 0)) | (slips[known] & (modes != np.sign(y[known])))
+            if wrong.any():
+                k, i = np.argwhere(wrong)[0]
+                words = f"mode {modes[k, i]} of block {i} at t = {truth.times[k]:.6g}, w - v = {y[k, i]:.3g}"
+                self.verdict.fail(how, words if name is None else f"{words}, threshold {name:g}")
+
+    def judge(self) -> Verdict:
+        """Every way to run it."""
+        rng, verdict = self.rng, self.verdict
+        try:
+            truth = self.truth(self.trial.case)
+        except Undecided:
+            verdict.notes["skipped"] += 1
+            return verdict
+        run = self.run("plain", truth, t_eval=self.times)
+        if run is None:
+            return verdict
+        self.hold("plain", run, truth)
+        self.hold("stop_early=False", self.run("stop_early=False", truth, t_eval=self.times, stop_early=False), truth)
+        bare = self.run("without samples", truth)
+        if bare and not (np.array_equal(bare.z, run.z) and np.array_equal(bare.events.t, run.events.t)):
+            verdict.fail("without samples", "another run")
+        if truth.case.n > 1:
+            other = truth.renumbered(rng.permutation(truth.case.n))
+            run = self.run("relabelled", other, sparse=bool(rng.random() < 0.5), t_eval=self.times)
+            self.hold("relabelled", run, other)
+        self._split(truth)
+        if self.is_exact and rng.random() < 0.2:
+            self._two_as_one(truth)
+        return verdict
+
+    def _split(self, truth: Truth) -> None:
+        """Stop in the middle and go on from there."""
+        m = len(self.times) // 2
+        middle = float(self.times[m])
+        first = self.run("first half", truth, t_end=middle)
+        if first is None or first.t_end != middle or middle == 0:
+            return
+        rest = truth.later(m)
+        half = replace(rest, case=replace(truth.case, z0=first.z, w0=first.w))
+        self.hold("second half", self.run("second half", half, t_start=middle, t_eval=rest.times), half, parts=2)
+
+    def _two_as_one(self, truth: Truth) -> None:
+        other = draw(self.trial.seed, self.trial.number + _ELSEWHERE).case
+        other = replace(other, belt_speed=truth.case.belt_speed)
+        if longest(other) < self.trial.t_end:
+            return
+        try:
+            both = truth.beside(self.truth(other))
+        except Undecided:
+            return
+        if both.unit.max() < 1e6 * truth.unit.max():  # or the larger hides the smaller
+            self.hold("two as one", self.run("two as one", both, t_eval=self.times), both)
+
+
+def judge(trial: Trial, run: Simulate = simulate) -> Verdict:
+    """Everything that is checked of one case; `run` stands in for `sim.simulate`."""
+    return _Judge(trial, run).judge()

@@ -1,0 +1,152 @@
+"""The fuzz can fail: wrong engines, planted, are caught; and a short run of it, with a new seed each time."""
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import EventSeries, Run, System, draw_system, simulate
+from sim.run import Samples
+from tests.fuzz import judge as judging
+from tests.fuzz.draw import Trial
+from tests.fuzz.judge import judge
+from tests.fuzz.series import compare
+from tests.fuzz.workers import verdicts
+from tests.independent import Case
+
+DRAWN = draw_system("antisymmetric", 4, seed=3)
+CASE = Case.of(DRAWN.stiffness, DRAWN.damping, 1, -0.2, -0.7, -0.4)
+EXACT = Trial(0, 0, "antisymmetric", "coulomb", CASE, 6.0, {"tol": 1e-10})
+SMOOTH = replace(EXACT, engine="sigmoid", settings={"eps": 0.03, "rtol": 1e-6, "atol": 1e-6, "thresholds": [1.0]})
+
+
+def changed(change: Callable[[Run], Run]) -> Callable[..., Run]:
+    return lambda *args, **settings: change(simulate(*args, **settings))
+
+
+def series(run: Run, keep: np.ndarray) -> EventSeries:
+    e = run.events
+    return EventSeries(e.t[keep], e.block[keep], e.mode[keep], e.initial_mode, e.t_start, e.t_end)
+
+
+def samples(run: Run, factor: float) -> Samples:
+    return Samples(run.samples.t, run.samples.z, run.samples.w * factor)
+
+
+@pytest.mark.parametrize("trial", [EXACT, SMOOTH], ids=["exact", "smooth"])
+def test_what_is_right_passes(trial):
+    verdict = judge(trial)
+    assert verdict.failures == []
+    assert 0 < verdict.worst < judging.LIMIT
+
+
+def without_one(run: Run) -> Run:
+    return replace(run, events=series(run, np.arange(len(run.events)) != len(run.events) // 2))
+
+
+def with_a_graze(run: Run) -> Run:
+    """An event taken back at once."""
+    twice = np.repeat(np.arange(len(run.events)), 3)
+    events = series(run, twice)
+    events.mode[1::3] = -1 - events.mode[1::3]
+    return replace(run, events=events)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda run: replace(run, z=run.z + 1e-6), "error"),
+        (lambda run: replace(run, w=run.w * np.nan), "error inf"),
+        (lambda run: replace(run, samples=samples(run, 1 + 1e-5)), "error"),
+        (without_one, "series of block"),
+        (with_a_graze, "two events at one time"),
+        (lambda run: replace(run, t_end=float(np.nextafter(run.t_end, 0))), "at t = 5.99"),
+        (lambda run: replace(run, outcome="diverged", t_end=3.0, z=1e3 + run.z), "which it does not"),
+    ],
+    ids=["z", "NaN", "samples", "an event left out", "an event of no length", "an end too early", "no divergence"],
+)
+def test_a_wrong_exact_engine_is_caught(change, words):
+    assert any(words in failure for failure in judge(EXACT, changed(change)).failures)
+
+
+def shifted(run: Run) -> Run:
+    e = run.by_threshold[1.0]
+    late = EventSeries(e.t, e.block, e.mode, np.where(e.initial_mode == 0, 1, 0), e.t_start, e.t_end)
+    return replace(run, by_threshold={1.0: late})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda run: replace(run, z=run.z + 1e-2), "error"),
+        (shifted, "threshold 1"),
+    ],
+    ids=["z", "by_threshold"],
+)
+def test_a_wrong_smoothed_engine_is_caught(change, words):
+    assert any(words in failure for failure in judge(SMOOTH, changed(change)).failures)
+
+
+def only(when: Callable[..., bool], change: Callable[[Run], Run]) -> Callable[..., Run]:
+    def run(system: System, *args: object, **settings: object) -> Run:
+        found = simulate(system, *args, **settings)
+        return change(found) if when(system, **settings) else found
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("when", "words"),
+    [
+        (lambda system, **settings: settings.get("stop_early") is False, "stop_early=False"),
+        (lambda system, **settings: settings.get("t_start", 0) > 0, "second half"),
+        (lambda system, **settings: system.damping[0] != CASE.damping[0], "relabelled"),
+        (lambda system, **settings: "t_eval" not in settings, "without samples"),
+    ],
+    ids=["without the early stop", "the second half", "relabelled", "without samples"],
+)
+def test_each_way_to_run_a_case_is_held(when, words):
+    trial = replace(EXACT, seed=1)  # its blocks are renumbered so that the first is another
+    found = judge(trial, only(when, lambda run: replace(run, z=run.z + 1e-5))).failures
+    assert any(failure.startswith(words) for failure in found)
+    assert not any(failure.startswith("plain") for failure in found)
+
+
+def test_a_run_without_an_end_is_stopped(monkeypatch):
+    monkeypatch.setattr(judging, "_PATIENCE", 0.2)
+
+    def endless(*args: object, **settings: object) -> Run:
+        while True:
+            pass
+
+    assert judge(EXACT, endless).failures == ["plain: did not end in 0 s"]
+
+
+def test_a_process_that_hangs_or_dies_is_replaced():
+    [(_, hung)] = verdicts(time.sleep, iter([1000]), 1, time.monotonic() + 60, patience=0.5)
+    assert "still at work" in hung.failures[0]
+    dead = [verdict.failures for _, verdict in verdicts(os._exit, iter([3, 4]), 1, time.monotonic() + 60)]
+    assert dead == [["its process died: exit code 3"], ["its process died: exit code 4"]]
+
+
+LINE = [(0.0, 1), (2.0, 0), (5.0, -1)]
+
+
+@pytest.mark.parametrize(
+    ("seen", "changed", "kind"),
+    [
+        (LINE, [LINE], "same"),
+        ([(0.0, 1), (2.0 + 1e-7, 0), (5.0, -1)], [LINE], "differs"),
+        ([(0.0, 1), (2.0 + 1e-7, 0), (5.0, -1)], [[(0.0, 1), (2.0 - 1e-7, 0), (5.0, -1)]], "same"),
+        ([*LINE, (7.0, 0), (7.00001, -1)], [LINE], "graze"),
+        ([*LINE, (7.0, 0), (7.1, -1)], [LINE], "differs"),
+        (LINE[:2], [LINE], "differs"),
+        (LINE[:2], [LINE[:2]], "undecided"),  # a change of what the tolerance allows takes the exit away
+        (LINE[:1], [LINE[:2]], "differs"),  # but not the entry
+    ],
+)
+def test_series_are_compared_as_far_as_they_are_certain(seen, changed, kind):
+    assert compare(seen, LINE, changed, slack=1e-8, shortest=1e-4, t_end=10.0)[0] == kind
