@@ -286,7 +286,7 @@ def _measured(run: sim.Run) -> dict[str, Any]:
     return {
         "outcome": run.outcome,
         "reason": run.reason or None,
-        "t_stop": run.t_end,
+        "t_stop": run.t_end if run.t_collapse is None else run.t_collapse,
         "n_stick_end": n_stick[-1],
         **run.events.counts(),
         "n_events": run.stats.n_events,

@@ -21,6 +21,8 @@ The series are explicit: a damping far above the other rates (R h about 5 limits
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sim import drive, fate
@@ -40,6 +42,13 @@ _DECAY = 0.9
 
 #: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
 _STALL = 1000
+
+#: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
+#: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
+_TOUCH = 4.0
+#: The motion after a collapse is that of the modes if a bound of their rounding, some hundred times what it comes to,
+#: is below the tolerance, or below this.
+_FOLLOWED = 1e-10
 
 # behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
 _EXPOSURE, _CUTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
@@ -199,13 +208,11 @@ def _advance(  # type: ignore[no-untyped-def]
         if counters[drive.N_STEPS] == 0:
             copy(mode, initial_mode)
             copy(mode, known_mode)
-        before = n_recorded
         n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
-        counters[drive.N_EVENTS] += n_recorded - before
         if remaining <= 0.0:
             _sample(series, order, t, t, counters, sample_t, sample_z, sample_w)  # of a run that has no length
             return drive.DONE, n_recorded
-        if same and mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
+        if same and mode[0] != 0 and t > clock[drive.CHECK + (mode[0] > 0)]:
             return drive.ALL_SLIP, n_recorded
 
         step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
@@ -214,7 +221,7 @@ def _advance(  # type: ignore[no-untyped-def]
             counters[drive.LAST_BLOCK] = block
         for i in range(n):  # what rounding does to w - v in this step
             near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
-        t_next = t_end if step == remaining else t + step
+        t_next = t_end if step == remaining else min(t + step, t_end)
         _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w)
         left = h - step
         is_inside = block >= 0 and left > 0.0
@@ -296,13 +303,15 @@ def integrate(
     mode = np.sign(w - v).astype(np.int8)
     touching = mode == 0
     known_mode, initial_mode = mode.copy(), mode.copy()
-    rate = float((np.abs(system.damping) + np.sqrt(system.row_sums)).max())  # bounds |eigenvalues|
+    own_rate = np.abs(system.damping) + np.sqrt(system.row_sums)
+    rate = float(own_rate.max())  # bounds |eigenvalues|
+    shortest = np.divide(_TOUCH * math.sqrt(tol), own_rate, out=np.zeros(n), where=own_rate > 0)
     clock = np.zeros(drive.N_CLOCKS + 2)
     clock[drive.TIME] = t_start
-    clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
+    clock[drive.CHECK : drive.CHECK + 2] = -np.inf if stop_early else np.inf
     clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
-    collapse = fate.Collapse(system)
+    collapse = fate.Collapse(system, max(tol * abs(v), _FOLLOWED))
     # NaN: a coefficient used before it was computed would show
     series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
 
@@ -320,5 +329,5 @@ def integrate(
         " perturb it, or use engine='sigmoid'",
         events_a_step=n,
         t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode[np.newaxis],
-        clock=clock, counters=counters, samples=samples, stop_early=stop_early,
+        clock=clock, counters=counters, samples=samples, stop_early=stop_early, shortest=shortest,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""When the fate of a run is known before its end: collapse certified, escape certified or seen."""
+"""When the fate of a run is known before its end: collapse certified and followed, escape certified or seen."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from sim.system import System
 
 #: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
 _ESCAPE_FACTOR = 30.0
-#: A run whose escape cannot be certified is called diverged when its state exceeds this many times the same and the
-#: all-slip system is unstable: friction is bounded by mu, so out there the motion is that of the linear system.
+#: A run whose escape cannot be certified is called diverged, if it may be ended early, when |w| exceeds this many
+#: times the same and the all-slip system is unstable: friction is bounded by mu, so out there the motion is that of
+#: the linear system. (Not |z|: a block that sticks rides the belt as far as the run is long.)
 _DIVERGENCE_FACTOR = 1e6
+#: Beyond this no run can be followed much longer in float64: it ends, whatever was asked.
+BEYOND_NUMBERS = 1e100
 
 #: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: seconds). Beyond, nothing is certified,
 #: and what passes the bound counts as diverged.
@@ -28,11 +31,14 @@ _EIGENVALUE_ROUNDING = 1e-12
 #: Slack for the rounding of the eigenvectors, by which what friction can hold is taken larger.
 _CERTAIN = 1.01
 
+#: What rounding may do to a motion summed up from its modes, relative to the sum of their magnitudes.
+_MODE_ROUNDING = 16 * np.finfo(np.float64).eps
+
 _NEVER = float("inf")
 
 
 def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
-    """Sizes of |z| or |w| of a run from this start: from where to ask for its escape, where to call it diverged."""
+    """From where on of |z| or |w| to ask a run from this start for its escape; beyond which |w| it has diverged."""
     start = max(1.0, abs(system.belt_speed), float(np.abs(z).max()), float(np.abs(w).max()))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
 
@@ -53,7 +59,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
         return ""
     size = np.abs(modes.inverse @ np.concatenate((z, w)))
     held = np.abs(modes.inverse[:, system.n :]) @ system.friction
-    rates = np.where(modes.rates > _EIGENVALUE_ROUNDING * modes.largest, modes.rates, 0.0)
+    rates = np.where(modes.eigenvalues.real > _EIGENVALUE_ROUNDING * modes.largest, modes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))
     if not margin[mode] > 0:
@@ -78,29 +84,58 @@ def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
 
 
 @dataclass(frozen=True)
+class Flow:
+    """The motion of blocks that slip for ever: x(t) = rest + T exp(Lambda t) c, x = (z, w), t from now."""
+
+    rest: Floats
+    vectors: NDArray[np.complex128]
+    eigenvalues: NDArray[np.complex128]
+    coefficients: NDArray[np.complex128]
+
+    def at(self, times: Floats) -> tuple[Floats, Floats]:
+        """z and w, shape (m, n) each, at times from now, shape (m,)."""
+        moved = (np.exp(np.multiply.outer(times, self.eigenvalues)) * self.coefficients) @ self.vectors.T
+        n = len(self.rest)
+        return self.rest + moved.real[:, :n], moved.real[:, n:]
+
+
+@dataclass(frozen=True)
 class Certificate:
-    """Whether all blocks slip for ever, and if not, after how long it is worth asking again."""
+    """Whether no block sticks again, and its motion to the end, or after how long it is worth asking again."""
 
     is_certain: bool
-    reason: str
-    ask_again_after: float
+    reason: str = ""
+    flow: Flow | None = None
+    ask_again_after: float = _NEVER
 
 
 @dataclass(frozen=True)
 class _Modes:
     """The all-slip system A T = T Lambda.
 
-    Re Lambda (2n), its maximum, max |Lambda|, |T| for the velocities (n, 2n), T^-1 (2n, 2n; infinite if A is
-    defective), and the bound on |w_i| that unit forces on the blocks cause,
-    sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j| (n, n).
+    T^-1 is infinite if A is defective. `response` bounds the |z_i| and |w_i| that unit forces on the blocks cause,
+    sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
     """
 
-    rates: Floats
-    growth: float
-    largest: float
-    velocity_parts: Floats
+    eigenvalues: NDArray[np.complex128]
+    vectors: NDArray[np.complex128]
     inverse: NDArray[np.complex128]
     response: Floats
+
+    @cached_property
+    def growth(self) -> float:
+        """max Re Lambda."""
+        return float(self.eigenvalues.real.max())
+
+    @cached_property
+    def largest(self) -> float:
+        """max |Lambda|."""
+        return float(np.abs(self.eigenvalues).max())
+
+    @property
+    def decay(self) -> bool:
+        """Whether all modes decay, beyond rounding, and can be told apart."""
+        return self.growth < -_EIGENVALUE_ROUNDING * self.largest and not np.isinf(self.inverse).any()
 
 
 _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
@@ -109,87 +144,122 @@ _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
 def _modes(system: System) -> _Modes:
     if system not in _MODES:
         eigenvalues, vectors = np.linalg.eig(system.slip_matrix())
-        velocity_parts = np.abs(vectors[system.n :])
-        growth, largest = float(eigenvalues.real.max()), float(np.abs(eigenvalues).max())
+        eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
         try:
             inverse = np.linalg.inv(vectors)
+            with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
+                response = (np.abs(vectors) / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
         except np.linalg.LinAlgError:  # a defective matrix: no certificate by this bound
-            nothing = np.full_like(vectors, np.inf)
-            _MODES[system] = _Modes(eigenvalues.real, growth, largest, velocity_parts, nothing, velocity_parts)
-            return _MODES[system]
-        with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
-            response = (velocity_parts / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        _MODES[system] = _Modes(eigenvalues.real, growth, largest, velocity_parts, inverse, response)
+            inverse = np.full_like(vectors, np.inf)
+            response = np.full((2 * system.n, system.n), np.inf)
+        _MODES[system] = _Modes(eigenvalues, vectors, inverse, response)
     return _MODES[system]
 
 
 class Collapse:
-    """Certifies that no block of a system sticks again when all slip one way.
+    """Certifies that no block of a system sticks again when all slip one way, and follows it from there.
 
     With x' = A x + const the all-slip system, stable, A T = T Lambda, c = T^-1 (x - x_rest): each |c_j| decays, so
 
         |w_i(t)| <= sum_j |T_{w_i, j}| |c_j|        for ever,
 
-    and below |v| no w_i comes back to the belt's speed. The smoothed law differs from the sign by at most
-    2 mu_k exp(-2 m / delta_k) while every |w_k| stays below |v| - m, which adds to the bound
-    sum_j |T_{w_i, j}| / |Re Lambda_j| sum_k |T^-1_{j, n+k}| 2 mu_k exp(-2 m / delta_k): certain if for some margin
-    m, no less than the band in which a block sticks, the sum stays below |v| - m.
+    and below |v| no w_i comes back to the belt's speed. For the smoothed law A is linearised about its own rest,
+    K z = mu tanh(|v| / delta): damping R + mu sech^2(v / delta) / delta. While every |w_k| <= r < |v| the law, which
+    is concave there, strays from its tangent by at most
+
+        rho_k(r) = mu_k (tanh(|v| / delta_k) - tanh((|v| - r) / delta_k) - sech^2(v / delta_k) r / delta_k)
+
+    which adds B rho(r) to the bound, B_ik = sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j|. It is certain if for
+    some r, at least the band in which a block sticks below |v|, the sum stays below r. The motion to the end is that
+    of the modes once z and w stray from it by no more than `allowed`.
 
     Parameters
     ----------
     system : System
-    band : float or ndarray, shape (n,)
-        Half-width of the layer around v in which a block may stick (0 for the Coulomb law).
+    allowed : float
+        What the motion that is followed may err by.
+    band, widest : float
+        Largest half-width of the layer around v in which a block sticks (0 for the Coulomb law), by the run's own
+        definition, and by any whose events are wanted.
     delta : ndarray, shape (n,), optional
         Widths of the smoothed law; None for the Coulomb law.
     """
 
-    def __init__(self, system: System, band: Floats | float = 0.0, delta: Floats | None = None) -> None:
-        self._system, self._delta = system, delta
-        self._widest = float(np.max(band))
+    def __init__(
+        self, system: System, allowed: float, band: float = 0.0, widest: float = 0.0, delta: Floats | None = None
+    ) -> None:
+        self._system, self._allowed, self._delta = system, allowed, delta
+        self._band, self._widest = band, max(band, widest)
         self._rests: dict[int, Floats | None] = {}
 
     def certify(self, z: Floats, w: Floats, slip: int) -> Certificate:
         """Whether it is certain of a state, shape (n,) each, in which all blocks slip in the direction +1 or -1."""
         system = self._system
-        if slip * system.belt_speed >= 0 or self._widest >= abs(system.belt_speed):
-            return Certificate(False, "", _NEVER)  # w = 0, the rest, is across the belt or in the layer
-        if system.n > _EIGENVALUES_MAX:
-            return Certificate(False, "", _NEVER)
-        modes = _modes(system)
-        if not modes.growth < -_EIGENVALUE_ROUNDING * modes.largest or np.isinf(modes.inverse).any():
-            return Certificate(False, "", _NEVER)
+        # w = 0, the rest, is across the belt or in the layer
+        if slip * system.belt_speed >= 0 or self._band >= abs(system.belt_speed):
+            return Certificate(False)
+        if system.n > _EIGENVALUES_MAX or not (modes := _modes(self._linear)).decay:
+            return Certificate(False)
         rest = self._rest(slip)
         if rest is None:
-            return Certificate(False, "", _NEVER)
-        coefficients = np.abs(modes.inverse @ np.concatenate((z - rest, w)))
-        reach, limit = float((modes.velocity_parts @ coefficients).max()), self._limit
+            return Certificate(False)
+        coefficients = modes.inverse @ np.concatenate((z - rest, w))
+        reach = float((np.abs(modes.vectors[system.n :]) @ np.abs(coefficients)).max())
+        limit, limit_of_flow = self._limits
+        reason = ""
         if reach < limit:
             reason = (
                 f"all blocks slip; |w| stays below {reach:.3g} of at most {limit:.3g}, as the all-slip system decays"
             )
-            return Certificate(True, reason, 0.0)
-        if limit <= 0:
-            return Certificate(False, "", _NEVER)
-        # the slowest mode must decay from `reach` to `limit`: no use in asking much earlier
-        return Certificate(False, "", 0.25 * float(np.log(reach / limit)) / -modes.growth)
+        flow = None
+        if reach < limit_of_flow:
+            at_rest = np.concatenate((np.abs(z) + np.abs(rest), np.abs(w)))
+            rounding = (np.abs(modes.vectors) @ (np.abs(modes.inverse) @ at_rest)).max() * _MODE_ROUNDING
+            if rounding <= self._allowed:
+                flow = Flow(rest, modes.vectors, modes.eigenvalues, coefficients)
+        wanted = limit_of_flow if reach < limit else limit
+        if flow is not None or wanted <= 0 or reach < wanted:
+            return Certificate(bool(reason), reason, flow)
+        # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
+        return Certificate(bool(reason), reason, None, 0.25 * float(np.log(reach / wanted)) / -modes.growth)
+
+    @cached_property
+    def _linear(self) -> System:
+        """The system whose all-slip motion, and rest, are those of the law far from the belt's speed."""
+        if self._delta is None:
+            return self._system
+        return self._system.linearised(*self._tangent)
+
+    @cached_property
+    def _tangent(self) -> tuple[Floats, Floats]:
+        """The smoothed law of friction at rest, and its slope, both over mu."""
+        assert self._delta is not None
+        far = abs(self._system.belt_speed) / self._delta
+        return np.tanh(far), 1.0 / np.cosh(np.minimum(far, 300.0)) ** 2 / self._delta
 
     def _rest(self, slip: int) -> Floats | None:
         """Where all blocks rest that slip one way; None if K is singular."""
         if slip not in self._rests:
             try:
-                self._rests[slip] = self._system.rest_state(np.full(self._system.n, slip))
+                self._rests[slip] = self._linear.rest_state(np.full(self._system.n, slip))
             except np.linalg.LinAlgError:
                 self._rests[slip] = None
         return self._rests[slip]
 
     @cached_property
-    def _limit(self) -> float:
-        """What every |w_i| must stay below: |v| less the best margin."""
-        speed, margin = abs(self._system.belt_speed), self._widest
-        if self._delta is not None:
-            margins = np.linspace(self._widest, speed, 64, endpoint=False)
-            forces = 2 * self._system.friction * np.exp(-2 * margins[:, None] / self._delta)
-            slack = speed - margins - (forces @ _modes(self._system).response.T).max(axis=1)
-            margin = speed - float(slack.max())
-        return speed - margin
+    def _limits(self) -> tuple[float, float]:
+        """What every |w_i| must stay below, by modes alone: for the certificate, and for the motion."""
+        speed = abs(self._system.belt_speed)
+        if self._delta is None:
+            return speed, speed
+        n, response = self._system.n, _modes(self._linear).response
+        at_rest, slope = self._tangent
+
+        def limit(band: float, allowed: float) -> float:
+            r = (speed - band) * np.geomspace(1.0, 1e-6, 256)[:, None]
+            bend = np.abs(at_rest - np.tanh((speed - r) / self._delta) - slope * r)
+            strayed = self._system.friction * bend @ response.T
+            slack = r[:, 0] - strayed[:, n:].max(axis=1)
+            return float(np.where(strayed.max(axis=1) <= allowed, slack, 0.0).max(initial=0.0))
+
+        return limit(self._band, np.inf), limit(self._widest, self._allowed) if self._widest < speed else 0.0

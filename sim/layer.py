@@ -90,9 +90,9 @@ def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
 @inner
 def step_events(  # type: ignore[no-untyped-def]
     law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
-    slope0, slope1, t, first, event_t, event_block, event_mode, n_recorded,
+    slope0, slope1, t, t_next, first, event_t, event_block, event_mode, n_recorded,
 ):  # fmt: skip
-    """Record all changes of mode in a step that begins at t, block by block; `mode` is brought up to date.
+    """Record all changes of mode in a step from t to t_next, block by block; `mode` is brought up to date.
 
     Blocks are recorded from number `first` on. Returns the number of events recorded in all; slope0 and slope1
     receive the end slopes of w in the step.
@@ -139,7 +139,7 @@ def step_events(  # type: ignore[no-untyped-def]
             pull = between(force0, pull0, force1, pull1, middle)
             new = _mode(gap, pull, friction[i], band[i], by_force)
             if new != mode[i]:
-                event_t[n_recorded] = t + h * left
+                event_t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
                 event_block[n_recorded] = first + i
                 event_mode[n_recorded] = new
                 mode[i] = new

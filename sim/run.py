@@ -6,10 +6,12 @@ An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **s
 2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
 3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
    renumbers the run;
-4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`);
-   `diverged` when it escapes for ever (proved, or beyond every bound): then, and only then, the series ends early;
+4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`): its
+   motion from there is linear, and followed to t_end; `diverged` when it escapes for ever (proved, or beyond every
+   bound): then, and only then, the run ends early;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
-6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else.
+6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else;
+7. an event has a length: what a block takes back sooner than the tolerance can tell from a touch is none.
 """
 
 from __future__ import annotations
@@ -89,15 +91,17 @@ class Run:
     z, w : float64, shape (n,)
         Displacements and velocities at `t_end`.
     t_end : float
-        Where the run stopped: the time asked for, or earlier if it collapsed or diverged.
+        The time asked for; earlier if the run diverged.
     events : EventSeries
-        Of a collapsed run the series is known up to the time asked for: nothing happens any more.
+        On [t_start, t_end].
     outcome : "finished", "collapsed" or "diverged"
     reason : str
-        Why the run stopped early; empty for a finished run.
+        How a run collapsed or diverged; empty for a finished run.
     stats : Stats
+    t_collapse : float or None
+        From when on it is certain that no block sticks again; None if the run did not collapse.
     samples : Samples
-        The state at those times of ``t_eval`` that the run reached, a collapsed one no further than `t_end`.
+        The state at those times of ``t_eval`` that the run reached.
     by_threshold : mapping of float to EventSeries
         What sticks by each of the further definitions ``thresholds`` of the sigmoid engine.
     """
@@ -109,6 +113,7 @@ class Run:
     outcome: Outcome
     reason: str
     stats: Stats
+    t_collapse: float | None = None
     samples: Samples = field(default_factory=lambda: Samples.blank(np.empty(0), 0))
     by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
 
@@ -121,10 +126,13 @@ class Run:
         return show.draw_n_stick(self.events, ax, style)
 
     def __repr__(self) -> str:
-        return f"Run({self.outcome} at t = {self.t_end:g}, n = {self.events.n}, {self.stats.n_events} events)"
+        return f"Run({self._ended()}, n = {self.events.n}, {self.stats.n_events} events)"
+
+    def _ended(self) -> str:
+        return f"{self.outcome} at t = {self.t_end if self.t_collapse is None else self.t_collapse:g}"
 
     def _repr_html_(self) -> str:
-        rows: dict[str, object] = {"blocks": self.events.n, "outcome": f"{self.outcome} at t = {self.t_end:g}"}
+        rows: dict[str, object] = {"blocks": self.events.n, "outcome": self._ended()}
         if self.reason:
             rows["reason"] = self.reason
         rows["n_stick at the end"] = int(self.n_stick(self.events.t_end))
@@ -158,7 +166,8 @@ def simulate(
     engine : "coulomb" or "sigmoid"
         The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
     **settings
-        both: ``stop_early`` (True: end a run once its collapse or escape is certain); coulomb: ``tol`` (see
+        both: ``stop_early`` (True: ask whether a collapse or an escape is certain; a run that collapsed then goes on
+        without steps, one that escapes ends); coulomb: ``tol`` (see
         `sim.coulomb.integrate`);
         sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
         `sim.sigmoid.integrate`).

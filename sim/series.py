@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -139,3 +139,25 @@ class EventSeries:
         return show.table(
             f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
         )
+
+
+def without_returns(series: EventSeries, shortest: Floats) -> EventSeries:
+    """The series without changes of mode that the same block takes back within `shortest`, shape (n,).
+
+    A block that only touches the belt's speed, or the force that friction can hold, has one instant of contact:
+    whether that is two events or none is decided by rounding. So two events of a block that undo each other count
+    only if more than `shortest` lies between them.
+    """
+    while True:
+        order = np.lexsort((series.t, series.block))  # by block; at one time, as they stand
+        t, block, mode = series.t[order], series.block[order], series.mode[order]
+        undone = (block[1:] == block[:-1]) & (np.diff(t) <= shortest[block[1:]])
+        undone &= mode[1:] == series.previous_mode[order][:-1]
+        if not undone.any():
+            return series
+        kept = np.ones(len(t), dtype=bool)
+        for first in np.flatnonzero(undone):
+            if kept[first]:  # not itself an undoing
+                kept[first : first + 2] = False
+        kept = np.isin(np.arange(len(t)), order[kept])
+        series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])

@@ -237,7 +237,7 @@ def _advance(  # type: ignore[no-untyped-def]
             return drive.DONE, n_recorded
         if n_recorded + PASSES * n * len(bands) > len(event_t):
             return drive.BUFFER_FULL, n_recorded
-        if mode[0] != 0 and t >= clock[drive.CHECK + (mode[0] > 0)]:
+        if mode[0] != 0 and t > clock[drive.CHECK + (mode[0] > 0)]:
             same = True
             for i in range(n):
                 same = same and mode[i] == mode[0]
@@ -271,14 +271,13 @@ def _advance(  # type: ignore[no-untyped-def]
             for i in range(n):
                 new_force[i] += fixed[i]
                 new_force_rate[i] += change[i]
+        t_next = t_end if h == remaining else t + h
         for d in range(len(bands) - 1, -1, -1):  # the run's own definition last: its slopes are the samples'
-            before = n_recorded
             n_recorded = step_events(
                 law, bands[d], by_force[d], h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
-                new_force_rate, modes[d], calm, base, x, t, d * n, event_t, event_block, event_mode, n_recorded,
+                new_force_rate, modes[d], calm, base, x, t, t_next, d * n, event_t, event_block, event_mode,
+                n_recorded,
             )  # fmt: skip
-        counters[drive.N_EVENTS] += n_recorded - before
-        t_next = t_end if h == remaining else t + h
         _sample(h, z, w, new_z, new_w, base, x, t, t_next, counters, sample_t, sample_z, sample_w)
         for i in range(n):
             z[i] = new_z[i]
@@ -388,12 +387,12 @@ def integrate(
     initial_mode = modes.copy()
     clock = np.zeros(drive.N_CLOCKS + 2)
     clock[drive.TIME], clock[_LAST_ERROR] = t_start, 1.0
-    clock[drive.CHECK : drive.CHECK + 2] = t_start if stop_early else np.inf
+    clock[drive.CHECK : drive.CHECK + 2] = -np.inf if stop_early else np.inf
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
     counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
     counters[drive.N_PRODUCTS] = 2 if cross is None else 4
-    collapse = fate.Collapse(system, band, delta)
+    collapse = fate.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
     # NaN: a value used before it was computed would show
     work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (11, STAGES, STAGES))
 

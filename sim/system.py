@@ -165,6 +165,13 @@ class System:
         except RuntimeError as error:  # what SuperLU raises for a singular matrix
             raise np.linalg.LinAlgError(str(error)) from error
 
+    def linearised(self, friction: Floats, slope: Floats) -> System:
+        """The same blocks with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""
+        damping = self.damping + self.friction * slope
+        if self.cross_damping is not None:
+            damping = self.cross_damping + np.diag(damping)
+        return System(self.stiffness, damping, self.friction * friction, self.belt_speed)
+
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
         damping = "" if self.cross_damping is None else ", C full"

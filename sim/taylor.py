@@ -222,7 +222,8 @@ def correct(  # type: ignore[no-untyped-def]
     error = largest(row_sums) * passed_on * h / 5.0
     if error > _PASSED_ON * allowed:
         h *= (_PASSED_ON * allowed / error) ** 0.2
-    tail = order * abs(series[order, i]) * h ** (order - 1)
-    if tail > allowed:
-        h *= (allowed / tail) ** (1.0 / (order - 1))
+    for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
+        tail = k * abs(series[k, i]) * h ** (k - 1)
+        if tail > allowed:
+            h *= (allowed / tail) ** (1.0 / (k - 1))
     return h

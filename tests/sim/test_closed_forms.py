@@ -80,3 +80,43 @@ def test_two_blocks_one_beyond_its_stick_region():
     )
     assert run.events.block.tolist() == [0, 1, 1]
     assert run.events.mode.tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10, 1e-13])
+@pytest.mark.parametrize("damping", [0.0, 1e-8])
+def test_a_block_without_damping_swings_for_ever(tol, damping):
+    """On the belt to z = -1 at t = 5, then z = -1 - 0.2 sin(t - 5), which touches the belt's speed once a period."""
+    times = np.linspace(5.0, 1000.0, 997)
+    run = simulate(System([[1.0]], damping, 1.0, -0.2), 0.0, -0.2, 1000.0, t_eval=times, tol=tol)
+    swing = -0.2 * np.exp(-0.5 * damping * (times - 5.0)) * np.sin(times - 5.0)
+    np.testing.assert_allclose(run.samples.z[:, 0], -1.0 + swing, rtol=0, atol=max(100 * tol, 1e-9, 2 * damping))
+    assert [(k, m) for k, m in zip(run.events.t, run.events.mode, strict=True)] == [(pytest.approx(5.0), 1)]
+
+
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+@pytest.mark.parametrize("z0", [-3.0, -2.0, 2.0, 6.0])
+def test_a_block_that_leaves_the_belt_at_once(engine, z0):
+    """Whether it collapsed is asked where |w| is all that is allowed: asked again at the same time, it never ends."""
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    print(f"seed {seed}")
+    for kappa, rho in [(0.2, 3.5), *np.random.default_rng(seed).uniform(0.1, 4.0, (10, 2))]:
+        run = simulate(System([[kappa]], rho), z0, -0.2, 50.0, engine=engine)
+        full = simulate(System([[kappa]], rho), z0, -0.2, 50.0, engine=engine, stop_early=False)
+        np.testing.assert_allclose(run.z, full.z, rtol=0, atol=1e-10 if engine == "coulomb" else 1e-3)
+
+
+def test_a_run_ends_at_the_time_asked_for():
+    """Not an ulp later, in any of its times; seen once as 3.0000000000000004."""
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    for _ in range(300):
+        n, t_start = int(rng.integers(1, 4)), float(rng.choice([0.0, 0.1, -3.3]))
+        system = System(rng.integers(-2, 3, (n, n)), rng.choice([0.0, 1.0, 3.5], n), rng.choice([0.0, 1.0], n), -0.2)
+        t_end = t_start + float(rng.choice([0.3, 1.0, 3.0, np.pi]))
+        for engine in ("coulomb", "sigmoid"):
+            run = simulate(system, rng.integers(-2, 3, n), -0.2, t_end, t_start=t_start, engine=engine)
+            assert run.t_end <= t_end
+            assert run.outcome == "diverged" or run.t_end == t_end
+            assert (run.events.t <= run.t_end).all()
+            assert run.events.t_end == run.t_end

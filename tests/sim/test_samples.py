@@ -57,11 +57,46 @@ def test_to_ask_for_them_changes_nothing(system, settings):
     np.testing.assert_array_equal(plain.events.t, asked.events.t)
 
 
-def test_a_run_that_stops_early_has_those_that_it_reached(settings):
-    run = simulate(draw_system("antisymmetric", 20, 0), -0.7, -0.4, 500.0, t_eval=np.arange(501.0), **settings)
-    assert run.outcome == "collapsed"
-    assert len(run.samples) == np.floor(run.t_end) + 1
-    assert np.isfinite(run.samples.z).all()
+@pytest.mark.parametrize("n", [1, 3, 20])
+def test_a_collapsed_run_is_the_one_that_goes_on(settings, n):
+    """Past a collapse the motion is that of the modes: the same states, to the end, as step by step."""
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    saved = 0
+    for _ in range(5):
+        system = draw_system("antisymmetric", n, rng.integers(2**32))
+        start = rng.normal(size=(2, n))
+        run, full = (
+            simulate(system, *start, 800.0, t_eval=np.linspace(0.0, 800.0, 201), stop_early=stop_early, **settings)
+            for stop_early in (True, False)
+        )
+        if run.outcome != "collapsed":  # one in some hundreds takes longer
+            continue
+        assert run.t_collapse < run.t_end == 800.0
+        assert full.outcome == "finished"
+        assert full.t_collapse is None
+        bound = 1e-9 if settings["engine"] == "coulomb" else 1e-5
+        np.testing.assert_allclose(run.z, full.z, rtol=0, atol=bound)
+        np.testing.assert_allclose(run.samples.z, full.samples.z, rtol=0, atol=bound)
+        np.testing.assert_allclose(run.samples.w, full.samples.w, rtol=0, atol=bound)
+        saved += full.stats.n_products - run.stats.n_products
+    assert saved > 0
+
+
+def test_a_collapse_ends_no_definition_of_sticking_early():
+    """|w - v| < c delta with c delta = 0.15, and 0.21 > |v|: blocks enter the first late, the second for good."""
+    for seed in range(3):
+        system = draw_system("antisymmetric", 20, seed)
+        run, full = (
+            simulate(system, -0.7, -0.4, 1000.0, engine="sigmoid", thresholds=[5.0, 7.0], stop_early=stop_early)
+            for stop_early in (True, False)
+        )
+        assert run.outcome == "collapsed"
+        for c, at_the_end in ((5.0, 0), (7.0, 20)):
+            assert full.by_threshold[c].n_stick(1000.0) == at_the_end
+            np.testing.assert_array_equal(run.by_threshold[c].block, full.by_threshold[c].block)
+            np.testing.assert_array_equal(run.by_threshold[c].mode, full.by_threshold[c].mode)
 
 
 def test_of_a_run_without_length(system, settings):

@@ -335,7 +335,7 @@ def _apart(found: sim.EventSeries, known: tuple[Event, ...]) -> float | None:
 
 def _engine(case: HardCase, method: str, blank: Verdict) -> Verdict:
     is_exact = method == "coulomb engine"
-    stop_early = case.outcome == "collapsed"
+    stop_early = case.outcome != "finished"
     if is_exact:
         run = sim.simulate(case.system, case.z0, case.w0, case.t_end, tol=EXACT_TOLERANCE, stop_early=stop_early)
     else:

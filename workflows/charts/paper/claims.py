@@ -174,5 +174,7 @@ def certified(scene: PaperScene, n: int, matrix: int) -> Certified:
     t_last = float(run.events.t[-1]) if len(run.events) else None
     if run.outcome != "collapsed":
         return Certified(n, matrix, run.outcome, t_last, None, None)
-    after = sim.simulate(system, run.z, run.w, t_end, t_start=run.t_end, stop_early=False)
-    return Certified(n, matrix, run.outcome, t_last, run.t_end, len(after.events))
+    assert run.t_collapse is not None
+    there = scene.run(system, run.t_collapse, "coulomb")
+    after = sim.simulate(system, there.z, there.w, t_end, t_start=run.t_collapse, stop_early=False)
+    return Certified(n, matrix, run.outcome, t_last, run.t_collapse, len(after.events))
