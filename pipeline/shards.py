@@ -122,7 +122,8 @@ SCHEMA = pa.schema(
         _column(
             "t_stop",
             pa.float64(),
-            "where the integration stopped; a collapsed run is known to t_end all the same; null if failed",
+            "end of a diverged run; from when on it is certain that a collapsed one does not stick again; else t_end;"
+            " null if failed",
         ),
         _column("n_stick_end", pa.int32(), "number of sticking blocks at t_stop; null if failed"),
         _column("n_events", pa.int64(), "entries, exits and crossings together; null if failed"),

@@ -249,15 +249,15 @@ class Collapse:
     @cached_property
     def _limits(self) -> tuple[float, float]:
         """What every |w_i| must stay below, by modes alone: for the certificate, and for the motion."""
-        speed = abs(self._system.belt_speed)
-        if self._delta is None:
+        speed, delta = abs(self._system.belt_speed), self._delta
+        if delta is None:
             return speed, speed
         n, response = self._system.n, _modes(self._linear).response
         at_rest, slope = self._tangent
 
         def limit(band: float, allowed: float) -> float:
             r = (speed - band) * np.geomspace(1.0, 1e-6, 256)[:, None]
-            bend = np.abs(at_rest - np.tanh((speed - r) / self._delta) - slope * r)
+            bend = np.abs(at_rest - np.tanh((speed - r) / delta) - slope * r)
             strayed = self._system.friction * bend @ response.T
             slack = r[:, 0] - strayed[:, n:].max(axis=1)
             return float(np.where(strayed.max(axis=1) <= allowed, slack, 0.0).max(initial=0.0))

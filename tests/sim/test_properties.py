@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sim import EventSeries, System, draw_system, simulate
+from sim.series import without_returns
+from tests import independent
 
 from .reference import follow
 
@@ -492,3 +494,58 @@ def test_smoothed_law_on_a_belt_at_rest():
     run = simulate(system, [4.5, 0.5], 0.0, 8.0, engine="sigmoid", eps=1e-5, rtol=1e-8, atol=1e-8)
     assert run.n_stick([0.0, 3.0, 7.0]).tolist() == [1, 1, 2]
     np.testing.assert_allclose(run.z, [0.5, 0.5], rtol=0, atol=1e-4)
+
+
+# Touches
+
+
+def test_an_event_that_is_taken_back_at_once_is_none():
+    """By hand: block 0 has a short pair, and a pair about another (its ends meet); block 1's pair is long enough."""
+    t = np.array([1.0, 1.001, 2.0, 3.0, 3.001, 3.002, 3.003, 4.0, 5.0])
+    block = np.array([0, 0, 1, 0, 0, 0, 0, 1, 0], dtype=np.int32)
+    mode = np.array([0, 1, 0, 0, -1, 0, 1, 1, -1], dtype=np.int8)
+    series = EventSeries(t, block, mode, np.array([1, 1], dtype=np.int8), 0.0, 6.0)
+    left = without_returns(series, np.array([0.01, 0.01]))
+    assert left.t.tolist() == [2.0, 4.0, 5.0]
+    assert left.block.tolist() == [1, 1, 0]
+    assert left.mode.tolist() == [0, 1, -1]
+    assert without_returns(series, np.zeros(2)) is series
+    assert len(without_returns(series, np.array([0.01, 3.0]))) == 1
+    at_once = EventSeries(t[[0, 0]], block[:2], mode[:2], np.array([1, 1], dtype=np.int8), 0.0, 6.0)
+    assert len(without_returns(at_once, np.zeros(2))) == 0
+
+
+def test_blocks_without_damping_that_touch_the_belt():
+    """Uncoupled blocks leave the belt at rest in force, and come back to touch its speed once a period, for ever."""
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    for _ in range(10):
+        kappa, mu, v = rng.uniform(0.1, 4.0, 3), rng.uniform(0.2, 2.0, 3), rng.choice([-1, 1]) * rng.uniform(0.1, 1)
+        for tol in (1e-4, 1e-7, 1e-10, 1e-13):
+            run = simulate(System(np.diag(kappa), 0.0, mu, v), 0.0, v, 300.0, tol=tol)
+            np.testing.assert_allclose(np.sort(run.events.t), np.sort(mu / kappa / abs(v)), rtol=1e-9)
+            assert (run.events.mode == np.sign(-v)).all()
+
+
+# Against an engine that shares nothing with it
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-8])
+def test_undamped_chains(damping):
+    """Blocks in a row, springs between neighbours and to the ground: the exact engine against the independent one."""
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    for _ in range(8):
+        n = int(rng.integers(1, 11))
+        between, ground = rng.uniform(0.2, 2.0, n - 1), rng.uniform(0.2, 2.0, n)
+        stiffness = np.diag(ground) - np.diag(between, 1) - np.diag(between, -1)
+        stiffness[np.arange(n - 1), np.arange(n - 1)] += between
+        stiffness[np.arange(1, n), np.arange(1, n)] += between
+        z0, w0 = rng.uniform(-2, 2, (2, n))
+        case = independent.Case.of(stiffness, damping, 1.0, -0.2, z0, w0)
+        found, moved = independent.follow(case, 20.0), independent.sensitivity(case, 20.0, rng)
+        run = simulate(System(stiffness, damping, 1.0, -0.2), z0, w0, 20.0)
+        assert np.abs(run.z - found.z).max() < 1e-8 * found.scale * max(1.0, moved.overall)
+        assert np.abs(run.w - found.w).max() < 1e-8 * found.scale * max(1.0, moved.overall)

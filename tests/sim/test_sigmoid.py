@@ -96,19 +96,26 @@ def test_the_error_of_z_is_kept_too():
     assert abs(run.z[0] - 100 * np.sin(5.0)) < 3e-5
 
 
-@pytest.mark.parametrize("excess", [-0.002, 0.002])
-def test_collapse_under_the_smoothed_law_is_certain_where_the_bound_says(excess):
-    """One block at rest, K = 1, R = 3, mu = 1, delta = 0.1, eigenvalues (-3 +- sqrt 5) / 2.
+@pytest.mark.parametrize("share", [0.93, 1.01])
+@pytest.mark.parametrize("delta", [0.02, 0.1])
+def test_collapse_under_the_smoothed_law_is_certain_where_the_bound_says(share, delta):
+    """One block off its rest, K = 1, R = 3, mu = 0.8, v = -0.2.
 
-    While |w| < |v| - m friction differs from mu by at most 2 exp(-20 m), which moves w by at most 2 / sqrt 5 times
-    that. The best m makes |v| - m - 4 / sqrt 5 exp(-20 m) the largest: |v| - (1 + ln(80 / sqrt 5)) / 20, which is
-    -0.0289 at |v| = 0.2.
+    With the damping d = R + mu sech^2(v / delta) / delta its eigenvalues are (-d +- q) / 2, q^2 = d^2 - 4; from
+    z = rest + dz, w = 0 both modes of w have the size |dz| / q. A force of at most rho moves w by at most 2 rho / q,
+    rho(r) = mu (tanh(v / delta) - tanh((v - r) / delta) - r sech^2(v / delta) / delta). So it is certain while
+    2 |dz| / q < max r - 2 rho(r) / q; r is tried in steps of 6%.
     """
-    speed = (1 + np.log(80 / np.sqrt(5))) / 20 + excess
-    assert 0.2 - speed + excess == pytest.approx(-0.0289, abs=5e-5)
-    system = System([[1.0]], 3.0, 1.0, -speed)
-    certificate = Collapse(system, 0.0, np.array([0.1])).certify(system.rest_state([1]), np.zeros(1), 1)
-    assert certificate.is_certain == (excess > 0)
+    speed, mu = 0.2, 0.8
+    system = System([[1.0]], 3.0, mu, -speed)
+    slope = 1 / np.cosh(speed / delta) ** 2 / delta
+    q = np.sqrt((3.0 + mu * slope) ** 2 - 4.0)
+    r = np.linspace(0.0, speed, 100_001)
+    limit = (r - 2 / q * mu * (np.tanh(speed / delta) - np.tanh((speed - r) / delta) - r * slope)).max()
+    z = -mu * np.tanh(speed / delta) + share * limit * q / 2
+    certificate = Collapse(system, 0.0, delta=np.array([delta])).certify(np.array([z]), np.zeros(1), 1)
+    assert certificate.is_certain == (share < 1)
+    assert certificate.flow is None  # that strays from the tangent by more than nothing
 
 
 def errors_against_coulomb(system, eps, t_end):
