@@ -234,10 +234,13 @@ def scheduler_lost(world: World, count: int) -> int:
 
 
 def _signalled(world: World, count: int, number: signal.Signals, times: int) -> int:
+    """Signals to a run that would never end by itself, nor in order if it waited for what its workers are at."""
+    members = expand(world.scene)
+    hung = {member.member_id: "hang" for member in members[len(members) // 2 :]}
     for k in range(count):
         out = world.directory / f"out{k}"
         arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "2"]
-        process = world.command(*arguments, sleep=0.3)
+        process = world.command(*arguments, sleep=0.3, victims=hung)
         until(lambda out=out: (out / "manifest.json").exists())
         time.sleep(world.random.uniform(0.0, 4.0))
         os.killpg(process.pid, number)  # as a terminal does: to the workers too
@@ -245,11 +248,7 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
             time.sleep(world.random.uniform(0.0, 0.3))
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, number)
-        began = time.monotonic()
-        process.wait(30)
-        taken = time.monotonic() - began
-        code, _, err = end_of(process, 30)  # whose pipes its orphans hold a little longer
-        assert taken < (10.0 if times == 1 else 2.0), f"it took {taken:.1f} s"
+        code, _, err = end_of(process, 100)
         # by the signal itself, which a shell shows as the same number, if Python was all but gone
         assert code in (128 + number, -number)[:times], (code, err)
         assert f"Go on with:\n  stickslip {' '.join(arguments)}\n" in err, err
@@ -261,7 +260,7 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
 
 @fault(quick=1, full=10, timeout=400)
 def interrupted_once(world: World, count: int) -> int:
-    """SIGINT ends a run within ten seconds, in order."""
+    """SIGINT ends a run in order, whatever its workers are at."""
     return _signalled(world, count, signal.SIGINT, 1)
 
 

@@ -9,7 +9,7 @@ from tests.faults.registry import FAULTS
 @pytest.mark.faults
 @pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.quick])
 def test_fault(name):
-    code, words = attempt(name, FAULTS[name].quick, seed=0, timeout=120.0)
+    code, words = attempt(name, FAULTS[name].quick, seed=0, timeout=400.0)
     if code == _UNSHOWN:
         pytest.skip(words)
     assert code == 0, words

@@ -1,6 +1,6 @@
 """Loaded by every Python process that has this directory on its path: makes the faults that it is asked for.
 
-STICKSLIP_FAULTS asks, in JSON: `target_cost`; `sleep`, seconds a member; `victims`, member_id: exit, kill, segfault.
+STICKSLIP_FAULTS asks, in JSON: `target_cost`; `sleep`, seconds a member; `victims`, member_id: exit, kill, segfault, hang.
 Driver, workers and the processes that workers start are reached alike, and the program knows nothing of it.
 """
 
@@ -13,7 +13,10 @@ _plan = json.loads(os.environ.get("STICKSLIP_FAULTS", "{}"))
 def _die(how: str) -> None:
     import ctypes
     import signal
+    import time
 
+    if how == "hang":
+        time.sleep(1e6)
     if how == "exit":
         os._exit(3)
     if how == "kill":
