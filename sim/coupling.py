@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.arguments import Floats
+from sim.arguments import Floats, integer
 from sim.system import System
 
 
@@ -60,11 +60,14 @@ def _rule(coupling: str) -> Callable[[Floats], Floats]:
     return _RULES[coupling]
 
 
-def _uniform(
-    n: int, seed: int | np.random.SeedSequence | np.random.Generator, kappa: float, rho: tuple[float, float]
-) -> tuple[Floats, Floats]:
+def _generator(seed: int | np.random.SeedSequence) -> np.random.Generator:
+    if not isinstance(seed, np.random.SeedSequence):
+        integer("seed", seed, 0, None)  # None would differ every time
+    return np.random.default_rng(seed)
+
+
+def _uniform(n: int, rng: np.random.Generator, kappa: float, rho: tuple[float, float]) -> tuple[Floats, Floats]:
     """R in [rho[0], rho[1]] (n,), then U in [-kappa, kappa] (n, n), from one generator in this order."""
-    rng = np.random.default_rng(seed)
     damping = rng.uniform(*rho, n)
     return rng.uniform(-kappa, kappa, (n, n)), damping
 
@@ -103,7 +106,7 @@ def draw_system(
     n : int
         Number of blocks.
     seed : int or numpy.random.SeedSequence
-        The same seed gives the same system.
+        At least 0; the same seed gives the same system.
     kappa, rho : float
         Scales: stiffnesses in [-kappa, kappa], dampings in [rho, 2 rho].
     friction, belt_speed
@@ -111,17 +114,16 @@ def draw_system(
 
     Raises
     ------
+    TypeError
+        If n or the seed is no integer.
     ValueError
-        If the name is unknown, n < 1, the seed is None, or kappa or rho is negative.
+        If the name is unknown, n < 1, or the seed, kappa or rho is negative.
     """
     rule = _rule(coupling)
-    if seed is None:
-        raise ValueError("seed: expected an integer or a SeedSequence, got None, which would differ every time")
-    if n < 1:
-        raise ValueError(f"n: expected at least one block, got {n}")
+    n, rng = integer("n", n, 1, None), _generator(seed)
     if not (kappa >= 0 and rho >= 0):
         raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
-    u, damping = _uniform(n, seed, kappa, (rho, 2 * rho))
+    u, damping = _uniform(n, rng, kappa, (rho, 2 * rho))
     return System(rule(u), damping, friction, belt_speed)
 
 
@@ -162,9 +164,11 @@ def perturb_system(
 
     Raises
     ------
+    TypeError
+        If the seed is no integer.
     ValueError
-        If `size` is out of range, a name is unknown, the coupling is `springs` and the reading not "relative", or
-        the system is of no ensemble: K sparse, or the damping not diagonal.
+        If `size` is out of range, the seed negative, a name unknown, the coupling is `springs` and the reading not
+        "relative", or the system is of no ensemble: K sparse, or the damping not diagonal.
     """
     if reading not in READINGS:
         raise ValueError(f"reading: expected one of {', '.join(READINGS)}, got {reading!r}")
@@ -184,7 +188,7 @@ def perturb_system(
         raise ValueError("system: expected a dense stiffness, as drawn by draw_system, got a sparse one")
     if system.cross_damping is not None:
         raise ValueError("system: expected a diagonal damping, as drawn by draw_system, got a full matrix")
-    n, rng = system.n, np.random.default_rng(seed)
+    n, rng = system.n, _generator(seed)
     if reading == "relative":
         u, r = _uniform(n, rng, 1.0, (-1.0, 1.0))
         stiffness = system.stiffness + size * _relative_change(coupling, system.stiffness, u)

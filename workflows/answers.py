@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from pipeline import QueryError
 from pipeline.dataset import frame
 from pipeline.place import Directory, Where, place_of
+from workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
 
@@ -129,5 +130,7 @@ def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
             with contextlib.suppress(OSError):
                 os.unlink(name)
             raise
+    except FileNotFoundError as error:
+        raise QueryError(f"--out: {out}: {NO_FOLDER}") from error
     except OSError as error:
         raise QueryError(f"--out: {out} cannot be written ({error.strerror}); name another place") from error

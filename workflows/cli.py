@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
 from pipeline.interrupt import Interrupted, interruptible
-from workflows.parser import parser
+from workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
     from pipeline.place import Place, Where
@@ -337,8 +337,9 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, `head` for one, has seen enough; nothing can be told it any more
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNFINISHED
-    except OSError as error:  # a report or an answer that cannot be written
-        print(f"stickslip: {error}; make room or name another place, then give the command again", file=sys.stderr)
+    except OSError as error:  # a scene, a report or an answer that cannot be written
+        remedy = "make room or name another place, then give the command again"
+        print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
 
 

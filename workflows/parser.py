@@ -16,6 +16,9 @@ _CODES = """exit codes:
   143  ended by SIGTERM
 """
 
+#: What is said of a file that cannot be written for want of its folder.
+NO_FOLDER = "the folder does not exist: create it or choose another"
+
 
 class _Version(argparse.Action):
     """Looks the version up when it is asked for; argparse's own action wants it before."""

@@ -51,15 +51,17 @@ def _time(minutes: float | None) -> str:
 def new_scene(file: Path) -> list[str]:
     """Write a commented scene to start from, and the schema by which an editor completes it; lines that say so.
 
+    A name that does not end in .toml is given that ending, without which it would not be found as a scene.
+
     Raises
     ------
     NotWritten
-        If there is a file of that name, or it would not be found as a scene.
+        If there is a file of that name.
     OSError
         If it cannot be written.
     """
     if file.suffix != ".toml":
-        raise NotWritten(f"FILE: expected a name that ends in .toml, got {str(file)!r}; write {file}.toml")
+        file = file.with_name(f"{file.name}.toml")
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(_HEAD.format(schema=SCHEMA, file=file.name) + _body())

@@ -139,7 +139,11 @@ def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_pa
         (QUESTION, ["--out", "{dataset}/manifest.json", "--format", "csv"], ["--out", "outside the dataset"]),
         (QUESTION, ["--out", "{dataset}/data/new.csv"], ["--out", "outside the dataset"]),
         (QUESTION, ["--out", "{here}"], ["--out", "directory", "name a file"]),
-        (QUESTION, ["--out", "{here}/none/a.csv"], ["--out", "cannot be written", "name another"]),
+        (
+            QUESTION,
+            ["--out", "{here}/none/a.csv"],
+            ["--out", "none/a.csv: the folder does not exist: create it or choose another"],
+        ),
         ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
         (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet or .txt", "a.xlsx", "--format"]),
         ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.csv"], ["--format", "csv can hold", "cast them"]),

@@ -1,7 +1,7 @@
 """Loaded by every Python process that has this directory on its path: makes the faults that it is asked for.
 
-STICKSLIP_FAULTS asks, in JSON: `target_cost`; `sleep`, seconds a member; `victims`, member_id: exit, kill, segfault, hang.
-Driver, workers and the processes that workers start are reached alike, and the program knows nothing of it.
+STICKSLIP_FAULTS asks, in JSON: `target_cost`; `sleep`, seconds a member; `victims`, member_id: exit, kill, segfault,
+hang. Driver, workers and the processes that workers start are reached alike, and the program knows nothing of it.
 """
 
 import json
