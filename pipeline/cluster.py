@@ -21,11 +21,13 @@ import dask
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 from distributed.comm import get_address_host_port
 from distributed.core import rpc
+from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from pipeline.child import ONE_THREAD, environment_kept
-from pipeline.errors import AddressError, ScheduleError
+from pipeline.errors import AddressError, SceneError, ScheduleError
 from pipeline.interrupt import unbroken
+from pipeline.scene import Scene
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +45,29 @@ _LOCAL_CLUSTER = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "2s",
 }
+
+
+def check_memory(scene: Scene, workers: int) -> None:
+    """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
+
+    Raises
+    ------
+    SceneError
+        If it cannot.
+    """
+    n = max(scene.system.n)
+    room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
+    n_times = 0.0 if scene.record.separation is None else scene.run.t_end / scene.record.separation
+    for key, needed, what, remedy in (
+        # a draw, its transpose and their sum; z and w of a run and of the one that it is compared with
+        ("system.n", 3.0 * 8 * n**2, "drawing a system", "lower n"),
+        ("record.separation", 4.0 * 8 * n * n_times, "comparing two runs", "lengthen the step"),
+    ):
+        if needed > room:
+            raise SceneError(
+                f"{key}: expected what a worker can hold, got n = {n}, with which {what} takes {needed / 1e9:.3g} GB "
+                f"where each has {room / 1e9:.3g} GB; {remedy}, or use fewer workers or a larger machine"
+            )
 
 
 def check_address(address: str) -> None:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -29,6 +31,9 @@ from sim.arguments import did_you_mean
 
 #: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
 MAX_MEMBERS = 1_000_000
+
+#: Nor may a series in time have more values than this.
+MAX_SAMPLES = 10_000_000
 
 
 def _coupling(name: str) -> str:
@@ -325,6 +330,7 @@ class Scene(StrictTable):
                 f' springs negative, got {list(readings)}; write readings = "relative"'
             )
         self._changes_apply()
+        self._steps_and_changes_are_resolved()
         if self.n_members > MAX_MEMBERS:
             raise ValueError(
                 f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {self.n_members} "
@@ -355,6 +361,25 @@ class Scene(StrictTable):
                 "record.separation: expected a scene with changed runs, got none; add [perturbation] or [twins],"
                 ' or a sigmoid with ratio = "uniform"'
             )
+
+    def _steps_and_changes_are_resolved(self) -> None:
+        """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
+        twins = max(math.ulp(max(abs(self.start.z), abs(self.start.w))), math.sqrt(sys.float_info.min))  # squared
+        step, steps = self.run.t_end / MAX_SAMPLES, f"run.t_end / {MAX_SAMPLES}"
+        for key, values, least, why in (
+            ("twins.sizes", self.twins and self.twins.sizes, twins, "what float64 resolves beside [start]"),
+            (
+                "perturbation.sizes",
+                self.perturbation and self.perturbation.sizes,
+                sys.float_info.epsilon,
+                "what float64 resolves beside 1",
+            ),
+            ("record.separation", self.record.separation and (self.record.separation,), step, steps),
+            ("analysis.dt", self.analysis.dt, step, steps),
+            ("analysis.map_dt", self.analysis.map_dt, step, steps),
+        ):
+            if values and values[0] < least:
+                raise ValueError(f"{key}: expected at least {least:.2g}, {why}, got {values[0]}; enlarge it")
 
     @property
     def n_members(self) -> int:

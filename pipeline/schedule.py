@@ -19,7 +19,7 @@ from distributed.comm import CommClosedError
 from pipeline import kernels
 from pipeline.alone import compute_alone
 from pipeline.audit import Status, status
-from pipeline.cluster import check_address, connect
+from pipeline.cluster import check_address, check_memory, connect
 from pipeline.errors import ScheduleError
 from pipeline.live import Began
 from pipeline.members import Member, expand
@@ -111,6 +111,8 @@ def run_scene(
         If `workers` is negative, or `source` is not the file of `scene`.
     StoreError
         If the directory cannot be used or written.
+    SceneError
+        If a worker of this machine cannot hold the scene's largest system; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
@@ -126,6 +128,8 @@ def run_scene(
     start = time.monotonic()
     if isinstance(scheduler, str):
         check_address(scheduler)
+    if scheduler is None:
+        check_memory(scene, workers)
     with Store(out, scene, source, retry_failed, accept_version) as store:
         members = {batch.name: len(batch.members) for batch, _ in store.tasks}
         costs = {batch.name: batch.cost for batch, _ in store.tasks}
@@ -190,7 +194,10 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
     ------
     ValueError
         If the scene has no such member.
+    SceneError
+        If this machine cannot hold the scene's largest system.
     """
+    check_memory(scene, workers=1)
     for member in expand(scene):
         if member.member_id == member_id:
             return row(member, Recording.of(scene))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import itertools
 import json
 import re
 import tomllib
@@ -19,6 +20,9 @@ from sim.arguments import did_you_mean
 
 #: A dense K of this many blocks is 80 GB.
 MAX_BLOCKS = 100_000
+
+#: More values of one key than anybody reads a report of.
+MAX_VALUES = 1000
 
 
 # ---------------------------------------------------------------------------------------------- tables
@@ -43,10 +47,13 @@ def as_tuple(value: object) -> object:
 
 def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     """Ascending and without duplicates: the order in the file means nothing."""
-    doubled = sorted({value for value in values if values.count(value) > 1})
-    if doubled:
-        raise ValueError(f"expected each value once, got {doubled[0]!r} more than once; remove the duplicates")
-    return tuple(sorted(values))
+    if len(values) > MAX_VALUES:
+        raise ValueError(f"expected at most {MAX_VALUES} values, got {len(values)}; choose fewer")
+    ordered = sorted(values)
+    for value, following in itertools.pairwise(ordered):
+        if value == following:
+            raise ValueError(f"expected each value once, got {value!r} more than once; remove the duplicates")
+    return tuple(ordered)
 
 
 Blocks = Annotated[int, Field(ge=1, le=MAX_BLOCKS)]

@@ -110,6 +110,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from pipeline import parse_scene
+    from pipeline.cluster import check_memory
     from pipeline.estimate import estimate
     from pipeline.store import Store
     from pipeline.tables import read_source
@@ -117,6 +118,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
     source = read_source(file)
     scene = parse_scene(source, str(file))
+    check_memory(scene, arguments.workers)
     store = Store(out, scene, source, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"

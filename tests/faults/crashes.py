@@ -191,7 +191,7 @@ def scheduler_lost(world: World, count: int) -> int:
     def started(what: str, file: Path, *options: str) -> subprocess.Popen:
         return subprocess.Popen(
             [sys.executable, "-c", f"from distributed.cli import dask_{what}; dask_{what}.main()",
-             "--scheduler-file", str(file), "--no-dashboard", *options],
+             "--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard", *options],
             env=environment, cwd=world.directory, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
 

@@ -277,6 +277,17 @@ BAD = {
     "sigmoid too wide": ('name = "sigmoid"', 'name = "sigmoid"\neps = 2.0', ["engine[1].eps", "less than 1"]),
     "burn-in too long": ("t_burn = 1.0", "t_burn = 40.0", ["analysis.t_burn", "shorten the burn-in"]),
     "separation of nothing": ("events = true", "separation = 1.0", ["record.separation", "add [perturbation]"]),
+    "steps without end": ("dt = [0.5]", "dt = [1e-300]", ["analysis.dt", "at least 4e-06, run.t_end / 10000000"]),
+    "steps without number": (
+        "dt = [0.5]", f"dt = {list(range(1, 300_001))}", ["analysis.dt", "at most 1000 values, got 300000"],
+    ),
+    "distances without number": (
+        "[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 1e-300", ["record.separation", "at least 4e-06"],
+    ),
+    "twins that are one": ("[record]", "[twins]\nsizes = [1e-17]\n[record]", ["twins.sizes", "float64 resolves"]),
+    "changes of nothing": (
+        "[record]", "[perturbation]\nsizes = 1e-300\n[record]", ["perturbation.sizes", "float64 resolves"],
+    ),
     "doubled key": ("seed = 1", "seed = 1\nseed = 2", ["TOML", "correct that line"]),
     "doubled table": ("[start]", "[system]\nn = 3\n[start]", ["TOML", "correct that line"]),
     "not TOML": ("[system]", "[system", ["TOML", "line", "correct that line"]),
@@ -320,6 +331,19 @@ def test_a_bad_scene_is_refused_with_key_and_remedy_and_nothing_is_written(mista
     old, new, words = BAD[mistake]
     small = small_scene.read_text()
     assert small.count(old) == 1
+    check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("n = 12", "n = [12, 100_000]", ["system.n", "n = 100000", "240 GB", "each has 2 GB", "lower n"]),
+        ("t_end = 40.0", "t_end = 4e3", ["record.separation", "3.84 GB", "each has 2 GB", "lengthen the step"]),
+    ],
+)
+def test_what_no_worker_can_hold_is_refused(old, new, words, small_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pipeline.cluster.MEMORY_LIMIT", 4e9)
+    small = small_scene.read_text().replace("[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 4e-4")
     check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
 
 

@@ -125,7 +125,10 @@ def by_hand(directory, *worker):
     # what pytest was started with is not the worker's
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     running = []
-    for name, *more in (("scheduler", "--port", "0", "--dashboard-address", ":0"), ("worker", *worker)):
+    for name, *more in (
+        ("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"),
+        ("worker", *worker),
+    ):
         command = [*dask[:2], f"{dask[2]}dask_{name}", "--scheduler-file", str(connection), *more]
         running.append(
             subprocess.Popen(
