@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -130,6 +132,44 @@ def test_a_run_without_workers_gives_up(monkeypatch):
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
             schedule._until(lambda: False, schedule._Watch(client, None))
+
+
+def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
+    """In place of a cluster, what is done at once; a batch is in flight until its result is released."""
+    in_flight, most = set(), []
+
+    class Done:
+        def __init__(self, task):
+            self.task = task
+            in_flight.add(self)
+
+        def result(self, timeout):
+            return pickle.loads(self.task)
+
+        def release(self):
+            in_flight.discard(self)
+
+    class Running(list):
+        add, count = list.append, list.__len__
+
+        def is_empty(self):
+            return not self
+
+        def has_ready(self):
+            return bool(self)
+
+        def __next__(self):
+            return self.pop(0)
+
+    def submit(work, task, pure):
+        future = Done(task)
+        most.append(len(in_flight))
+        return future
+
+    monkeypatch.setattr(schedule, "as_completed", lambda loop: Running())
+    client = SimpleNamespace(loop=None, submit=submit)
+    assert list(schedule._submit(client, list(range(10)), None, lambda: 3, None)) == list(range(10))
+    assert max(most) == 3
 
 
 def test_each_kernel_is_compiled_once(tmp_path):

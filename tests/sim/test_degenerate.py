@@ -320,6 +320,11 @@ def test_what_is_certain_to_escape_never_comes_back(seed):
     assert all((np.diff(size[j]) > 0).all() for j in growing)
 
 
+def test_what_rounding_does_to_a_force_goes_by_the_row_of_its_block():
+    for stiffness in ([[1.0, -2.0], [0.0, 4.0]], scipy.sparse.csc_array([[1.0, -2.0], [0.0, 4.0]])):
+        assert System(stiffness, 0.0).row_sums.tolist() == [3.0, 4.0]
+
+
 def test_sparse_equals_dense():
     rng = np.random.default_rng(8)
     dense = np.where(rng.random((12, 12)) < 0.3, rng.normal(size=(12, 12)), 0.0) + 2 * np.eye(12)
