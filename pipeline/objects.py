@@ -1,12 +1,13 @@
 """A dataset in an object store: one put is the commit, and the right to write is a lease.
 
 A put replaces an object whole or not at all, and is the commit; there is no renaming. The lock is an object, created
-only where there is none (where the store has conditional puts, as S3, Google's and Azure's have), renewed while its
-owner lives, and void `LEASE` seconds after the last renewal, so that a crash releases it. That takes clocks that
-agree within some seconds, and it is less than a lock of the kernel: a driver that was stopped for longer than its
-lease may find another at work; it sees so before its next commit, and ends. If two overlap for a moment all the same,
-no datum is wrong: a shard has the same bytes whoever puts it, and one that the manifest or the store has lost is
-computed again; so it is if the store took a manifest, failed to say so, and stayed away until the run gave up.
+only where there is none, renewed while its owner lives, and void `LEASE` seconds after the last renewal, so that a
+crash releases it. Amazon's, Google's and Azure's stores can create so; some servers, and old packages, overwrite
+instead: whoever has the lock tries (`_Lease.probe`), and refuses these. A lease takes clocks that agree within some
+seconds, and is less than a lock of the kernel: a driver that was stopped for longer than its lease may find another
+at work; it sees so before its next commit, and ends. If two overlap for a moment all the same, no datum is wrong: a
+shard has the same bytes whoever puts it, and one that the manifest or the store has lost is computed again; so it is
+if the store took a manifest, failed to say so, and stayed away until the run gave up.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.place import DATA, LOCK, Hold, Lock, Place, this_process
+from pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0
@@ -98,6 +99,7 @@ class Prefix(Place):
         lease = _Lease(self)
         lease.take()
         try:
+            lease.probe()
             yield lease
         finally:
             lease.give_back()
@@ -185,6 +187,22 @@ class _Lease(Hold):
             if found is None or found.token != self.token:
                 raise self._refusal(found)
         self._until = until
+
+    def probe(self) -> None:
+        """Create an object twice: the second time must fail."""
+        name = f"{TEMPORARY}{self.token}"
+        try:
+            self.place.create(name, b"")  # tried again, it may meet what its first attempt put
+            self.place.create(name, b"")
+        except FileExistsError:
+            return
+        finally:
+            self.place.remove(name)
+        raise StoreError(
+            f"{self.place}: expected a store that refuses to create an object where one is, got one that overwrites "
+            f"it, so that two drivers could write at once; update the store or its package (s3fs: 2024.12 or newer), "
+            f"or choose a directory"
+        )
 
     def _refusal(self, found: Lock | None) -> StoreError:
         owner, remaining = (found.owner, found.remaining) if found is not None else ("another process", LEASE)

@@ -195,6 +195,16 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
     assert objects_of(memory) == content(finished)
 
 
+def test_a_store_that_overwrites_where_it_is_told_to_create_is_refused(scene, source, memory, monkeypatch):
+    """As some S3 servers do, and s3fs before 2024.12."""
+    system = type(fsspec.filesystem("memory"))
+    put = system.pipe_file
+    monkeypatch.setattr(system, "pipe_file", lambda self, path, value, mode="overwrite": put(self, path, value))
+    with pytest.raises(StoreError, match=r"expected a store that refuses to create .* got one that overwrites"):
+        run_scene(scene, source, OUT, workers=0)
+    assert objects_of(memory) == {}
+
+
 # ------------------------------------------------------------------------------------------ requests that fail
 
 
