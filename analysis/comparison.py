@@ -227,8 +227,8 @@ def _answer(rows: Sequence[Mapping[str, Any]], matches: Sequence[Match], *of: En
         lines = [f"No: {names} differ in {other} of {tested} of {settings}; {same} are equivalent, {unknown} open."]
     elif same:
         lines = [
-            f"Not shown either way: {names} are equivalent in {same} of {tested} of {settings}, and in {unknown} the "
-            "data do not tell; none is shown to differ."
+            f"Not enough data to tell: {names} are equivalent in {same} of {tested} of {settings}, and "
+            f"{unknown} are open; none is shown to differ."
         ]
     else:
         lines = [f"Not enough data: in none of {tested} of {settings} can {names} be told apart or called the same."]

@@ -122,7 +122,7 @@ def _content(content: bytes | None, schema: pa.Schema, ids: list[str], outcomes:
     try:
         table = _table(content or b"")
     except (OSError, pa.ArrowException) as error:
-        return f"cannot be read ({error}); run the scene again to compute it anew"
+        return f"cannot be read ({error}); run the scene again to rebuild it"
     if not table.schema.equals(schema, check_metadata=True):
         return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others"
     if table.num_rows != len(ids):
@@ -141,7 +141,7 @@ def _read(place: Place, name: str, columns: list[str]) -> pa.Table:
         return _table(place.read(file), columns)
     except (OSError, pa.ArrowException) as error:
         raise StoreError(
-            f"{place.named(file)}: cannot be read ({error}); run the scene again to compute it anew"
+            f"{place.named(file)}: cannot be read ({error}); run the scene again to rebuild it"
         ) from error
 
 

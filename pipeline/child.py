@@ -48,7 +48,7 @@ def one_thread() -> Iterator[None]:
 
 
 class Child(subprocess.Popen[bytes]):
-    """A Python process that runs `code`, deaf to Ctrl-C, which is this process's to answer.
+    """A Python process that runs `code`, which ignores Ctrl-C; the parent handles it.
 
     It reads from `to_it` and writes to `from_it`. One that ends when it finds nothing more to read, or that calls
     `end_with_the_parent`, outlives nobody.

@@ -68,7 +68,7 @@ def unreadable(path: Where, error: Exception) -> StoreError:
     """The refusal of a dataset of which a shard cannot be read."""
     place = place_of(path)
     first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
-    return StoreError(f"{place}: a shard cannot be read ({error}); {first}run the scene again to compute it anew")
+    return StoreError(f"{place}: a shard cannot be read ({error}); {first}run the scene again to rebuild it")
 
 
 def frame(table: pa.Table) -> pd.DataFrame:

@@ -78,7 +78,7 @@ class Follower:
 
 
 def running(path: Where) -> Running | None:
-    """Who writes the dataset now, if anybody does: a process that died leaves a lock that says nothing."""
+    """Who writes the dataset now, if anybody does: a dead process leaves an empty lock."""
     place = place_of(path)
     try:
         lock = Lock.parse(place.read(LOCK))

@@ -73,7 +73,7 @@ class RunTable(StrictTable):
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
     purpose: Purpose | None = Field(
         default=None,
-        description="what tolerances that are not given are picked for; by default what the scene records says it",
+        description="what tolerances that are not given are picked for; default: chosen from what the scene records",
         examples=["statistics"],
     )
 
@@ -110,7 +110,7 @@ class _EngineTable(StrictTable):
         description="readings of [perturbation] that this engine runs; all of them if left out",
         examples=[["scale"]],
     )
-    twins: bool = Field(default=True, description="choice to run [twins] with this engine", examples=[False])
+    twins: bool = Field(default=True, description="whether to run [twins] with this engine", examples=[False])
     _picked_for: Purpose | None = PrivateAttr(default=None)
 
     @property

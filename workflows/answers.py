@@ -133,4 +133,5 @@ def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
     except FileNotFoundError as error:
         raise QueryError(f"--out: {out}: {NO_FOLDER}") from error
     except OSError as error:
-        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); name another place") from error
+        remedy = f"{'create the folder or ' if isinstance(error, FileNotFoundError) else ''}choose another file"
+        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); {remedy}") from error

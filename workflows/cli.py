@@ -104,7 +104,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
         print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
     if drawing is None:
         print(f"report  none was asked for: {shlex.join(['stickslip', 'report', str(out)])} makes it")
-    print(f"time    {clock(watch.elapsed)}, report apart")
+    print(f"time    {clock(watch.elapsed)}, not counting the report")
     return _UNFINISHED if status.failures else _DONE
 
 
@@ -340,7 +340,7 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNFINISHED
     except OSError as error:  # a scene, a report or an answer that cannot be written
-        remedy = "make room or name another place, then give the command again"
+        remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
 

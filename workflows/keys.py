@@ -91,7 +91,7 @@ def _default(name: str, field: Mapping[str, Any], is_required: bool) -> str:
     if "default" in field:
         return json.dumps(field["default"])
     if is_required:
-        return f"to be given, say {json.dumps(field['examples'][0])}"
+        return f"required, e.g. {json.dumps(field['examples'][0])}"
     picked = [f"{tolerances[name]:g}" for tolerances in TOLERANCES.values() if name in tolerances]
     return f"picked, {' or '.join(picked)}" if picked else "left out"
 

@@ -50,8 +50,8 @@ def _amounts_in_words(found: Estimate, amounts: Amounts) -> list[str]:
     core = " to ".join(f"{value:.3g}" for value in (amounts.core_seconds[0], amounts.core_seconds[2]))
     disk = [value / 1e6 for value in amounts.n_bytes]
     return [
-        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {_workers(found)}, report apart; {core} s of a "
-        f"core",
+        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {_workers(found)}, not counting the "
+        f"report; {core} s of a core",
         f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
     ]
 

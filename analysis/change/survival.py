@@ -316,8 +316,10 @@ def _statements(rows: Sequence[dict[str, Any]], confidence: float) -> list[str]:
 
 
 _SHORT = {
-    COLLAPSED: "came to slip for good (certified)", SILENT: "went silent without a certificate", DIVERGED: "ran away",
-}  # fmt: skip
+    COLLAPSED: "stopped sticking for good (certified)",
+    SILENT: "went silent without a certificate",
+    DIVERGED: "ran away",
+}
 _NAMES = {COLLAPSED: "collapsed (certified)", SILENT: "went silent without a certificate", DIVERGED: "ran away"}
 
 

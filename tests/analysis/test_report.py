@@ -240,7 +240,7 @@ def scarce(planted):
 def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, tmp_path, name, words):
     report = report_of(scarce[name], settings, draw=on_demand)
     assert words in text_of(report)
-    said = "To t = 1000, n = 200, coulomb: all came to slip for good" if name == "all collapsed" else words
+    said = "To t = 1000, n = 200, coulomb: all stopped sticking for good" if name == "all collapsed" else words
     assert said in " ".join(report.headline)
     if name == "nothing changes":
         assert "2 runs reached t_end; after t_burn no block sticks or slips anew in 2 of them" in text_of(report)

@@ -88,8 +88,10 @@ def test_section_keeps_the_fates_apart(planted):
     assert row["n_unstable"] == 20
     (text,) = section.statements
     said, linear = section.lead
-    assert "4 came to slip for good (certified), 2 went silent without a certificate, 3 ran away, 11 stayed" in said
-    assert linear.startswith("The state in which all blocks slip: of the 20 draws in which it is unstable, 4 came")
+    assert (
+        "4 stopped sticking for good (certified), 2 went silent without a certificate, 3 ran away, 11 stayed" in said
+    )
+    assert linear.startswith("The state in which all blocks slip: of the 20 draws in which it is unstable, 4 stop")
     assert "4 collapsed (certified), 2 went silent without a certificate, 3 ran away" in text
 
 
@@ -110,8 +112,8 @@ def test_linear_growth_is_set_beside_the_fate(planted):
     section = survival_section(data, confidence=0.95)
     assert section.lead[1] == (
         "The linear growth of the state in which all blocks slip goes with the fate: of the 4 draws in which it is "
-        "stable, 4 came to slip for good (certified); of the 6 draws in which it is unstable, 1 went silent without "
-        "a certificate, 5 stayed in motion."
+        "stable, 4 stopped sticking for good (certified); of the 6 draws in which it is unstable, 1 went silent "
+        "without a certificate, 5 stayed in motion."
     )
     table = {one.name: one.frame for one in section.tables}["fates"]
     assert table["fate"].tolist() == [COLLAPSED] * 4 + [SILENT] + [SUSTAINED] * 5

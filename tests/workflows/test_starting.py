@@ -159,7 +159,7 @@ def test_the_list_of_keys_is_the_schema(capsys):
     words = dict(found)
     assert all(f'"{name}"' in words["system.coupling"] for name in COUPLINGS)
     assert words["run.purpose"].endswith('("statistics", "paths")')
-    assert re.fullmatch(r"to be given, say 1000\.0 +end of each run \(number > 0\)", words["run.t_end"])
+    assert re.fullmatch(r"required, e\.g\. 1000\.0 +end of each run \(number > 0\)", words["run.t_end"])
     for key in ("tol", "rtol", "atol"):
         picked = [f"{tolerances[key]:g}" for tolerances in TOLERANCES.values()]
         assert words[f"engine.{key}"].startswith(f"picked, {picked[0]} or {picked[1]} ")

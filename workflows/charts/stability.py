@@ -96,7 +96,7 @@ class StabilityScene(ChartScene):
     max_steps: Count = Field(
         default=100_000, description="number of fixed steps beyond which a run is not started", examples=[100_000]
     )
-    cases: bool = Field(default=True, description="choice to run the hard cases too", examples=[True])
+    cases: bool = Field(default=True, description="whether to run the hard cases too", examples=[True])
 
     @model_validator(mode="after")
     def _classes_in_order(self) -> StabilityScene:
