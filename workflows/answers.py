@@ -133,5 +133,4 @@ def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
     except FileNotFoundError as error:
         raise QueryError(f"--out: {out}: {NO_FOLDER}") from error
     except OSError as error:
-        remedy = f"{'create the folder or ' if isinstance(error, FileNotFoundError) else ''}choose another file"
-        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); {remedy}") from error
+        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); choose another file") from error
