@@ -82,16 +82,25 @@ def test_a_draw_is_fixed_by_its_seed_and_in_range(coupling):
 
 
 def test_the_structure_of_each_ensemble():
+    """One seed draws one U, uniform in [-kappa, kappa], which `full` shows as it is."""
     k = {name: draw_system(name, 30, seed=2).stiffness for name in COUPLINGS}
-    off = ~np.eye(30, dtype=bool)
-    for name in ("antisymmetric", "antisymmetric_triangle", "signed_diagonal"):
-        np.testing.assert_array_equal(k[name][off], -k[name].T[off])
-    assert (np.diag(k["antisymmetric"]) > 0).all()
-    assert (np.diag(k["signed_diagonal"]) < 0).any()
-    np.testing.assert_array_equal(k["symmetric"], k["symmetric"].T)
-    assert np.abs(k["antisymmetric_triangle"][off]).max() > 0.19  # up to kappa, not kappa averaged with itself
+    u, off = k["full"], ~np.eye(30, dtype=bool)
+    assert 0.19 < u.max() <= 0.2
+    assert -0.19 > u.min() >= -0.2
+    upper = np.triu(u, 1)
+    for name, expected in (
+        ("antisymmetric", (u - u.T) / 2),
+        ("signed_diagonal", (u - u.T) / 2),
+        ("symmetric", (u + u.T) / 2),
+        ("antisymmetric_triangle", upper - upper.T),
+        ("springs", -np.abs(upper + upper.T)),
+    ):
+        np.testing.assert_array_equal(k[name][off], expected[off], name)
+        if name != "springs":
+            diagonal = np.diag(u) if name == "signed_diagonal" else np.abs(np.diag(u))
+            np.testing.assert_array_equal(np.diag(k[name]), diagonal, name)
+    np.testing.assert_allclose(k["springs"].sum(axis=1), np.abs(np.diag(u)))  # grounding springs remain
     assert np.linalg.eigvalsh(k["springs"]).min() > 0
-    np.testing.assert_allclose(k["springs"].sum(axis=1), np.abs(np.diag(k["full"])))  # grounding springs remain
 
 
 def test_most_events_of_a_large_system_cost_no_product():
