@@ -143,6 +143,6 @@ def complete(
 
 def _follow(flow: fate.Flow, t: float, t_end: float, z: Floats, w: Floats, samples: Samples, n_sampled: int) -> None:
     """Put the state at t_end, and the samples from number `n_sampled` on, in their places."""
-    z_at, w_at = flow.at(np.append(samples.t[n_sampled:], t_end) - t)
-    samples.z[n_sampled:], samples.w[n_sampled:] = z_at[:-1], w_at[:-1]
-    z[:], w[:] = z_at[-1], w_at[-1]
+    at_end, sampled = (flow.at(times - t) for times in (np.array([t_end]), samples.t[n_sampled:]))
+    z[:], w[:] = at_end[0][0], at_end[1][0]  # apart: a product of other shape rounds otherwise
+    samples.z[n_sampled:], samples.w[n_sampled:] = sampled
