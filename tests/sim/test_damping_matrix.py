@@ -130,27 +130,40 @@ def test_what_is_written_for_a_diagonal_says_so(call):
 # the engine
 
 
-@pytest.mark.parametrize("ratios", ["equal", "random"])
-@pytest.mark.parametrize("seed", range(6))
-def test_the_error_follows_the_tolerance(seed, ratios):
-    """Radau IIA at 1e-11; N weaker than R, as strong, and five times as strong."""
-    cross = [0.1, 1.0, 5.0][seed % 3]
-    system, z0, w0, rng = draw(seed, cross)
-    eps = [0.1, 0.01, 1e-3][seed // 2]
-    ratio = np.ones(system.n) if ratios == "equal" else 1.0 - rng.random(system.n)
-    t_end = 3.0 if cross == 5.0 else 5.0
-    y = by_scipy(system, z0, w0, eps * ratio, t_end, "Radau", 1e-11)(t_end)
-    scale = max(1.0, np.abs(y).max())
-    errors = []
-    for tol in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
-        run = simulate(
-            system, z0, w0, t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol, stop_early=False
-        )
-        assert run.t_end == t_end
-        errors.append(np.abs(np.concatenate((run.z, run.w)) - y).max() / (tol * scale))
-    # a single one now and then passes 50: one in 200, with N or without
-    assert np.median(errors) < 30
-    assert errors[-1] < 50
+def test_the_error_follows_the_tolerance():
+    """Against Radau IIA at 1e-11, over new systems: N weaker than R, as strong, and stronger; r_i equal or not.
+
+    One error over its tolerance says little: it ranges from 0.01 to 100, as terms cancel or an event is near. Over
+    twelve systems and five tolerances the geometric mean is some 1.4, and errors fall as the tolerance, with slope 1
+    and a deviation of 0.04 (18 systems resampled).
+    """
+    seed = int(np.random.SeedSequence().entropy) % 2**32
+    print("seed", seed)
+    tolerances = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+    logs = []
+    while len(logs) < 12:
+        seed, k = seed + 1, len(logs)
+        cross, eps = [0.1, 1.0, 5.0][k % 3], [0.1, 0.01, 1e-3][k // 3 % 3]
+        system, z0, w0, rng = draw(seed, cross)
+        ratio = 1.0 - rng.random(system.n) * (k % 2)
+        t_end = 3.0 if cross == 5.0 else 5.0
+        y = by_scipy(system, z0, w0, eps * ratio, t_end, "Radau", 1e-11)(t_end)
+        scale = max(1.0, np.abs(y).max())
+        if scale > 1e4:
+            continue  # it grows without bound: a run may end as diverged
+        errors = []
+        for tol in tolerances:
+            run = simulate(
+                system, z0, w0, t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol, stop_early=False
+            )
+            assert run.t_end == t_end
+            errors.append(np.abs(np.concatenate((run.z, run.w)) - y).max() / scale)
+        logs.append(np.log10(errors))
+        print("N", cross, "eps", eps, "n", system.n, "error / tol", np.array(errors) / tolerances)
+    x = np.log10(tolerances)
+    assert 10.0 ** np.mean(logs - x) < 20
+    slope = np.polyfit(x, np.mean(logs, axis=0), 1)[0]
+    assert 0.75 < slope < 1.25
 
 
 def test_twenty_blocks_against_an_explicit_method():
