@@ -68,9 +68,9 @@ def test_what_the_store_refuses_is_one_line(server, tmp_path, capsys):
     ask(f"{server}/_share/0/1/403", "PUT")
     try:
         assert main(["status", "s3://bucket/out"]) == 1
-        assert capsys.readouterr().err == (
-            "stickslip: s3://bucket/out/manifest.json: cannot be read (Forbidden); check the address, the "
-            "credentials and the network\n"
-        )
+        err = capsys.readouterr().err
+        assert err.startswith("stickslip: s3://bucket/out/manifest.json: cannot be read (")  # in the words of the store
+        assert err.endswith("); check the address, the credentials and the network\n")
+        assert err.count("\n") == 1
     finally:
         ask(f"{server}/_share/0/0/403", "PUT")
