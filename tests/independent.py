@@ -30,8 +30,9 @@ Floats = NDArray[np.float64]
 _NODES = 18
 _REACH = 3.0  # sub-interval times rate: the first coefficient left out is 2 (3 / 4)^18 / 18! = 2e-18
 _BATCH = 16
-_ROUNDING = 1e-12  # of the sizes met so far: what is smaller vanishes
-_EVENTS_MAX = 5_000
+_ROUNDING = 1e-12  # what is smaller, relative to the state, vanishes
+_REMEMBERED = 1e-3  # of the largest state so far: its rounding is still there
+_EVENTS_MAX = 2_000
 _PIECES_MAX = 50_000
 
 _TAU = (1 - np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)) / 2
@@ -181,7 +182,6 @@ class _Flow:
                     rows.append(row)
                     self.owners.append((i, 0))
         self.rows = np.array(rows).reshape(-1, 2 * n + 1)
-        self.size = np.array([1.0 if side == 0 else rate * rate for _, side in self.owners])
         self._functions = np.einsum("ea,kab->keb", self.rows, self._coefficients)
 
     @cached_property
@@ -194,7 +194,9 @@ class _Flow:
 
     def state(self, x: Floats, t: float) -> Floats:
         """X a time t <= h after x."""
-        return chebyshev.chebval(2 * t / self.h - 1, self._coefficients @ x)
+        return np.cos(np.arange(_NODES) * np.arccos(min(max(2 * t / self.h - 1, -1.0), 1.0))) @ (
+            self._coefficients @ x
+        )
 
     def functions(self, x: Floats) -> Floats:
         """Chebyshev coefficients of what may end the motion, from each of the states x (m, 2n+1): (N, e, m)."""
@@ -222,20 +224,33 @@ def _first_zero(c: Floats, end: float, vanishes: float) -> float | None:
     To touch is to have a least value within `vanishes` of zero.
     """
     slope = chebyshev.chebder(c)
-    roots = chebyshev.chebroots(np.trim_zeros(slope, "b")) if slope.any() else np.empty(0)
-    flat = (roots.real[np.abs(roots.imag) < 1e-6] + 1) / 2
-    flat = np.sort(flat[(flat > 0) & (flat < end)])
-    points = np.concatenate(([0.0], flat, [end]))
-    values = chebyshev.chebval(2 * points - 1, c)
+    if abs(slope[0]) > np.abs(slope[1:]).sum():  # monotone
+        flat = np.empty(0)
+    else:
+        roots = chebyshev.chebroots(np.trim_zeros(slope, "b")) if slope.any() else np.empty(0)
+        flat = (roots.real[np.abs(roots.imag) < 1e-6] + 1) / 2
+        flat = np.sort(flat[(flat > 0) & (flat < end)])
+    points = [0.0, *flat.tolist(), end]
+    coefficients = c.tolist()
+    values = [_value(x, coefficients) for x in points]
     for k in range(1, len(points)):
         is_least = k < len(points) - 1 and values[k] <= values[k - 1] and values[k] <= values[k + 1]
         if is_least and abs(values[k]) <= vanishes:
-            return float(points[k])
+            return points[k]
         if values[k] <= 0:
             if values[k - 1] <= 0:  # it starts within rounding of zero, on the other side
-                return float(points[k - 1])
-            return float(brentq(lambda x: chebyshev.chebval(2 * x - 1, c), points[k - 1], points[k], xtol=1e-16))
+                return points[k - 1]
+            return float(brentq(_value, points[k - 1], points[k], args=(coefficients,), xtol=1e-16))
     return None
+
+
+def _value(tau: float, coefficients: list[float]) -> float:
+    """By Clenshaw's recurrence: a Chebyshev series on [0, 1]."""
+    x = 4 * tau - 2
+    b, before = 0.0, 0.0
+    for c in coefficients[:0:-1]:
+        b, before = c + x * b - before, b
+    return coefficients[0] + x / 2 * b - before
 
 
 class _Follower:
@@ -245,13 +260,19 @@ class _Follower:
         self.x = np.concatenate((case.z0, (case.w0 - case.belt_speed) / case.rate, [1.0]))
         self.mode = [0 if y == 0 else (1 if y > 0 else -1) for y in self.x[self.n : -1]]
         self.orders: dict[int, int] = {}
-        self.size = 0.0
+        self._peak = np.zeros(case.n)
         self._flows: dict[tuple[tuple[int, ...], tuple[bool, ...]], _Flow] = {}
         self._grow(self.x)
 
     def _grow(self, x: Floats) -> None:
-        speed = abs(self.case.belt_speed) / self.case.rate
-        self.size = max(self.size, float(np.abs(x[: 2 * self.n]).max()) + speed)
+        """What rounding is of: each block's size now, and some of its largest so far."""
+        case, n = self.case, self.n
+        now = np.abs(x[:n]) + np.abs(x[n:-1]) + abs(case.belt_speed) / case.rate
+        self._peak = np.maximum(self._peak, now)
+        size = np.maximum(now, _REMEMBERED * self._peak)
+        pull = np.abs(case.stiffness) @ size
+        self.small_force = _ROUNDING * (pull + case.friction + np.abs(case.damping * case.belt_speed))
+        self.small_speed = _ROUNDING * (size + pull / case.rate**2)
 
     def flow(self, mode: Sequence[int]) -> _Flow:
         held = tuple(m == 0 and mu > 0 for m, mu in zip(mode, self.case.friction, strict=True))
@@ -260,36 +281,29 @@ class _Follower:
             self._flows[key] = _Flow(self.case, mode, held)
         return self._flows[key]
 
-    @property
-    def _small_force(self) -> float:
-        """What counts as none: of K z, of mu, and of R v."""
-        case = self.case
-        held = case.friction.max() + np.abs(case.damping * case.belt_speed).max()
-        return _ROUNDING * float(np.abs(case.stiffness).sum(axis=1).max() * self.size + held)
-
     def decide(self, touching: list[int]) -> None:
         """Modes of the blocks with w = v; the orders to which what ends their motion vanishes now."""
-        case, n, small = self.case, self.n, self._small_force
+        case, n, small = self.case, self.n, self.small_force
         force = case.damping * case.belt_speed + case.stiffness @ self.x[:n]
         self.orders = {}
         open_: list[int] = []
         for i in touching:
-            if abs(force[i]) > case.friction[i] + small:
+            if abs(force[i]) > case.friction[i] + small[i]:
                 self.mode[i] = -1 if force[i] > 0 else 1
                 self.orders[i] = 1
             else:
                 self.mode[i] = 0
-                if abs(force[i]) >= case.friction[i] - small:
+                if abs(force[i]) >= case.friction[i] - small[i]:
                     open_.append(i)
-        rows = case.stiffness / (case.rate * case.rate)
-        small /= case.rate * case.rate
+        rows = case.stiffness / case.rate**2
+        small = small / case.rate**2
         while open_:
             flow = self.flow(self.mode)
             x, found = self.x, 0
             for order in range(1, 2 * n + 2):
                 x = flow.generator @ x / _REACH
                 change = rows @ x[:n]
-                moved = [i for i in open_ if abs(change[i]) > small]
+                moved = [i for i in open_ if abs(change[i]) > small[i]]
                 for i in moved:
                     open_.remove(i)
                     side = np.sign(force[i]) if case.friction[i] > 0 else np.sign(change[i])
@@ -309,7 +323,7 @@ class _Follower:
         flow = self.flow(self.mode)
         starts = flow.powers[:count] @ self.x if count > 1 else self.x[None]
         functions = flow.functions(starts)
-        small = np.where(flow.size > 1, self._small_force, _ROUNDING * self.size)
+        small = [self.small_force[i] if side else self.small_speed[i] for i, side in flow.owners]
         for e, (i, side) in enumerate(flow.owners):
             order = self.orders.get(i, 0)
             if order == 0:
@@ -320,7 +334,7 @@ class _Follower:
             if order > 0:
                 functions[:, e, 0] = flow.divided(e, order, self.x)
             else:
-                functions[0, e] += 20 * small[e]
+                functions[0, e] += 4 * small[e]
         may = functions[0] <= np.abs(functions[1:]).sum(axis=0)
         for j in range(len(starts)):
             zeros = [
@@ -371,7 +385,7 @@ def follow(case: Case, t_end: float) -> Path:
         me.x = flow.state(flow.powers[done] @ me.x if done else me.x, tau * h)
         me._grow(me.x)
         y = me.x[n:-1]
-        touching = [i for i in range(n) if abs(y[i]) <= 10 * _ROUNDING * me.size]
+        touching = [i for i in range(n) if abs(y[i]) <= 2 * me.small_speed[i]]
         y[touching] = 0.0
         before = list(me.mode)
         for i in range(n):
