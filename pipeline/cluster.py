@@ -15,7 +15,7 @@ import socket
 import tempfile
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import dask
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
@@ -27,7 +27,9 @@ from distributed.utils import LoopRunner, silence_logging_cmgr
 from pipeline.child import ONE_THREAD, environment_kept
 from pipeline.errors import AddressError, SceneError, ScheduleError
 from pipeline.interrupt import unbroken
-from pipeline.scene import Scene
+
+if TYPE_CHECKING:  # workers load this module first
+    from pipeline.scene import Scene
 
 log = logging.getLogger(__name__)
 
