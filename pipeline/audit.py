@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.dataset import rows_that_failed
 from pipeline.errors import StoreError
 from pipeline.manifest import dataset_scene, read_manifest, read_tasks
 from pipeline.place import DATA, TEMPORARY, Place, Where, place_of
@@ -42,31 +43,28 @@ def status(path: Where) -> Status:
     Raises
     ------
     StoreError
-        If there is no readable dataset.
+        If there is no readable dataset, or a shard with failed members is not what was written.
     """
     place = place_of(path)
     scene, manifest = dataset_scene(place), read_manifest(place)
     with _readable(place):  # after the manifest: a shard is there before it is listed
         files = set(place.names())
     outcomes: Counter[str] = Counter()
-    failures: Counter[str] = Counter()
-    failed: list[str] = []
-    for name, shard in sorted(manifest.shards.items()):
+    for shard in manifest.shards.values():
         outcomes.update(shard.outcomes)
-        if shard.n_failed and f"{DATA}/{name}" in files:
-            rows = _read(place, name, ["member_id", "outcome", "reason"]).to_pylist()
-            failures.update(row["reason"] for row in rows if row["outcome"] == "failed")
-            failed += [row["member_id"] for row in rows if row["outcome"] == "failed"]
+    with_failed = [name for name, shard in sorted(manifest.shards.items()) if shard.n_failed]
+    there = [name for name in with_failed if f"{DATA}/{name}" in files]
+    failed = rows_that_failed(place, there) if there else []
     return Status(
         path=str(place),
         n_members=scene.n_members,
         n_done=sum(shard.rows for shard in manifest.shards.values()),
         outcomes=dict(sorted(outcomes.items())),
-        failures=dict(failures.most_common()),
+        failures=dict(Counter(reason for _, reason in failed).most_common()),
         n_shards=len(manifest.shards),
         n_bytes=sum(shard.bytes for shard in manifest.shards.values()),
         n_missing=sum(f"{DATA}/{name}" not in files for name in manifest.shards),
-        first_failed=failed[0] if failed else None,
+        first_failed=failed[0][0] if failed else None,
     )
 
 
@@ -120,7 +118,7 @@ def _readable(place: Place) -> Iterator[None]:
 def _content(content: bytes | None, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
     """What is wrong inside a shard whose bytes are as they were written: "" if nothing."""
     try:
-        table = _table(content or b"")
+        table = pq.ParquetFile(pa.BufferReader(content or b""), page_checksum_verification=True).read()
     except (OSError, pa.ArrowException) as error:
         return f"cannot be read ({error}); run the scene again to rebuild it"
     if not table.schema.equals(schema, check_metadata=True):
@@ -133,17 +131,3 @@ def _content(content: bytes | None, schema: pa.Schema, ids: list[str], outcomes:
         return f"expected member {wrong[0][0]}, got {wrong[0][1]}"
     counted = dict(Counter(table["outcome"].to_pylist()))
     return "" if counted == outcomes else f"expected the outcomes {outcomes}, got {counted}"
-
-
-def _read(place: Place, name: str, columns: list[str]) -> pa.Table:
-    file = f"{DATA}/{name}"
-    try:
-        return _table(place.read(file), columns)
-    except (OSError, pa.ArrowException) as error:
-        raise StoreError(
-            f"{place.named(file)}: cannot be read ({error}); run the scene again to rebuild it"
-        ) from error
-
-
-def _table(content: bytes, columns: list[str] | None = None) -> pa.Table:
-    return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(columns)

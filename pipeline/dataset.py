@@ -1,17 +1,23 @@
-"""Opening a dataset to read: the shards that the manifest lists, and the words for what cannot be read or asked."""
+"""Opening a dataset to read: the shards that the manifest lists, as they were written, and the words for what cannot
+be read or asked.
+
+Parquet's own checksums cover its pages, not its footer, and no file knows that it took another's place. So a shard
+is held against the manifest before it is opened, whoever opens it.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from pipeline.errors import QueryError, StoreError
-from pipeline.manifest import dataset_scene, read_manifest
-from pipeline.place import DATA, Directory, Where, place_of
+from pipeline.manifest import Shard, dataset_scene, read_manifest
+from pipeline.place import DATA, Directory, Place, Where, place_of
 from pipeline.shards import Recording
 from sim.arguments import did_you_mean
 
@@ -38,11 +44,13 @@ def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
     Raises
     ------
     StoreError
-        If there is no readable dataset at `path`.
+        If there is no readable dataset at `path`, or a shard is not what was written.
     """
     place = place_of(path)
-    names = sorted(read_manifest(place).shards) if shards is None else shards
     schema = Recording.of(dataset_scene(place)).schema
+    known = read_manifest(place).shards
+    names = sorted(known) if shards is None else list(shards)
+    _check(place, {name: known.get(name) for name in names})
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     with reading(place):
         return ds.dataset(
@@ -51,6 +59,42 @@ def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
             filesystem=place.arrow,
             format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
         )
+
+
+#: Files that this process has found to be what was written: their sha256, and how they were marked then.
+_found_whole: dict[str, tuple[str, object]] = {}
+
+
+def _check(place: Place, shards: Mapping[str, Shard | None]) -> None:
+    """Hold each shard against its entry in the manifest, once as long as its file is not touched.
+
+    Raises
+    ------
+    StoreError
+        If one is not what was written, or not there.
+    """
+    files = {name: f"{DATA}/{name}" for name in shards}
+    marks = dict(zip(shards, place.marks(list(files.values())), strict=True))
+
+    def is_known(name: str, shard: Shard | None) -> bool:
+        kept = (shard.sha256 if shard is not None else "", marks[name])
+        return marks[name] is not None and _found_whole.get(place.named(files[name])) == kept
+
+    new = {name: shard for name, shard in shards.items() if not is_known(name, shard)}
+    with reading(place):
+        for (name, shard), content in zip(new.items(), place.read_each([files[name] for name in new]), strict=True):
+            problem = shard.damage(content) if shard is not None else "not in the manifest any more"
+            if shard is None or problem:
+                raise StoreError(f"{place.named(files[name])}: {problem}; run the scene again to compute it anew")
+            _found_whole[place.named(files[name])] = (shard.sha256, marks[name])
+
+
+def rows_that_failed(path: Where, shards: Sequence[str]) -> list[tuple[str, str]]:
+    """Id and reason of each member of some shards that failed, in order."""
+    source = dataset(path, shards)
+    with reading(path):
+        found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
+    return list(zip(*(found[name].to_pylist() for name in ("member_id", "reason")), strict=True))
 
 
 @contextlib.contextmanager

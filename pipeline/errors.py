@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 
+def printable(text: str) -> str:
+    """Words of a dataset for a terminal, which obeys control characters: those are written as Python writes them."""
+    return "".join(c if c.isprintable() or c in "\n " else ascii(c)[1:-1] for c in text)
+
+
 class SceneError(ValueError):
     """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
 

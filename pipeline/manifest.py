@@ -1,10 +1,11 @@
 """The manifest of a dataset: the shards that are done, and whether their files still are what was written.
 
 OUT/scene.toml         exact copy of the scene file
-OUT/manifest.json      the shards that are done: sha256, rows, outcomes; how members are packed; which programs wrote
+OUT/manifest.json      the shards that are done: sha256, rows, outcomes; how members are packed; which programs wrote.
+                       Written when a run begins and when it ends; between the two the record is the rest of it
 OUT/data/*.parquet     the shards, one a batch
-OUT/timings.jsonl      a line a commit: seconds, host and process, apart from the data, which ignore them; and what
-                       the manifest says of the shard, from which a lost manifest is made again
+OUT/timings.jsonl      the record, a line a commit: what the manifest is to say of the shard; and seconds, host and
+                       process, apart from the data, which ignore them. A lost manifest is made again from it
 OUT/.lock              held by the process that writes; a crash releases it
 
 OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.place`).
@@ -65,7 +66,8 @@ class Manifest(BaseModel):
 
     `earlier` holds the sources of the scenes that this one grew from; `packing`, for each of these and for the scene
     itself, the number of members of each shard that it added (see `pipeline.plan`). `programs` are the versions of
-    the program whose numbers the shards may hold.
+    the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was killed, is the
+    byte of the record at which its own commits begin.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -75,6 +77,7 @@ class Manifest(BaseModel):
     earlier: list[str] = []
     packing: list[list[Annotated[int, Field(ge=1)]]]
     shards: dict[ShardName, Shard] = {}
+    recorded_from: Annotated[int, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
     def _one_packing_a_scene(self) -> Manifest:
@@ -84,7 +87,7 @@ class Manifest(BaseModel):
 
     def to_bytes(self) -> bytes:
         """JSON that begins with a digest of the rest, a line a shard, sorted: the same shards give the same bytes."""
-        head = self.model_dump(exclude={"shards"})
+        head = self.model_dump(exclude={"shards"}, exclude_none=True)
         lines = [f"{json.dumps(key)}: {json.dumps(head[key], separators=(',', ':'))}" for key in sorted(head)]
         shards = [f"{json.dumps(name)}: {json_line(self.shards[name].model_dump())}" for name in sorted(self.shards)]
         listed = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
@@ -120,31 +123,66 @@ def checked_line(values: dict[str, object]) -> str:
 
 def read_commits(path: Where) -> Iterator[Commit]:
     """The commits of a dataset as they came in; lines that are damaged are left out, as is a record that is lost."""
-    try:
-        lines = place_of(path).read(TIMINGS).splitlines()
-    except OSError:
-        return
-    for line in lines:
-        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
-            values = json.loads(line)
-            check = values.pop("check", None)
-            if checked_line(values) == json_line(values | {"check": check}):
-                yield Commit.model_validate(values)
+    with contextlib.suppress(OSError):
+        for line in place_of(path).read_record(TIMINGS).split(b"\n"):
+            if (commit := _commit(line)) is not None:
+                yield commit
+
+
+def _commit(line: bytes) -> Commit | None:
+    """What a line of the record says; None if it is damaged, or of a version that kept no more than times."""
+    with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+        values = json.loads(line)
+        check = values.pop("check", None)
+        if checked_line(values) == json_line(values | {"check": check}):
+            return Commit.model_validate(values)
+    return None
+
+
+_HEALED_BY_RUNNING = (
+    f"run the scene again with this directory: what {TIMINGS} confirms is kept, the rest computed anew"
+)
 
 
 class DamagedManifest(StoreError):
     """The manifest is there and cannot be understood."""
 
 
-def read_manifest(path: Where) -> Manifest:
-    """The manifest of the dataset at `path`.
+def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
+    """The manifest of the dataset at `path`, with what the record adds to it.
+
+    Parameters
+    ----------
+    is_forgiving : bool
+        Whether damaged lines of the record are left out, for one who computes again what they confirmed.
 
     Raises
     ------
     StoreError
-        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest.
+        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest, or no record.
     """
     place = place_of(path)
+    manifest = _manifest(place)
+    if manifest.recorded_from is None:
+        return manifest
+    try:
+        content = place.read_record(TIMINGS)
+    except OSError as error:
+        raise StoreError(f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy}") from error
+    *lines, rest = content[manifest.recorded_from :].split(b"\n")
+    commits = [_commit(line) for line in lines]
+    if (None in commits or len(content) < manifest.recorded_from) and not is_forgiving:
+        raise DamagedManifest(
+            f"{place.named(TIMINGS)}: expected the commits of a run that goes on or was killed, got damaged lines; "
+            f"{_HEALED_BY_RUNNING}"
+        )
+    commits.append(_commit(rest))  # most often nothing, or what a crash cut short
+    manifest.shards.update({commit.name: commit.shard for commit in commits if commit is not None})
+    return manifest
+
+
+def _manifest(place: Place) -> Manifest:
+    """The manifest as it lies there."""
     file = place.named(MANIFEST)
     try:
         content = place.read(MANIFEST)
@@ -165,10 +203,7 @@ def read_manifest(path: Where) -> Manifest:
     except ValidationError as error:
         first = error.errors()[0]
         problem = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    raise DamagedManifest(
-        f"{file}: expected a manifest, got something damaged ({problem}); run the scene again with this directory: "
-        f"what {TIMINGS} confirms is kept, the rest computed anew"
-    )
+    raise DamagedManifest(f"{file}: expected a manifest, got something damaged ({problem}); {_HEALED_BY_RUNNING}")
 
 
 def _same_version(file: str, content: bytes, is_whole: bool) -> None:

@@ -24,7 +24,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, this_process
+from pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0
@@ -34,6 +34,9 @@ SETTLE = 2.0
 
 #: Objects that are read at once.
 _AT_ONCE = 16
+
+#: Bytes after which lines go to another part: some twenty of them.
+_PART = 10_000
 
 #: Seconds between attempts at a request that fails without being refused; the store's own library has retried before.
 PAUSES = (1.0, 3.0, 9.0)
@@ -76,6 +79,13 @@ class Prefix(Place):
             for first in range(0, len(names), _AT_ONCE):
                 yield from pool.map(self._read_if_there, names[first : first + _AT_ONCE])
 
+    def marks(self, names: Sequence[str]) -> list[object]:
+        found = {}
+        with contextlib.suppress(FileNotFoundError):
+            listed = self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True))
+            found = {entry["name"].strip("/"): sorted(map(str, entry.items())) for entry in listed}
+        return [found.get(self.key(name).strip("/")) for name in names]
+
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))
 
@@ -106,15 +116,14 @@ class Prefix(Place):
 
     @contextlib.contextmanager
     def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
-        """As a directory's; objects do not grow, so that each line puts them all."""
-        try:
-            lines = self.read(name)
-        except FileNotFoundError:
-            lines = b""
+        """As a directory's; objects do not grow, so that each line puts the last part anew, which is kept small."""
+        number, lines = len(self._parts(name)), b""
 
         def append(line: bytes) -> None:
-            nonlocal lines
-            self.replace(name, lines + line)
+            nonlocal number, lines
+            if len(lines) > _PART:
+                number, lines = number + 1, b""
+            self.replace(part(name, number), lines + line)
             lines += line
 
         yield append

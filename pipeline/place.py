@@ -26,6 +26,8 @@ from pipeline.errors import StoreError
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
 #: What the names of files begin with while they are being written.
 TEMPORARY = ".tmp-"
+#: Parts of a file of lines that are asked for at once.
+_PARTS = 16
 
 
 class Hold(ABC):
@@ -97,6 +99,10 @@ class Place(ABC):
     def read(self, name: str) -> bytes:
         """The content of a file."""
 
+    @abstractmethod
+    def marks(self, names: Sequence[str]) -> list[object]:
+        """For each file something that differs once it has changed, to be had without reading it; None: no file."""
+
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         """The content of each file, in order; None for one that is not there."""
         yield from map(self._read_if_there, names)
@@ -135,7 +141,21 @@ class Place(ABC):
 
     @abstractmethod
     def record(self, name: str) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
-        """A file of lines and how to append one, whole or not at all; a line that a crash cut short goes."""
+        """A file of lines and how to append one for good, whole or not at all; a line that a crash cut short goes."""
+
+    def read_record(self, name: str) -> bytes:
+        """The content of a file of lines, all its parts together; empty if there is none."""
+        return b"".join(self._parts(name))
+
+    def _parts(self, name: str) -> list[bytes]:
+        """An object cannot grow: in a store, and in a copy of one, a file of lines may have many parts."""
+        parts: list[bytes] = []
+        while True:
+            asked = range(len(parts), len(parts) + _PARTS)
+            found = [content for content in self.read_each([part(name, k) for k in asked]) if content is not None]
+            parts += found
+            if len(found) < _PARTS:
+                return parts
 
     @property
     @abstractmethod
@@ -145,6 +165,12 @@ class Place(ABC):
     @abstractmethod
     def key(self, name: str) -> str:
         """What `arrow` calls the file `name`."""
+
+
+def part(name: str, k: int) -> str:
+    """What the k-th part of a file of lines is called."""
+    stem, dot, ending = name.rpartition(".")
+    return f"{stem}-{k}{dot}{ending}" if k else name
 
 
 Where: TypeAlias = str | os.PathLike[str] | Place
@@ -206,6 +232,15 @@ class Directory(Place):
     def read(self, name: str) -> bytes:
         return (self.path / name).read_bytes()
 
+    def marks(self, names: Sequence[str]) -> list[object]:
+        return [self._mark(name) for name in names]
+
+    def _mark(self, name: str) -> object:
+        with contextlib.suppress(OSError):
+            found = (self.path / name).stat()
+            return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+        return None
+
     def replace(self, name: str, content: bytes) -> None:
         file = self.path / name
         temporary = file.with_name(TEMPORARY + file.name)
@@ -254,7 +289,7 @@ class Directory(Place):
 
     @contextlib.contextmanager
     def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
-        file = self.path / name
+        file = self.path / part(name, max(len(self._parts(name)) - 1, 0))
         if file.exists():
             whole = file.read_bytes().rpartition(b"\n")
             os.truncate(file, len(whole[0]) + len(whole[1]))
@@ -309,11 +344,12 @@ def this_process() -> str:
 
 
 def _append(descriptor: int, line: bytes) -> None:
-    """Append a line, whole or not at all."""
+    """Append a line for good, whole or not at all."""
     size = os.fstat(descriptor).st_size
     try:
         if os.write(descriptor, line) < len(line):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fsync(descriptor)
     except BaseException:
         with contextlib.suppress(OSError):
             os.ftruncate(descriptor, size)

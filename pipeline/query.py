@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import sim
-from pipeline.dataset import NULLABLE, dataset, frame, near, not_recorded, plain_type, reading
+from pipeline.dataset import NULLABLE, dataset, frame, near, not_recorded, plain_type, reading, rows_that_failed
 from pipeline.errors import QueryError
 from pipeline.manifest import dataset_scene, read_manifest
 from pipeline.place import Where, place_of
@@ -262,9 +262,7 @@ def by_threshold(path: Where) -> Iterator[tuple[str, float, NDArray[np.float64],
 
 def reasons(path: Where, shard: str) -> dict[str, int]:
     """Why members of one shard failed, and how many for each reason, the most frequent first."""
-    with reading(path):
-        failed = dataset(path, [shard]).to_table(["reason"], filter=pc.field("outcome") == "failed")
-    return dict(Counter(failed["reason"].to_pylist()).most_common())
+    return dict(Counter(reason for _, reason in rows_that_failed(path, [shard])).most_common())
 
 
 def _rows(path: Where, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:

@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -184,9 +185,13 @@ class Result:
     pid: int
 
 
+#: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
+_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("members", "plan", "scene", "shards")]
+
+
 def program() -> str:
-    """What the numbers come from: the version of stickslip, and a digest of the sources that compute."""
-    return f"{version('stickslip')}-{source_digest()}"
+    """What the numbers come from: the version of stickslip, and a digest of the sources that determine them."""
+    return f"{version('stickslip')}-{source_digest(*_DETERMINING)}"
 
 
 def compute(batch: Batch, recording: Recording) -> Result:

@@ -6,13 +6,14 @@ import contextlib
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from itertools import count
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 
 from pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
-from pipeline.errors import QueryError
+from pipeline.errors import QueryError, printable
 from pipeline.manifest import dataset_scene
 from pipeline.place import Where
 from pipeline.shards import scalars
@@ -89,7 +90,8 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
     (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
     n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
     scene records them, `events` (member_id, t, block, mode), `separation` (member_id, t, distance) and `thresholds`
-    (member_id, threshold, t, n_stick).
+    (member_id, threshold, t, n_stick). Where columns of an answer share a name, as in ``SELECT member_id, *``, the
+    second is called `member_id_1`.
 
     Raises
     ------
@@ -128,16 +130,27 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
 
             ask(lambda: _check(connection.extract_statements(query)))
             batches = ask(lambda: _reader(connection.sql(query)))
+            schema = _named_apart(batches.schema)
             # the first rows come here: what is wrong with a query shows before anything is handed over
             first = ask(lambda: next(iter(batches), None))
 
             def rest() -> Iterator[pa.RecordBatch]:
                 batch = first
                 while batch is not None:
-                    yield batch
+                    yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
                     batch = ask(lambda: next(iter(batches), None))
 
-            yield pa.RecordBatchReader.from_batches(batches.schema, rest())
+            yield pa.RecordBatchReader.from_batches(schema, rest())
+
+
+def _named_apart(schema: pa.Schema) -> pa.Schema:
+    """The columns of an answer; of those that share a name, the second is `name_1`, as DuckDB calls it in a table."""
+    taken, names = set(schema.names), list[str]()
+    for name in schema.names:
+        free = (f"{name}_{k}" for k in count(1))
+        names.append(name if name not in names else next(other for other in free if other not in taken))
+        taken.add(names[-1])
+    return pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
 
 
 def _heard(aside: Executor, connection: Any, work: Callable[[], Any]) -> Any:
@@ -188,4 +201,4 @@ def _explained(duckdb: Any, path: Where, names: list[str]) -> Iterator[None]:
             raise not_recorded(asked[1].lower()) from error
         unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
         words = f"; a query reads the views {', '.join(names)}, and nothing else" if unknown else ""
-        raise QueryError(f"query: {str(error).strip()}{words}") from error
+        raise QueryError(f"query: {printable(str(error).strip())}{words}") from error

@@ -1,4 +1,4 @@
-"""Writing a dataset: one owner, atomic commits, a manifest that alone decides what is done."""
+"""Writing a dataset: one owner, atomic commits, a manifest and its record that alone decide what is done."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
 
@@ -90,6 +90,7 @@ class Store:
         self._retry_failed, self._accept_version = retry_failed, accept_version
         self._held = contextlib.ExitStack()
         self._lost = False
+        self._record: Callable[[bytes], None] | None = None
 
     @property
     def done(self) -> frozenset[str]:
@@ -119,8 +120,12 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with unbroken():
-            self._held.close()
+        with unbroken(), self._held:
+            if error is None and self._record is not None:  # else the manifest and its record hold good
+                self._manifest.recorded_from = None
+                with _explained(self.place):
+                    self._hold.check()
+                    self.place.replace(MANIFEST, self._manifest.to_bytes())
 
     def _sweep(self) -> None:
         """Leave no trace of a commit that is cut short; what takes too long is left to the next run."""
@@ -155,7 +160,7 @@ class Store:
         names = self.place.names()
         if MANIFEST not in names:
             # a crash before the first manifest leaves no more than these
-            if all(name in (LOCK, DATA) or name.startswith(TEMPORARY) for name in names):
+            if all(name in (LOCK, DATA, TIMINGS) or name.startswith(TEMPORARY) for name in names):
                 return self._fresh
             return self._recorded(
                 StoreError(
@@ -164,7 +169,7 @@ class Store:
                 )
             )
         try:
-            manifest = read_manifest(self.place)
+            manifest = read_manifest(self.place, is_forgiving=True)
         except DamagedManifest as error:
             return self._recorded(error)
         return manifest if manifest.scene_hash == self.scene.hash else self._grown(manifest)
@@ -271,17 +276,20 @@ class Store:
         with unbroken():
             for leftover in self._leftovers(manifest):
                 self.place.remove(leftover)
+            manifest.recorded_from = None
+            if self.todo:
+                self._record = self._held.enter_context(self.place.record(TIMINGS))
+                manifest.recorded_from = len(self.place.read_record(TIMINGS))
             # the manifest first: it makes the directory a dataset
             self.place.replace(MANIFEST, manifest.to_bytes())
             self.place.replace(SCENE, self.source)
-            self._record = self._held.enter_context(self.place.record(TIMINGS))
 
     def note(self, line: str) -> None:
         """Leave a word in the lock, for those who look who is writing."""
         self._hold.note(line)
 
     def commit(self, result: Result) -> None:
-        """Make a shard part of the dataset: bytes, name, record, manifest, each in one step, in this order.
+        """Make a shard part of the dataset: its bytes, its name, its line of the record, each in one step.
 
         Raises
         ------
@@ -304,17 +312,15 @@ class Store:
             "program": result.program,
             "entry": shard.model_dump(),
         }
-        before = self._manifest.shards.get(result.name)
+        assert self._record is not None  # there is something to do
         with unbroken(), _explained(self.place):
             self._hold.check()
             try:
                 self.place.replace(f"{DATA}/{result.name}", result.shard)
                 self._record((checked_line(record) + "\n").encode())
                 self._manifest.shards[result.name] = shard
-                self.place.replace(MANIFEST, self._manifest.to_bytes())
             except BaseException:
-                if before is None:
-                    self._manifest.shards.pop(result.name, None)
+                if result.name not in self._manifest.shards:
                     self._remove(f"{DATA}/{result.name}")
                 raise
 

@@ -36,11 +36,11 @@ _SOURCES = Path(__file__).parent
 
 
 @cache
-def source_digest() -> str:
-    """Digest of the sources of ``sim``, as this process loaded them: the same sources compute the same numbers."""
+def source_digest(*others: Path) -> str:
+    """Digest of the sources of ``sim`` and of some others, as this process loaded them: the same compute the same."""
     digest = hashlib.sha256()
-    for source in sorted(_SOURCES.glob("*.py")):
-        digest.update(source.name.encode())
+    for source in (*sorted(_SOURCES.rglob("*.py")), *others):
+        digest.update(f"{source.parent.name}/{source.name}".encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 

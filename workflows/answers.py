@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from pipeline import QueryError
 from pipeline.dataset import frame
+from pipeline.errors import printable
 from pipeline.place import Directory, Where, place_of
 from workflows.parser import NO_FOLDER
 
@@ -95,9 +96,9 @@ def _table(batches: pa.RecordBatchReader) -> str:
         n_rows += batch.num_rows
     table = pa.Table.from_batches(kept, batches.schema)
     if not n_rows:
-        return f"no rows ({', '.join(batches.schema.names)})\n"
+        return printable(f"no rows ({', '.join(batches.schema.names)})\n")
     more = f"... {n_rows - _SHOWN} rows more: --format csv has them all\n" if n_rows > _SHOWN else ""
-    return frame(table).to_string(index=False, na_rep="") + "\n" + more
+    return printable(frame(table).to_string(index=False, na_rep="")) + "\n" + more
 
 
 def _flat(schema: pa.Schema) -> None:

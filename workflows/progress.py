@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
+from pipeline.errors import printable
 from pipeline.live import Follower, View
 from pipeline.place import Where
 
@@ -132,7 +133,7 @@ def _status_lines(view: View) -> list[str]:
         lines += [f"dask    {view.running.dashboard}"] * (view.running.dashboard is not None)
     elif not found.is_complete:
         lines.append("running nothing: run the scene again to go on")
-    return lines + [f"failed  {count}: {reason}" for reason, count in found.failures.items()]
+    return lines + [f"failed  {count}: {printable(reason)}" for reason, count in found.failures.items()]
 
 
 class Watch:

@@ -44,7 +44,7 @@ class Cloud:
         """Every byte of a dataset but the timings, by object."""
         listed = ElementTree.fromstring(ask(f"{self._address}/bucket?list-type=2&prefix={name}/"))
         keys = [key.text or "" for key in listed.iter("{http://s3.amazonaws.com/doc/2006-03-01/}Key")]
-        names = {key.removeprefix(f"{name}/"): key for key in keys if not key.endswith("/timings.jsonl")}
+        names = {key.removeprefix(f"{name}/"): key for key in keys if "/timings" not in key}
         return {rest: ask(f"{self._address}/bucket/{key}") for rest, key in names.items()}
 
     def check(self, name: str) -> None:

@@ -63,7 +63,11 @@ def content(path: Path) -> dict[str, bytes]:
     """Every byte of a dataset but the timings and the report, by file."""
     files = [file for file in path.rglob("*") if file.is_file() and file.relative_to(path).parts[0] != "report"]
     names = {str(file.relative_to(path)): file for file in files}
-    return {name: file.read_bytes() for name, file in names.items() if name not in ("timings.jsonl", "report.html")}
+    return {
+        name: file.read_bytes()
+        for name, file in names.items()
+        if not name.startswith("timings") and name != "report.html"
+    }
 
 
 @dataclass

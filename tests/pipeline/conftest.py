@@ -85,7 +85,7 @@ def content():
     """Every byte of a dataset but the timings, by file."""
 
     def read(path):
-        files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != "timings.jsonl")
+        files = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("timings"))
         return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
     return read

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from pipeline import batches, expand, parse_scene
+
+ROOT = Path(__file__).parents[2]
 
 
 def by_id(scene):
@@ -113,6 +120,64 @@ def test_no_two_draws_share_their_numbers(scene):
     ratios = {(m.n, m.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
     shares = [value / 3.5 - 1 for value in systems.values()] + [1 - value for value in ratios.values()]
     assert len(np.unique(np.round(shares, 12))) == len(shares) == 18
+
+
+def drawn(purpose, seed, *key):
+    """The generator of a draw, by the documented key: purpose, n, matrix, and which draw of that purpose."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose, *key)))
+
+
+def test_each_draw_is_numpys_own_under_its_key(source):
+    """Not frozen from here: numpy draws them anew, so that another key, order or purpose shows."""
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed = {seed}")
+    kappa, rho, size = 0.2, 3.5, 0.05
+    scene = change(
+        source,
+        seed=("seed = 7", f"seed = {seed}"),
+        draws=("sizes = [0.05, 0.01]", "sizes = [0.05, 0.01]\ndraws = 2\n[twins]\nsizes = [1e-3]"),
+    )
+    members = by_id(scene)
+    n, matrix = 5, 2  # not the same, for a key has both
+    own = members["n5-m002-coulomb-1e-10"].system()
+    rng = drawn(0, seed, n, matrix)
+    damping, u = rng.uniform(rho, 2 * rho, n), rng.uniform(-kappa, kappa, (n, n))
+    stiffness = (u - u.T) / 2 + np.diag(np.abs(np.diag(u)))
+    assert np.array_equal(own.damping, damping)
+    assert np.array_equal(own.stiffness, stiffness)
+
+    moved = members["n5-m002-p0.05-d1-coulomb-1e-10"].system()
+    rng = drawn(1, seed, n, matrix, 1)
+    dr, du = rng.uniform(-size * rho, size * rho, n), rng.uniform(-size * kappa, size * kappa, (n, n))
+    assert np.array_equal(moved.damping, damping + dr)
+    assert np.array_equal(moved.stiffness, stiffness + (du - du.T) / 2 + np.diag(np.diag(du)))
+
+    ratios = members["n5-m002-sigmoid-0.03-u1-1e-8-1e-8-c1"].ratios()
+    assert np.array_equal(ratios, 1.0 - drawn(2, seed, n, matrix, 1).random(n))
+
+    z, w = members["n5-m002-t0.001-coulomb-1e-10"].start()
+    by = drawn(3, seed, n, matrix).standard_normal((2, n))
+    by *= 1e-3 / np.sqrt((by**2).sum() / n)
+    assert z == pytest.approx(-0.7 + by[0], rel=1e-14)
+    assert w == pytest.approx(-0.4 + by[1], rel=1e-14)
+
+
+@pytest.mark.parametrize("room", ["sim/coupling.py", "sim/new/deeper.py", "pipeline/members.py", "pipeline/scene.py"])
+def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
+    """Data of two sets of draws are never mixed: a change of any of these sources is another program."""
+    for folder in ("sim", "pipeline"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def program():
+        asked = [sys.executable, "-c", "from pipeline.shards import program; print(program())"]
+        found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
+        return found.stdout
+
+    before = program()
+    (tmp_path / room).parent.mkdir(exist_ok=True)
+    with (tmp_path / room).open("a") as source:
+        source.write("\nCHANGED = 1\n")
+    assert program() != before
 
 
 def test_settings_reach_the_engine(source, monkeypatch):

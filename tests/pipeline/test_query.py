@@ -134,8 +134,50 @@ def test_a_shard_that_is_not_in_the_manifest_is_not_read(copy):
     (copy / "data" / "shard-00099-0123456789ab.parquet").write_bytes(first.read_bytes())
     assert not query.members(copy)["member_id"].duplicated().any()
     first.unlink()
-    with pytest.raises(StoreError, match=r"cannot be read.*run the scene again"):
+    with pytest.raises(StoreError, match=rf"{first.name}: missing; run the scene again"):
         query.members(copy)
+
+
+READERS = {
+    "members": query.members,
+    "table": query.table,
+    "dask": lambda path: query.dask_members(path).compute(scheduler="threads"),
+    "series": lambda path: list(query.series(path)),
+    "all_events": lambda path: list(query.all_events(path)),
+    "n_stick": lambda path: query.n_stick(path, "n3-m000-coulomb-1e-10"),
+    "events": lambda path: query.events(path, "n3-m000-coulomb-1e-10"),
+    "sql": lambda path: query.sql(path, "SELECT avg(n_exits) FROM members"),
+    "sql, after the first rows": lambda path: query.sql(path, "SELECT member_id FROM members, range(20000)"),
+}
+
+
+@pytest.mark.parametrize("way", ["another shard", "a flip in its footer", "missing"])
+@pytest.mark.parametrize("reader", READERS)
+def test_a_shard_is_what_was_written_or_no_answer(way, reader, copy):
+    """Parquet's checksums cover its pages alone, and none says which shard a file is."""
+    READERS[reader](copy)  # and what was found whole is looked at again
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed = {seed}")
+    random = np.random.default_rng(seed)
+    victim, other = sorted((copy / "data").iterdir())[-1:-3:-1]
+    spoilt = bytearray(victim.read_bytes())
+    spoilt[-8 - int(random.integers(int.from_bytes(spoilt[-8:-4], "little")))] ^= 1 << int(random.integers(8))
+    victim.unlink()
+    if way != "missing":
+        victim.write_bytes(other.read_bytes() if way == "another shard" else spoilt)
+    with pytest.raises(
+        StoreError, match=rf"^[^\n]*{victim.name}: (expected|missing)[^\n]*; run the scene again[^\n]*$"
+    ):
+        READERS[reader](copy)
+
+
+def test_columns_that_share_a_name_are_told_apart(finished):
+    once = query.sql(finished, "SELECT * FROM members")
+    twice = query.sql(finished, "SELECT member_id, *, n AS member_id_1 FROM members")
+    assert list(twice) == ["member_id", "member_id_2", *list(once)[1:], "member_id_1"]
+    assert list(twice["member_id"]) == list(twice["member_id_2"]) == list(once["member_id"])
+    joined = query.sql(finished, "SELECT * FROM n_stick a JOIN n_stick b USING (t) WHERE a.t = 0")
+    assert list(joined) == ["member_id", "t", "n_stick", "member_id_1", "n_stick_1"]
 
 
 def test_sql_agrees_with_arrow(finished):

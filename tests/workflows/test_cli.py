@@ -115,6 +115,30 @@ def test_an_answer_as_parquet(dataset, tmp_path, capsysbinary):
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_columns_that_share_a_name_can_be_read_in_every_form(dataset, tmp_path, capsys):
+    for form in ("table", "csv", "parquet"):
+        asked = ["query", str(dataset), "SELECT member_id, member_id FROM members", "--format", form]
+        assert main([*asked, "--out", str(tmp_path / form)]) == 0
+    assert (tmp_path / "table").read_text().split()[:2] == ["member_id", "member_id_1"]
+    for frame in (pd.read_csv(tmp_path / "csv"), pd.read_parquet(tmp_path / "parquet")):
+        assert list(frame) == ["member_id", "member_id_1"]
+        assert list(frame["member_id"]) == list(frame["member_id_1"])
+
+
+def test_a_terminal_is_told_nothing_by_data(dataset, tmp_path, capsys):
+    asked = """SELECT 'a' || chr(27) || '[2Jé' AS "x\x1b[31m", [chr(155), chr(8238)] AS y, chr(7) AS z"""
+    assert main(["query", str(dataset), asked]) == 0
+    out = capsys.readouterr().out
+    assert all(c.isprintable() or c == "\n" for c in out)
+    for words in (r"x\x1b[31m", r"a\x1b[2Jé", r"\x9b", r"\u202e", r"\x07"):
+        assert words in out
+    assert main(["query", str(dataset), "SELECT chr(27)::INTEGER"]) == 2
+    assert "\x1b" not in capsys.readouterr().err
+    file = tmp_path / "a.csv"
+    assert main(["query", str(dataset), "SELECT chr(27) AS a", "--out", str(file)]) == 0
+    assert file.read_bytes() == b'"a"\n"\x1b"\n'  # for programs, as it is
+
+
 def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
     assert main(["query", str(dataset), "SELECT range FROM range(1234)"]) == 0
     lines = capsys.readouterr().out.splitlines()
