@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline import verify
+from pipeline import Progress, StoreError, parse_scene, query, run_scene, status, verify
 from tests.faults.registry import fault
 from tests.faults.world import World, content
 
@@ -87,6 +90,129 @@ def damaged_scene_and_record(world: World, count: int) -> int:
         out = world.copy()
         ways[k % len(ways)](world, out / "scene.toml")
         ways[k // len(ways) % len(ways)](world, out / "timings.jsonl")
+        world.resume(out)
+    return count
+
+
+#: Questions that together need all of a shard, and a scene's own keys; each ends in one line, whatever became of it.
+_QUESTIONS = (
+    lambda out: query.table(out).to_pydict(),
+    lambda out: query.sql(out, "SELECT engine, count(*) AS many, sum(n_exits) AS exits FROM members GROUP BY ALL"),
+    lambda out: query.sql(out, "SELECT count(*) AS many, sum(t) AS sum FROM n_stick"),
+    lambda out: [(member_id, t.tolist(), n.tolist()) for member_id, t, n in query.series(out)],
+    lambda out: query.dask_members(out).compute(scheduler="sync"),
+    status,
+)
+
+
+def _ask(out: Path) -> list[str]:
+    """What each question is told, in text."""
+    told = []
+    for question in _QUESTIONS:
+        try:
+            told.append(repr(question(out)).replace(str(out), "OUT"))
+        except StoreError as error:
+            told.append(f"refused: {error}")
+    return told
+
+
+def _asked(world: World, outs: list[Path]) -> list[list[str]]:
+    """What each dataset's questions are told, in a process that has seen none of them before."""
+    said = world.directory / "told.json"
+    assert world.fork(lambda: said.write_text(json.dumps([_ask(out) for out in outs])), timeout=300.0) == 0
+    return json.loads(said.read_text())
+
+
+def _right_or_refused(world: World, count: int, spoil: Callable[[Path], Path]) -> int:
+    """Spoil a copy by `spoil`, which names the file: each answer is the undisturbed one or a line that names it."""
+    for first in range(0, count, 50):
+        outs = [world.copy(f"out{k}") for k in range(first, min(first + 50, count))]
+        files = [spoil(out) for out in outs]
+        right, *found = _asked(world, [world.undisturbed, *outs])
+        assert not any(told.startswith("refused") for told in right), right
+        for out, file, answers in zip(outs, files, found, strict=True):
+            for told, want in zip(answers, right, strict=True):
+                is_refusal = told.startswith(f"refused: {file}: ") and "\n" not in told and " again" in told
+                assert told == want or is_refusal, (file, told[:500])
+            world.resume(out)
+            shutil.rmtree(out)
+    return count
+
+
+@fault(quick=10, full=500, timeout=900)
+def flipped_footer_asked(world: World, count: int) -> int:
+    """A bit flipped in the footer of a shard, which Parquet's checksums do not cover."""
+
+    def spoil(out: Path) -> Path:
+        file = world.random.choice(sorted((out / "data").iterdir()))
+        spoilt = bytearray(file.read_bytes())
+        length = 8 + int.from_bytes(spoilt[-8:-4], "little")
+        spoilt[-world.random.randint(1, length)] ^= 1 << world.random.randrange(8)
+        file.write_bytes(spoilt)
+        return file
+
+    return _right_or_refused(world, count, spoil)
+
+
+@fault(quick=10, full=500, timeout=900)
+def flipped_anywhere_asked(world: World, count: int) -> int:
+    """A bit flipped anywhere in a dataset."""
+
+    def spoil(out: Path) -> Path:
+        files = sorted(file for file in out.rglob("*") if file.is_file())
+        (file,) = world.random.choices(files, [file.stat().st_size for file in files])
+        _flip(world, file)
+        return file
+
+    return _right_or_refused(world, count, spoil)
+
+
+@fault(quick=2, full=40, timeout=300)
+def swapped_shard_asked(world: World, count: int) -> int:
+    """A shard of the same members under another seed, or a neighbour, in the place of one."""
+    other = world.directory / "other"
+    source = world.source.replace(b"seed = 7", b"seed = 8")
+    assert source != world.source
+    assert world.fork(lambda: run_scene(parse_scene(source), source, other, workers=0)) == 0
+    shards = sorted((world.undisturbed / "data").iterdir())
+    foreign = sorted((other / "data").iterdir())
+    done = 0
+
+    def spoil(out: Path) -> Path:
+        nonlocal done
+        done += 1
+        k = world.random.randrange(1, len(shards))
+        file = out / "data" / shards[k].name
+        shutil.copy(foreign[k] if done % 2 else shards[k - 1], file)
+        return file
+
+    return _right_or_refused(world, count, spoil)
+
+
+@fault(quick=6, full=60, timeout=600)
+def damaged_record_of_a_killed_run(world: World, count: int) -> int:
+    """A run is killed and its record truncated or flipped: what is told holds of a run that goes on; then it does."""
+    for k in range(count):
+        out = world.directory / "killed"
+        shutil.rmtree(out, ignore_errors=True)
+        n_shards = world.random.randint(2, len(world.reference) - 3)
+
+        def killed(out: Path = out, n_shards: int = n_shards) -> None:
+            def look(progress: Progress) -> None:
+                if progress.n_shards_done == n_shards:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+            run_scene(world.scene, world.source, out, workers=0, on_progress=look)
+
+        assert world.fork(killed) == -signal.SIGKILL
+        before = world.copy("before", out)
+        (_truncate, _flip)[k % 2](world, out / "timings.jsonl")
+        (whole,), (told,) = _asked(world, [before]), _asked(world, [out])
+        for answer, want in zip(told, whole, strict=True):
+            is_refusal = answer.startswith(f"refused: {out / 'timings.jsonl'}: ") and " again" in answer
+            assert answer == want or is_refusal or not k % 2, answer[
+                :500
+            ]  # cut short it is that of an earlier moment
         world.resume(out)
     return count
 

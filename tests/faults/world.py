@@ -99,11 +99,11 @@ class World:
     def run(self, out: Path | str) -> None:
         run_scene(self.scene, self.source, out, workers=0)
 
-    def copy(self, name: str = "out") -> Path:
-        """A copy of the undisturbed dataset, to be spoilt."""
+    def copy(self, name: str = "out", of: Path | None = None) -> Path:
+        """A copy of a dataset, the undisturbed one if none is named, to be spoilt."""
         out = self.directory / name
         shutil.rmtree(out, ignore_errors=True)
-        return Path(shutil.copytree(self.undisturbed, out))
+        return Path(shutil.copytree(of or self.undisturbed, out))
 
     # ------------------------------------------------------------------------------- processes
 

@@ -20,7 +20,19 @@ import pytest
 
 import pipeline
 import sim
-from pipeline import Progress, StoreError, expand, parse_scene, query, run_member, run_scene, status, verify
+from pipeline import (
+    Progress,
+    StoreError,
+    expand,
+    objects,
+    parse_scene,
+    place,
+    query,
+    run_member,
+    run_scene,
+    status,
+    verify,
+)
 from pipeline.manifest import read_manifest
 from pipeline.place import Directory
 from pipeline.shards import SCHEMA, Recording, compute, scalars
@@ -481,6 +493,52 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
     run_scene(scene, source, copy, workers=0)
     assert content(copy) == content(finished)
     assert sum(file.stat().st_mtime_ns == kept[file] for file in kept) == 3
+
+
+@pytest.mark.parametrize("where", ["{tmp_path}/out", "memory://bucket/written"])
+def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.members.TARGET_COST", 1e-9)  # a member each
+    monkeypatch.setattr("sim.simulate", None)  # a row that says so
+    written = []
+
+    def counting(function, position):
+        def counted(*arguments):
+            written.append(len(arguments[position]))
+            return function(*arguments)
+
+        return counted
+
+    monkeypatch.setattr(place.Directory, "replace", counting(place.Directory.replace, 2))
+    monkeypatch.setattr(objects.Prefix, "replace", counting(objects.Prefix.replace, 2))
+    monkeypatch.setattr(place, "_append", counting(place._append, 1))
+    overhead = {}
+    for matrices in (3, 6, 12):
+        written.clear()
+        grown = source.replace(b"matrices = 3", f"matrices = {matrices}".encode())
+        found = run_scene(parse_scene(grown), grown, f"{where.format(tmp_path=tmp_path)}{matrices}", workers=0)
+        overhead[found.n_shards] = sum(written) - found.n_bytes
+    print(overhead)  # bytes by number of shards
+    few, more, many = overhead.values()
+    assert many - more < 2.2 * (more - few)
+
+
+def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, scene, source, content, finished):
+    whole, record = read_manifest(copy), (copy / "timings.jsonl").read_bytes()
+    lines = record.splitlines(keepends=True)
+    began = whole.model_copy(update={"shards": {}, "recorded_from": len(lines[0])})
+    (copy / "manifest.json").write_bytes(began.to_bytes())
+    (copy / "timings.jsonl").write_bytes(record[:-20])  # cut short by a crash
+    assert set(read_manifest(copy).shards) == {json.loads(line)["shard"] for line in lines[1:-1]}
+    assert len(query.members(copy)) == sum(shard.rows for shard in read_manifest(copy).shards.values())
+    for spoilt in (record.replace(b'"rows"', b'"rowz"'), lines[0][:-5]):
+        (copy / "timings.jsonl").write_bytes(spoilt)
+        for look in (status, verify, query.members):
+            with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; run the scene again"):
+                look(copy)
+    (copy / "timings.jsonl").write_bytes(record.replace(b'"rows"', b'"rowz"', 2))
+    run_scene(scene, source, copy, workers=0)
+    assert content(copy) == content(finished)
+    assert read_manifest(copy).recorded_from is None
 
 
 def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, source):
