@@ -85,7 +85,7 @@ def _check(place: Place, shards: Mapping[str, Shard | None]) -> None:
         for (name, shard), content in zip(new.items(), place.read_each([files[name] for name in new]), strict=True):
             problem = shard.damage(content) if shard is not None else "not in the manifest any more"
             if shard is None or problem:
-                raise StoreError(f"{place.named(files[name])}: {problem}; run the scene again to compute it anew")
+                raise StoreError(f"{place.named(files[name])}: {problem}; run the scene again to rebuild it")
             _found_whole[place.named(files[name])] = (shard.sha256, marks[name])
 
 

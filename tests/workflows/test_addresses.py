@@ -69,7 +69,9 @@ def test_what_the_store_refuses_is_one_line(server, tmp_path, capsys):
     try:
         assert main(["status", "s3://bucket/out"]) == 1
         err = capsys.readouterr().err
-        assert err.startswith("stickslip: s3://bucket/out/manifest.json: cannot be read (")  # in the words of the store
+        assert err.startswith(
+            "stickslip: s3://bucket/out/manifest.json: cannot be read ("
+        )  # in the words of the store
         assert err.endswith("); check the address, the credentials and the network\n")
         assert err.count("\n") == 1
     finally:
