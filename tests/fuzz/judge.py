@@ -51,7 +51,7 @@ class Verdict:
 
 
 @contextmanager
-def patience(seconds: float = _PATIENCE) -> Iterator[None]:
+def patience(seconds: float) -> Iterator[None]:
     """Raise `Endless` after so much time of this process."""
 
     def stop(*_: object) -> None:
@@ -205,7 +205,7 @@ class _Judge:
         if truth.delta is not None:
             settings["ratio"] = truth.delta / self.trial.settings["eps"]
         try:
-            with patience():
+            with patience(_PATIENCE):
                 return self._run(
                     system, case.z0, case.w0, t_end or self.trial.t_end, engine=self.trial.engine, **settings
                 )

@@ -4,6 +4,8 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from itertools import count
 
 import numpy as np
 import pytest
@@ -11,10 +13,10 @@ import pytest
 from sim import EventSeries, Run, System, draw_system, simulate
 from sim.run import Samples
 from tests.fuzz import judge as judging
-from tests.fuzz.draw import Trial
+from tests.fuzz.draw import Trial, draw
 from tests.fuzz.judge import judge
 from tests.fuzz.series import compare
-from tests.fuzz.workers import verdicts
+from tests.fuzz.workers import judge_case, verdicts
 from tests.independent import Case
 
 DRAWN = draw_system("antisymmetric", 4, seed=3)
@@ -150,3 +152,13 @@ LINE = [(0.0, 1), (2.0, 0), (5.0, -1)]
 )
 def test_series_are_compared_as_far_as_they_are_certain(seen, changed, kind):
     assert compare(seen, LINE, changed, slack=1e-8, shortest=1e-4, t_end=10.0)[0] == kind
+
+
+def test_a_short_run():
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"python -m tests.fuzz --seed {seed}")
+    found = dict(verdicts(partial(judge_case, seed), count(), 1, time.monotonic() + 10))
+    failed = {k: verdict.failures for k, verdict in found.items() if verdict.failures}
+    wrong = {k: failures for k, failures in failed.items() if draw(seed, k).engine == "coulomb"}
+    assert found
+    assert wrong == {}, f"python -m tests.fuzz --seed {seed} --case {next(iter(wrong))}"
