@@ -2,11 +2,12 @@
 
     z' = w,    w' = -R w - N w - K z - mu tanh((w - v) / delta)        (N: off the diagonal of the damping, if given)
 
-All stiffness (up to mu / delta) sits in one scalar function a block, and K is small beside 1 / h^2. So an
-L-stable, stiffly accurate ESDIRK method needs no linear algebra: with K z taken at a predicted stage value (off
-by (h gamma) K times the predictor's error, O(h^5) in w), each stage is one monotone scalar equation a block,
+All stiffness (up to mu / delta) sits in one scalar function a block, and what couples the blocks is small beside
+1 / h^2. So an L-stable, stiffly accurate ESDIRK method needs no linear algebra: with each block's own spring K_ii
+implicit, and the rest of K z taken at a predicted stage value (off by (h gamma) K times the predictor's error, O(h^5)
+in w), each stage is one monotone scalar equation a block,
 
-    a x + b tanh x = beta,    x = (w - v) / delta,    a = delta (1 + h gamma R),    b = h gamma mu,
+    a x + b tanh x = beta,   x = (w - v) / delta,   a = delta (1 + h gamma R + (h gamma)^2 K_ii),   b = h gamma mu,
 
 which Newton's method solves from any start: no Newton failure, however small delta. One product with K a stage.
 
@@ -55,11 +56,12 @@ _SOLVED = 1e-2
 _ROUGH_SHARE = 0.05
 #: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
 _MISSED = 10.0
-#: A layer is a jump to a step this many times longer than its relaxation time.
-_SHARP = 4.0
-#: The least error put down for a step across such a layer, as a share of h times the change of w'. A jump J at the
+#: A layer |w - v| < _WIDE delta is a jump to a step in which w moves by more than _SHARP delta, however it moves: a
+#: block driven by |F| > mu passes in a time delta / |w'|, which no stage need fall into.
+_WIDE, _SHARP = 2.0, 4.0
+#: The least error put down for a step across such a layer, as a share of h times the jump J of the friction. J at the
 #: fraction theta of a step leaves h J |1 - theta - sum of b_j, c_j > theta|, at most h J / 4, and the embedded
-#: estimate vanishes for some theta: now and then a step would err by hundreds of tolerances and be accepted.
+#: estimate vanishes for some theta: now and then a step would err by thousands of tolerances and be accepted.
 _CROSSED = 0.02
 _NEWTON_MAX = 400
 #: What a sweep over N may leave of the error of a stage, and how many there may be: from any error to rounding.
@@ -71,8 +73,10 @@ _STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
 
 
 @inner
-def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # type: ignore[no-untyped-def]
+def _solve_stage(law, springs, guess, h, base, coupling, x, beta, low, w, rate, allowed):  # type: ignore[no-untyped-def]
     """Solve w = base + h gamma w'(w) for all blocks from a guess x of (w - v) / delta.
+
+    `coupling` is K z with z by the speeds `guess`; each block's own spring in `springs` is taken at w itself.
 
     In |x| the function a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to
     the root, from the right its first step lands left of it, and `low` bounds how far left. `x`, `beta` and `low`
@@ -82,9 +86,10 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
     n = len(w)
     step = h * GAMMA
     for i in range(n):
-        grow = 1.0 + step * damping[i]
+        pull = step * step * springs[i]
+        grow = 1.0 + step * damping[i] + pull
         a, b = delta[i] * grow, step * friction[i]
-        beta[i] = base[i] - step * coupling[i] - v * grow
+        beta[i] = base[i] - step * coupling[i] + pull * guess[i] - v * grow
         size = abs(beta[i])
         linear, saturated = size / (a + b), (size - b) / a
         low[i] = saturated if saturated > linear else linear
@@ -94,7 +99,7 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
     for _ in range(_NEWTON_MAX):
         unsolved = 0  # counted, since a maximum of floats would keep the loop from being vectorised
         for i in range(n):
-            a, b = delta[i] * (1.0 + step * damping[i]), step * friction[i]
+            a, b = delta[i] * (1.0 + step * damping[i] + step * step * springs[i]), step * friction[i]
             y = x[i]
             tanh = tanh_positive(y)
             residual = a * y + b * tanh - abs(beta[i])
@@ -110,9 +115,21 @@ def _solve_stage(law, h, base, coupling, x, beta, low, w, rate, allowed):  # typ
 
 
 @inner
+def _touches(y0, d0, y1, d1, wide):  # type: ignore[no-untyped-def]
+    """Whether a cubic that begins and ends on one side of a layer comes into it between."""
+    side = math.copysign(1.0, y0)
+    if min(side * (y0 + d0 / 3.0), side * (y1 - d1 / 3.0)) > wide:
+        return False
+    closest = wide + 1.0
+    for k in range(1, 8):
+        closest = min(closest, side * between(y0, d0, y1, d1, 0.125 * k))
+    return closest <= wide
+
+
+@inner
 def _step(  # type: ignore[no-untyped-def]
-    law, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z, new_w,
-    fixed, change, rtol, atol, moving, single, counters,
+    law, springs, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z,
+    new_w, guess, fixed, change, rtol, atol, moving, single, counters,
 ):  # fmt: skip
     """One trial step. Returns the largest error over tolerance and its block."""
     columns, damping, friction, delta, v = law
@@ -134,6 +151,7 @@ def _step(  # type: ignore[no-untyped-def]
                 new_w[i] += p * stage_rate[j, i]
         for i in range(n):
             change[i] = new_w[i] - w[i]
+            guess[i] = new_w[i]
             new_w[i] = new_z[i] + h * GAMMA * new_w[i]
             # the layer moves with its block: the last stage is the best guess inside it, harmless outside
             x[i] = (stage_w[s - 1, i] - v) / delta[i]
@@ -151,7 +169,9 @@ def _step(  # type: ignore[no-untyped-def]
                 counters[drive.N_PRODUCTS] += 1
                 for i in range(n):
                     coupling[i] += fixed[i]
-            if not _solve_stage(law, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol):
+            if not _solve_stage(
+                law, springs, guess, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol
+            ):
                 return np.inf, 0
             is_solved = True
             if is_coupled:
@@ -179,13 +199,24 @@ def _step(  # type: ignore[no-untyped-def]
         # While |F| < mu the layer attracts: a step that reaches it ends in it, or its stages missed the turn, which
         # the embedded error need not show.
         drag = damping[i] * v
-        attracts = (abs(drag + force[i]) < friction[i]) & (abs(drag + coupling[i]) < friction[i])
+        attracted, attracts = abs(drag + force[i]) < friction[i], abs(drag + coupling[i]) < friction[i]
         gap, new_gap = w[i] - v, new_w[i] - v
-        crossed = gap * new_gap < 0.0
-        if crossed and h * friction[i] > _SHARP * delta[i]:
-            x[i] = max(x[i], _CROSSED * h * abs(new_rate[i] - rate[i]) / allowed_w)
-        if attracts and abs(new_gap) > band[i] and h * friction[i] > UNRESOLVED * delta[i]:
-            reached = crossed
+        least, most = gap, gap
+        for j in range(1, STAGES):
+            least, most = min(least, stage_w[j, i] - v), max(most, stage_w[j, i] - v)
+        wide = _WIDE * delta[i]
+        if friction[i] > 0.0 and most - least > _SHARP * delta[i]:
+            passed = min(max(most, -wide), wide) - min(max(least, -wide), wide)
+            jump = friction[i] * passed / wide
+            if jump == 0.0 and _touches(gap, h * rate[i], new_gap, h * new_rate[i], wide):
+                jump = 2.0 * friction[i]
+            # of a block held at the start or the end, w keeps no error: friction bends there, or w is drawn to v
+            if (attracts and abs(new_gap) < band[i]) or (attracted and abs(gap) < band[i]):
+                x[i] = max(x[i], _CROSSED * h * h * jump / allowed_z)
+            else:
+                x[i] = max(x[i], _CROSSED * h * jump / allowed_w)
+        if attracted and attracts and abs(new_gap) > band[i] and h * friction[i] > UNRESOLVED * delta[i]:
+            reached = gap * new_gap < 0.0
             for j in range(STAGES):
                 reached = reached or abs(stage_w[j, i] - v) < band[i]
             x[i] = max(x[i], _MISSED) if reached else x[i]
@@ -198,21 +229,27 @@ def _step(  # type: ignore[no-untyped-def]
 
 @inner
 def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times up to t_next: cubics in each block's z, with slope w, and in w."""
+    """Keep the state at all sample times up to t_next: cubics in each block's z, and quartics in w.
+
+    The quartic has the values and slopes of w at both ends, and what z moves by as its integral.
+    """
     k = counters[drive.N_SAMPLED]
     while k < len(sample_t) and sample_t[k] <= t_next:
         x = min((sample_t[k] - t) / h, 1.0)
         for i in range(len(z)):
             sample_z[k, i] = between(z[i], h * w[i], new_z[i], h * new_w[i], x)
             sample_w[k, i] = between(w[i], slope0[i], new_w[i], slope1[i], x)
+            mean = (new_z[i] - z[i]) / h - 0.5 * (w[i] + new_w[i]) - (slope0[i] - slope1[i]) / 12.0
+            sample_w[k, i] += 30.0 * (x * (1.0 - x)) ** 2 * mean
         k += 1
     counters[drive.N_SAMPLED] = k
 
 
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    law, cross, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters, t_end, rtol,
-    atol, bound, sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w, stage_rate,
+    law, springs, cross, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters,
+    t_end, rtol, atol, bound, sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w,
+    stage_rate,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
@@ -221,8 +258,8 @@ def _advance(  # type: ignore[no-untyped-def]
     columns = law[0]
     n = len(z)
     band, mode = bands[0], modes[0]
-    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate, fixed, change = (
-        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10],
+    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate, fixed, change, guess = (
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10], work[11],
     )  # fmt: skip
     calm = np.empty(n, dtype=np.bool_)
     moving = np.empty(n, dtype=np.int64)
@@ -247,8 +284,8 @@ def _advance(  # type: ignore[no-untyped-def]
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
         worst, block = _step(
-            law, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z,
-            new_w, fixed, change, rtol, atol, moving, single, counters,
+            law, springs, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low,
+            new_z, new_w, guess, fixed, change, rtol, atol, moving, single, counters,
         )  # fmt: skip
         counters[drive.N_PRODUCTS] += STAGES - 1
         if not worst <= 1.0:
@@ -337,6 +374,13 @@ def integrate(
     stop_early : bool
         End a run once its collapse or its escape is certain.
 
+    Notes
+    -----
+    The error at t_end, and at the samples, is within 100 times `atol + rtol S` times the sensitivity of the motion: S
+    the largest |z_i|, |w_i| of the run, the sensitivity how far a displacement is carried, at least 1. This is tested
+    on random systems, not proved: springs to 1e3, damping 0 to 35, delta 1e-6 to 0.1, t to 20.
+    Errors of undamped stiff springs add up: theirs grows as t.
+
     Raises
     ------
     ValueError
@@ -371,6 +415,7 @@ def integrate(
         excess = np.linalg.norm(cross, 2) - _CONTRACTION * system.damping.min()
         longest = float(_CONTRACTION / (GAMMA * excess)) if excess > 0 else math.inf
     law = (system.columns, system.damping, friction, delta, v)
+    springs = np.maximum(np.asarray(system.stiffness.diagonal(), dtype=np.float64), 0.0)
     rough = ROUGH * float(system.row_sums.max())
 
     z, w = z0.copy(), w0.copy()
@@ -394,12 +439,13 @@ def integrate(
     counters[drive.N_PRODUCTS] = 2 if cross is None else 4
     collapse = fate.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
     # NaN: a value used before it was computed would show
-    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (11, STAGES, STAGES))
+    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (12, STAGES, STAGES))
 
     def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
-            law, system.cross_columns, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock,
-            counters, t_end, rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w, stage_rate,
+            law, springs, system.cross_columns, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes,
+            clock, counters, t_end, rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w,
+            stage_rate,
         )  # fmt: skip
 
     return drive.complete(
