@@ -185,11 +185,13 @@ def build(
     paper = words.paper_sentence(law)
     leading = _leading(answered, data)
     lead = [line for section in leading for line in section.lead] or _cascade_lead(rows, answered, settings)
+    alarms = [line for section in answered for line in section.alarms]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title,
         about=about,
         question=" ".join(section.question for section in leading) or QUESTION,
+        alarms=alarms,
         lead=lead,
         answer=answer,
         leading=[_rendered(section, images[section.title]) for section in leading],
@@ -212,7 +214,7 @@ def build(
         distributions=distributions,
         provenance=provenance,
     )
-    return Report(html, tables, [title, *lead])
+    return Report(html, tables, [*alarms, title, *lead])
 
 
 def _definitions(law: Sequence[Mapping[str, Any]], settings: AnalysisSettings) -> list[str]:

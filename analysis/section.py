@@ -138,6 +138,8 @@ class Section:
         The answer in as few sentences as it takes, for the head of the page and the terminal.
     method : str
         How, in two or three sentences.
+    alarms : tuple of str
+        What makes the data themselves doubtful: said before anything else on the page and the terminal.
     of_changes : bool
         Whether it is about changed copies of runs.
     assumptions : tuple of str
@@ -153,3 +155,4 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     assumptions: tuple[str, ...] = ()
     of_changes: bool = False
+    alarms: tuple[str, ...] = ()

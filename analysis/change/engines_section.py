@@ -32,6 +32,9 @@ from analysis.section import Column, Data, Rows, Section, Table
 from analysis.tables import F, I, S, typed
 
 LAW, TOLERANCE, THRESHOLD = "engines", "tolerances", "thresholds"
+#: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
+#: sigmoid differs from the exact law by O(eps), by 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
+_EXPLAINED, _SMOOTH = 2.0, 0.03
 _TOLERANCES = ("tol", "rtol", "atol")
 _SCHEMA = {
     "group": S, "setting": S, "reference": S, "threshold": F, "quantity": S, "n_matrices": I, "of_reference": F,
@@ -102,6 +105,7 @@ def engines_section(
         made = judged([one for _, one in listed], 1 - confidence)
         rows[kind] += [_completed(row, pair) for row, (pair, _) in zip(made, listed, strict=True)]
     lead, notes = _statements(rows)
+    alarms = tuple(_alarms(rows[LAW]))
     panels = [
         (setting, [row for row in some if row["setting"] == setting and row["p_equivalent"] is not None])
         for some in (rows[LAW], rows[TOLERANCE])
@@ -114,6 +118,7 @@ def engines_section(
         "statistic?",
         statements=tuple(f"{text}." for text in (*lead, *notes)),
         lead=tuple(f"{text}." for text in lead),
+        alarms=alarms,
         method=(
             "Every bias is that of a setting minus its reference, paired by matrix, on the matrices where both "
             "reached t_end. It is judged by two one-sided t tests against the declared margins: equivalent where a "
@@ -179,7 +184,7 @@ def _completed(row: dict[str, Any], pair: _Pair) -> dict[str, Any]:
         "group": pair.other.label, "setting": pair.label, "reference": pair.reference.label,
         "threshold": pair.threshold, "n_matrices": row["n_first"], "of_reference": row["first"],
         "of_reference_low": row["first_low"], "of_reference_high": row["first_high"], "value": row["second"],
-        "statement": in_words(row),
+        "statement": in_words(row), "is_suspect": pair.kind == LAW and _is_suspect(row, pair),
     }  # fmt: skip
     low, high = row["first_low"], row["first_high"]
     error = None if low is None or high is None else 0.5 * (high - low)
@@ -200,6 +205,39 @@ def _statements(rows: Mapping[str, Rows]) -> tuple[list[str], list[str]]:
     for group in dict.fromkeys(row["group"] for row in rows[THRESHOLD]):
         notes.append(_threshold_words([row for row in rows[THRESHOLD] if row["group"] == group]))
     return lead, notes
+
+
+def _is_suspect(row: Mapping[str, Any], pair: _Pair) -> bool:
+    """Whether a statistic differs between the exact law and the sigmoid by more than smoothing explains.
+
+    The rule, which is here alone: the difference is significant after adjustment, and its whole interval lies beyond
+    `_EXPLAINED` margins times max(1, eps / _SMOOTH). Where one law has none of it, there is no relative difference:
+    it is suspect if the other's interval excludes zero. Two exact or two smoothed settings are not judged.
+    """
+    if {pair.reference.key["engine"], pair.other.key["engine"]} != {"coulomb", "sigmoid"}:
+        return False
+    if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
+        low = row["second_low"] if row["first"] == 0.0 else row["first_low"]
+        return low is not None and low > 0.0
+    if row["verdict"] != DIFFERENT:
+        return False
+    allowed = _EXPLAINED * row["margin"] * max(1.0, float(pair.other.key["eps"]) / _SMOOTH)
+    return bool(row["relative_low"] > allowed or row["relative_high"] < -allowed)
+
+
+def _alarms(rows: Rows) -> Iterator[str]:
+    """One sentence for each setting of the sigmoid in which something is suspect."""
+    for setting in _settings(rows):
+        some = [row for row in rows if row["setting"] == setting and row["is_suspect"]]
+        if some:
+            first = some[0]
+            value, other = (words.number(first[name], 3) for name in ("of_reference", "value"))
+            more = f", and {words.count(len(some) - 1, 'further statistic')}" if len(some) > 1 else ""
+            yield (
+                f"The numerics are suspect, not the physics: {first['quantity']} is {value} under "
+                f"{first['reference']} and {other} under {setting}{more}; smoothing does not explain that. Check both "
+                "engines on one matrix, with tighter tolerances and less smoothing, before you use any number below."
+            )
 
 
 def _settings(rows: Rows) -> list[str]:

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis import AnalysisSettings, build
 from analysis.change.engines_section import engines_section
 from analysis.groups import groups
 from analysis.section import Data
@@ -69,3 +70,37 @@ def test_thresholds_are_set_against_the_own_definition_of_the_same_runs(planted)
 
 def test_one_setting_is_nothing_to_compare(planted):
     assert study(planted, {("coulomb", 1e-6): 0}) is None
+
+
+def alarms(planted, change, eps=0.03):
+    """Of a report on both laws, where `change` makes the exact law's series out of the sigmoid's."""
+    rows, series = [], {}
+    for matrix in range(8):
+        t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
+        for name, own, path in (
+            (f"c-{matrix}", {}, change(n_stick, np.random.default_rng([matrix, 1]))),
+            (f"s-{matrix}", planted.sigmoid | {"eps": eps}, n_stick),
+        ):
+            rows.append(planted.member(name, matrix, **own))
+            series[name] = t, path
+    settings = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins=MARGINS)
+    report = build(Data(pd.DataFrame(rows), series), settings, "A study", "", {})
+    said = "The numerics are suspect, not the physics" in report.html
+    assert said == report.headline[0].startswith("The numerics are suspect, not the physics")
+    if said:
+        assert report.html.index("The numerics are suspect") < report.html.index("<h1>")
+    return said
+
+
+def test_engines_that_disagree_beyond_smoothing_are_said_first(planted):
+    """A state that runs off to hundreds sticks never, or now and then for nothing."""
+    assert alarms(planted, lambda n_stick, _: np.zeros_like(n_stick))
+    assert alarms(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
+
+
+def test_engines_that_agree_raise_no_alarm(planted):
+    """The same, a shift of 3%, and one of 40% that eps = 0.3 may well explain."""
+    assert not alarms(planted, lambda n_stick, _: n_stick)
+    shift = round(0.03 * float(planted.runs(np.random.default_rng(0), 600, 0.69)[1].mean()))
+    assert not alarms(planted, lambda n_stick, _: n_stick + shift)
+    assert not alarms(planted, lambda n_stick, _: n_stick + 13 * shift, eps=0.3)
