@@ -235,8 +235,8 @@ def _alarms(rows: Rows) -> Iterator[str]:
             more = f", and {words.count(len(some) - 1, 'further statistic')}" if len(some) > 1 else ""
             yield (
                 f"The numerics are suspect, not the physics: {first['quantity']} is {value} under "
-                f"{first['reference']} and {other} under {setting}{more}; smoothing does not explain that. Check both "
-                "engines on one matrix, with tighter tolerances and less smoothing, before you use any number below."
+                f"{first['reference']} and {other} under {setting}{more}; smoothing does not explain that. Check "
+                "both engines on one matrix, with tighter tolerances and less smoothing, before you use any number."
             )
 
 
