@@ -94,7 +94,7 @@ def alarms(*planting, **how):
 
 def test_engines_that_disagree_beyond_smoothing_raise_an_alarm(planted):
     """A state that runs off to hundreds sticks never, or now and then for nothing."""
-    assert "mean n_stick is 0 under" in alarms(planted, lambda n_stick, _: np.zeros_like(n_stick))[0]
+    assert "mean n_stick is 0.00 under" in alarms(planted, lambda n_stick, _: np.zeros_like(n_stick))[0]
     assert alarms(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
 
 
