@@ -207,11 +207,11 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _refine(coefficients, degree, low, high):  # type: ignore[no-untyped-def]
-    """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket."""
-    value_low = horner(coefficients, degree, low)
-    if value_low == 0.0:
-        return low
+def _refine(coefficients, degree, low, high, rises):  # type: ignore[no-untyped-def]
+    """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket.
+
+    Whether the polynomial rises through it is said by the caller: at an end that is a root too, its value does not.
+    """
     x = 0.5 * (low + high)
     for _ in range(100):
         value = coefficients[degree]
@@ -221,7 +221,7 @@ def _refine(coefficients, degree, low, high):  # type: ignore[no-untyped-def]
             value = value * x + coefficients[k]
         if value == 0.0:
             return x
-        if (value < 0.0) == (value_low < 0.0):
+        if (value < 0.0) == rises:
             low = x
         else:
             high = x
@@ -265,7 +265,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             root = low + width
         elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
             top -= 1
-            root = _refine(coefficients, degree, low, low + width)
+            root = _refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
         elif depth >= _MAX_DEPTH:
             top -= 1
             root = low

@@ -516,6 +516,13 @@ def test_coulomb_determines_the_future():
             assert len(continuations(PAIR, Coulomb(), z, w)) == 1
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_at_a_fold_the_slip_is_left_out(side):
+    """|F| = mu: kinetic friction balances the force, and nothing carries the block away."""
+    assert Blowup(Coulomb(), [1.0]).continuations(side) == ()
+    assert [mode.slip.tolist() for mode in Blowup(StaticAboveKinetic(1.5), [1.0]).continuations(side)] == [[0]]
+
+
 def test_modified_law_has_two_futures_inside():
     """Section 5, figure 6(b): two stable modes; a block beside a slipping one is held to F1 = 5/4 on one side."""
     modes = continuations(PAIR, Modified(), Z_HALF, -1.0)

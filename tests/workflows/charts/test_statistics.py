@@ -215,6 +215,12 @@ def test_recorded_modes_of_one_block(rho, kappa, v, z0, w0, times, modes):
         np.testing.assert_allclose(run.events.t[lasts], times, rtol=0, atol=3 * h)
 
 
+def test_an_event_is_at_the_end_of_the_step_that_makes_it():
+    """w = 3, 1.5, 0 after steps of 0.75; the third would pass the belt's -1, and ends on it."""
+    run = moreau_jean(sim.System([[0.0]], 0.0, 2.0, -1.0), 0.0, 3.0, 3.0, 0.75)
+    assert (run.events.t.tolist(), run.events.mode.tolist(), run.w.tolist()) == ([2.25], [0], [-1.0])
+
+
 def test_recording_changes_nothing():
     """The same states to the bit as the stepper without a record, and buffers that fill in between lose nothing."""
     problem = random_problem(0, 50, 60.0, 0.03, "one")
