@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import resource
+import signal
 import time
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
@@ -11,7 +12,8 @@ from multiprocessing.connection import Connection, wait
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import Verdict, judge
 
-PATIENCE = 120.0  # seconds that a case may take before its process is killed
+PATIENCE = 600.0  # seconds that a case may take before its process is killed
+_WORK = 120.0  # seconds of its own time; a busy machine stops no case
 _MEMORY = 4 << 30  # bytes of address space beyond what the process starts with
 
 
@@ -32,7 +34,9 @@ def _serve(pipe: Connection, judged: Judged) -> None:
         size = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (size + _MEMORY, size + _MEMORY))
     while True:
-        pipe.send(judged(pipe.recv()))
+        number = pipe.recv()
+        signal.setitimer(signal.ITIMER_VIRTUAL, _WORK)  # without a handler it kills, also inside a kernel
+        pipe.send(judged(number))
 
 
 class _Worker:
@@ -64,6 +68,8 @@ class _Worker:
         except (EOFError, ConnectionResetError):
             self._process.join()
             words = f"its process died: exit code {self._process.exitcode}"
+            if self._process.exitcode == -signal.SIGVTALRM:
+                words = f"still at work after {_WORK:.0f} s of its own: killed"
         self.stop()
         self._start()
         return Verdict(failures=[words])
