@@ -97,8 +97,10 @@ def damaged_scene_and_record(world: World, count: int) -> int:
 #: Questions that together need all of a shard, and a scene's own keys; each ends in one line, whatever became of it.
 _QUESTIONS = (
     lambda out: query.table(out).to_pydict(),
-    lambda out: query.sql(out, "SELECT engine, count(*) AS many, sum(n_exits) AS exits FROM members GROUP BY ALL"),
-    lambda out: query.sql(out, "SELECT count(*) AS many, sum(t) AS sum FROM n_stick"),
+    lambda out: query.sql(
+        out, "SELECT engine, count(*) AS many, sum(n_exits) AS exits FROM members GROUP BY ALL ORDER BY ALL"
+    ),
+    lambda out: query.sql(out, "SELECT count(*) AS many, max(t) AS last FROM n_stick"),
     lambda out: [(member_id, t.tolist(), n.tolist()) for member_id, t, n in query.series(out)],
     lambda out: query.dask_members(out).compute(scheduler="sync"),
     status,
