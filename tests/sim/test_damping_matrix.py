@@ -242,7 +242,7 @@ def test_a_vanishing_cross_damping_is_none():
     tiny = System(system.stiffness, np.diag(system.damping) + 1e-13 * system.cross_damping, system.friction, -0.3)
     a, b = (simulate(s, z0, w0, 6.0, eps=0.01, **FINE) for s in (diagonal, tiny))
     assert tiny.cross_damping is not None
-    np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-8)  # |z| to 20; either is off by 3e-8, and steps may differ
     np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-6)
 
 
