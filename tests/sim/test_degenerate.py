@@ -92,12 +92,14 @@ def test_a_force_that_rests_at_its_bound_holds():
 
 @pytest.mark.parametrize("coupling", [0.0, 0.25])
 def test_two_blocks_that_reach_their_bounds_at_one_instant_both_leave(coupling):
-    """Riding at v = -1/2, F = K z falls from (0, -1/2) + coupling to -1 at t = 2 in both; all numbers are dyadic."""
-    stiffness = np.array([[1.0, coupling], [coupling, 0.5]])
-    corner = np.linalg.solve(stiffness, [-1.0, -1.0])
-    run = simulate(System(stiffness, 0.0, 1.0, -0.5), corner + 1.0, -0.5, 2.5, **EXACT)
+    """Riding at v = -1/2, F = K z falls to -1 at t = 2 in both; all numbers are dyadic. A third swings on its own."""
+    pair = np.array([[1.0, coupling], [coupling, 0.5]])
+    stiffness = np.diag([1.0, 0.5, 1 / 64])
+    stiffness[:2, :2] = pair
+    z0 = np.append(np.linalg.solve(pair, [-1.0, -1.0]) + 1.0, 1.0)
+    run = simulate(System(stiffness, 0.0, [1.0, 1.0, 0.0], -0.5), z0, [-0.5, -0.5, 1.0], 2.5, **EXACT)
     t, block, mode = run_arrays(run)
-    assert (run.events.initial_mode.tolist(), block.tolist(), mode.tolist()) == ([0, 0], [0, 1], [1, 1])
+    assert (run.events.initial_mode.tolist(), block.tolist(), mode.tolist()) == ([0, 0, 1], [0, 1], [1, 1])
     np.testing.assert_allclose(t, 2.0, rtol=1e-15)
     assert run.events.change_points()[1].tolist() == [2, 0]
 
