@@ -28,6 +28,10 @@ _EIGENVALUES_MAX = 1000
 #: Real parts closer to zero than this share of the largest eigenvalue are not told from zero.
 _EIGENVALUE_ROUNDING = 1e-12
 
+#: Eigenvectors of length one are no basis if an entry of the inverse of their matrix exceeds this: rounding, 1e-16 of
+#: it, would then decide.
+_DEFECTIVE = 1e10
+
 #: Slack for the rounding of the eigenvectors, by which what friction can hold is taken larger.
 _CERTAIN = 1.01
 
@@ -113,8 +117,8 @@ class Certificate:
 class _Modes:
     """The all-slip system A T = T Lambda.
 
-    T^-1 is infinite if A is defective. `response` bounds the |z_i| and |w_i| that unit forces on the blocks cause,
-    sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
+    T^-1 is infinite if A is defective, or too nearly so. `response` bounds the |z_i| and |w_i| that unit forces on
+    the blocks cause, sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -147,11 +151,12 @@ def _modes(system: System) -> _Modes:
         eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
         try:
             inverse = np.linalg.inv(vectors)
-            with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
-                response = (np.abs(vectors) / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        except np.linalg.LinAlgError:  # a defective matrix: no certificate by this bound
+        except np.linalg.LinAlgError:
             inverse = np.full_like(vectors, np.inf)
-            response = np.full((2 * system.n, system.n), np.inf)
+        if not np.abs(inverse).max() < _DEFECTIVE:  # no certificate by these bounds
+            inverse = np.full_like(vectors, np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
+            response = (np.abs(vectors) / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
         _MODES[system] = _Modes(eigenvalues, vectors, inverse, response)
     return _MODES[system]
 
