@@ -26,6 +26,7 @@ from tests.independent import Case, Floats, Path, Undecided, follow
 
 #: Error over tol times sensitivity beyond which a run is wrong.
 LIMIT = 100.0
+_FADED = 1e-11  # of the size of the state
 _PATIENCE = 10.0  # seconds of this process for one run
 _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
 _ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
@@ -172,6 +173,11 @@ def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Genera
     return Truth(case, times, best, unit, delta=delta)
 
 
+def _faded(run: Run, block: int, truth: Truth) -> bool:
+    """Whether a block's speed against the belt at the end is rounding, of which the reference says nothing."""
+    return bool(abs(run.w[block] - truth.case.belt_speed) <= _FADED * truth.unit[0])
+
+
 def _errors(run: Run, truth: Truth, tol: float) -> Floats:
     """At the sample times that the run reached, and at its end if that is a sample time."""
     m = len(run.samples)
@@ -261,6 +267,8 @@ class _Judge:
             others = [other[i] for other in truth.changed]
             slack, shortest = error * max(time, self.trial.t_end), 10 * np.sqrt(error) * time
             kind, words = compare(mine, its, others, slack, shortest, events.t_end)
+            if kind == "differs" and _faded(run, i, truth) and [m for _, m in its] == [*(m for _, m in mine), 0]:
+                kind = "undecided"  # it slips ever more slowly, and the reference lets it rest below its rounding
             self.verdict.notes[kind] += 1
             if kind == "differs":
                 self.verdict.fail(how, f"series of block {i}: {words}")

@@ -36,6 +36,8 @@ KAPPA_AT = 200
 
 #: Events are looked for in windows of this share of `t_most`.
 _WINDOW = 1 / 32
+#: A run that comes this far is one of a system that diverges: what it costs says nothing about cascades.
+_FAR_OUT = 1e6
 
 Settings = dict[str, Any]
 Tolerance = Annotated[float, Field(gt=1e-16, lt=1e-2)]
@@ -248,9 +250,12 @@ class _Piece:
 
     def run(self, settings: Settings) -> sim.Run:
         # to the end: whether a collapse is certain is a question of its own, with a cost of its own
-        return sim.simulate(
+        run = sim.simulate(
             self.system, self.z, self.w, self.t_end, t_start=self.t_start, stop_early=False, **settings
         )
+        if max(np.abs(run.z).max(), np.abs(run.w).max()) > _FAR_OUT:
+            return replace(run, outcome="diverged", reason=f"|z| or |w| passed {_FAR_OUT:g}")
+        return run
 
 
 _End = Literal["enough", "t_most", "rest", "diverged"]

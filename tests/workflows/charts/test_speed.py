@@ -111,7 +111,7 @@ BAD = {
         "got 'speed'",
     ),
     "unknown key": ("repeats = 1", "repeat = 1", "repeat: unknown key", "did you mean 'repeats'"),
-    "wrong type": ("t_end = 2.0", 't_end = "long"', "t_end: expected", "write `t_end = 25.0`"),
+    "wrong type": ("t_end = 2.0", 't_end = "long"', "t_end: expected", "e.g. `t_end = 25.0`"),
     "negative n": ("n = 5", "n = [5, -5]", "n[1]: expected", "got -5"),
     "missing key": ("eps = 0.03\n", "", "eps: expected the width", "add `eps = 0.03`"),
     "tolerance too fine": ("1e-5", "[1e-5, 1e-13]", "tolerances[1]: expected a value greater", "got 1e-13"),
