@@ -28,6 +28,7 @@ from tests.independent import Case, Floats, Path, Undecided, follow
 LIMIT = 100.0
 _FADED = 1e-11  # of the size of the state
 _PATIENCE = 10.0  # seconds of this process for one run
+_PATIENCE_OF_REFERENCE = 10.0  # for all of the reference's
 _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
 _ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
 _CHANGED = 3  # runs with changed start and constants
@@ -199,10 +200,10 @@ class _Judge:
 
     def truth(self, case: Case) -> Truth:
         try:
-            with patience(_PATIENCE):
+            with patience(_PATIENCE_OF_REFERENCE):
                 return self._truth(case)
         except Endless:
-            raise Undecided(f"the reference takes more than {_PATIENCE:.0f} s") from None
+            raise Undecided(f"the reference takes more than {_PATIENCE_OF_REFERENCE:.0f} s") from None
 
     def _truth(self, case: Case) -> Truth:
         if self.is_exact:
