@@ -138,7 +138,9 @@ class Coulomb(_EngineTable):
     """[[engine]] name = "coulomb": exact, event-driven."""
 
     name: Literal["coulomb"]
-    tol: Positive | None = Field(default=None, description="truncation error of a step", examples=[1e-10])
+    tol: float | None = Field(
+        default=None, gt=1e-16, lt=1e-2, description="truncation error of a step", examples=[1e-10]
+    )
 
     @property
     def draws(self) -> tuple[int | None, ...]:
@@ -155,7 +157,7 @@ class Sigmoid(_EngineTable):
         default="one", description="law of the r_i: 1, or uniform in (0, 1]", examples=["one"]
     )
     ratio_draws: Count = Field(default=1, description="number of draws of the r_i for each system", examples=[1])
-    rtol: Positive | None = Field(default=None, description="relative tolerance", examples=[1e-6])
+    rtol: float | None = Field(default=None, gt=0, lt=0.1, description="relative tolerance", examples=[1e-6])
     atol: Positive | None = Field(default=None, description="absolute tolerance", examples=[1e-8])
     stick: Literal["manifold", "threshold"] = Field(
         default="manifold",

@@ -42,6 +42,8 @@ _DECAY = 0.9
 
 #: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
 _STALL = 1000
+#: So are as many steps in a row without an event, each below this share of the shortest time scale.
+_CRAWL = 1e-6
 
 #: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
 #: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
@@ -208,6 +210,7 @@ def _advance(  # type: ignore[no-untyped-def]
         if counters[drive.N_STEPS] == 0:
             copy(mode, initial_mode)
             copy(mode, known_mode)
+        before = n_recorded
         n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
         if remaining <= 0.0:
             _sample(series, order, t, t, counters, sample_t, sample_z, sample_w)  # of a run that has no length
@@ -249,7 +252,10 @@ def _advance(  # type: ignore[no-untyped-def]
         if not is_open:
             clock[_EXPOSURE] *= _DECAY
             clock[_CUTS] = _DECAY * (clock[_CUTS] + (1.0 if is_cut else 0.0))
-        if clock[drive.TIME] - t <= ROUNDING * max(1.0, abs(t)):
+        # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
+        unseen = _CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
+        crawls = clock[drive.TIME] - t <= max(ROUNDING * max(1.0, abs(t)), unseen)
+        if crawls:
             counters[drive.N_STALLED] += 1
             if counters[drive.N_STALLED] > _STALL:
                 return drive.STALLED, n_recorded
@@ -303,9 +309,8 @@ def integrate(
     mode = np.sign(w - v).astype(np.int8)
     touching = mode == 0
     known_mode, initial_mode = mode.copy(), mode.copy()
-    own_rate = np.abs(system.damping) + np.sqrt(system.row_sums)
-    rate = float(own_rate.max())  # bounds |eigenvalues|
-    shortest = np.divide(_TOUCH * math.sqrt(tol), own_rate, out=np.zeros(n), where=own_rate > 0)
+    rate = float(system.rates.max())  # bounds |eigenvalues|
+    shortest = np.divide(_TOUCH * math.sqrt(tol), system.rates, out=np.zeros(n), where=system.rates > 0)
     clock = np.zeros(drive.N_CLOCKS + 2)
     clock[drive.TIME] = t_start
     clock[drive.CHECK : drive.CHECK + 2] = -np.inf if stop_early else np.inf

@@ -25,8 +25,9 @@ BEYOND_NUMBERS = 1e100
 #: and what passes the bound counts as diverged.
 _EIGENVALUES_MAX = 1000
 
-#: Real parts closer to zero than this share of the largest eigenvalue are not told from zero.
-_EIGENVALUE_ROUNDING = 1e-12
+#: What rounding does to an eigenvalue, over |A| and its condition number, the length of its row of T^-1: real parts
+#: closer to zero are not told from zero. Of m modes that are almost one it makes a circle as wide as 1e-16^(1/m).
+_EIGENVALUE_ROUNDING = 32 * np.finfo(np.float64).eps
 
 #: Eigenvectors of length one are no basis if an entry of the inverse of their matrix exceeds this: rounding, 1e-16 of
 #: it, would then decide.
@@ -63,7 +64,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
         return ""
     size = np.abs(modes.inverse @ np.concatenate((z, w)))
     held = np.abs(modes.inverse[:, system.n :]) @ system.friction
-    rates = np.where(modes.eigenvalues.real > _EIGENVALUE_ROUNDING * modes.largest, modes.eigenvalues.real, 0.0)
+    rates = np.where(modes.eigenvalues.real > modes.rounding, modes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))
     if not margin[mode] > 0:
@@ -73,11 +74,11 @@ def escape(system: System, z: Floats, w: Floats) -> str:
 
 
 def grows(system: System) -> bool:
-    """Whether the all-slip system is unstable (up to the rounding of its eigenvalues), or too large to tell."""
+    """Whether the all-slip system is unstable (beyond the rounding of its eigenvalues), or too large to tell."""
     if system.n > _EIGENVALUES_MAX:
         return True
     modes = _modes(system)
-    return modes.growth > _EIGENVALUE_ROUNDING * modes.largest
+    return bool((modes.eigenvalues.real > modes.rounding).any())
 
 
 def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
@@ -117,13 +118,15 @@ class Certificate:
 class _Modes:
     """The all-slip system A T = T Lambda.
 
-    T^-1 is infinite if A is defective, or too nearly so. `response` bounds the |z_i| and |w_i| that unit forces on
-    the blocks cause, sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
+    `rounding` is what each Lambda_j may err by. It and T^-1 are infinite if A is defective, or too nearly so.
+    `response` bounds the |z_i| and |w_i| that unit forces on the blocks cause,
+    sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
     """
 
     eigenvalues: NDArray[np.complex128]
     vectors: NDArray[np.complex128]
     inverse: NDArray[np.complex128]
+    rounding: Floats
     response: Floats
 
     @cached_property
@@ -132,14 +135,9 @@ class _Modes:
         return float(self.eigenvalues.real.max())
 
     @cached_property
-    def largest(self) -> float:
-        """max |Lambda|."""
-        return float(np.abs(self.eigenvalues).max())
-
-    @property
     def decay(self) -> bool:
         """Whether all modes decay, beyond rounding, and can be told apart."""
-        return self.growth < -_EIGENVALUE_ROUNDING * self.largest and not np.isinf(self.inverse).any()
+        return bool((self.eigenvalues.real < -self.rounding).all())
 
 
 _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
@@ -147,7 +145,8 @@ _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
 
 def _modes(system: System) -> _Modes:
     if system not in _MODES:
-        eigenvalues, vectors = np.linalg.eig(system.slip_matrix())
+        matrix = system.slip_matrix()
+        eigenvalues, vectors = np.linalg.eig(matrix)
         eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
         try:
             inverse = np.linalg.inv(vectors)
@@ -157,7 +156,8 @@ def _modes(system: System) -> _Modes:
             inverse = np.full_like(vectors, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
             response = (np.abs(vectors) / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        _MODES[system] = _Modes(eigenvalues, vectors, inverse, response)
+        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.linalg.norm(np.abs(inverse), axis=1)
+        _MODES[system] = _Modes(eigenvalues, vectors, inverse, rounding, response)
     return _MODES[system]
 
 

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from sim import show
@@ -164,6 +165,18 @@ class System:
             return np.asarray(splu(self.stiffness).solve(force), dtype=np.float64)
         except RuntimeError as error:  # what SuperLU raises for a singular matrix
             raise np.linalg.LinAlgError(str(error)) from error
+
+    @cached_property
+    def rates(self) -> Floats:
+        """How fast blocks can change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of those each is tied to, shape (n,).
+
+        Blocks are tied if K leads from one to the other, either way and over any number of blocks.
+        """
+        own = np.abs(self.damping) + np.sqrt(self.row_sums)
+        _, group = connected_components(scipy.sparse.csr_array(self.stiffness), directed=True, connection="weak")
+        fastest = np.zeros(self.n)
+        np.maximum.at(fastest, group, own)
+        return np.asarray(fastest[group])
 
     def linearised(self, friction: Floats, slope: Floats) -> System:
         """The same blocks with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""

@@ -112,13 +112,21 @@ def _flat(schema: pa.Schema) -> None:
 
 @contextlib.contextmanager
 def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
-    """A stream to a file beside `out`, which takes its name at the end, or goes if there is none."""
+    """A stream to a file beside `out`, which takes its name at the end, or goes if there is none.
+
+    A link is followed; what is no file, as /dev/null or a pipe, is written to as it stands.
+    """
     place = place_of(dataset)
     if isinstance(place, Directory) and out.resolve().is_relative_to(place.path.resolve()):
         raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; name another")
     if out.is_dir():
         raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")
+    out = out.resolve()
     try:
+        if out.exists() and not out.is_file():
+            with open(out, "wb") as stream:
+                yield stream
+            return
         descriptor, name = tempfile.mkstemp(prefix=f".{out.name}-", dir=out.absolute().parent)
         try:
             with open(descriptor, "wb") as stream:

@@ -49,6 +49,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise _Wrong(
             "--scheduler: expected none with a chart, --dry-run or --only, which use this machine; leave it out"
         )
+    if is_chart and (arguments.only is not None or arguments.retry_failed):
+        raise _Wrong("--only, --retry-failed: expected none with a chart, which has no members; leave it out")
     if is_chart:
         return _run_chart(arguments, file, out)
     if arguments.dry_run:

@@ -70,6 +70,11 @@ BAD = {
     "huge seed": ("seed = 7", "seed = 9223372036854775808", ["run.seed", "less than 9223372036854775808"]),
     "unknown coupling": ('"antisymmetric"', '"antisymetric"', ["system.coupling", "did you mean 'antisymmetric'"]),
     "unknown engine": ('name = "coulomb"', 'name = "colomb"', ["engine[0].name", "did you mean 'coulomb'"]),
+    "tolerance out of reach": (
+        'name = "coulomb"',
+        'name = "coulomb"\ntol = 1e-17',
+        ["engine[0].tol", "greater than"],
+    ),
     "engine without name": ('name = "coulomb"', "tol = 1e-9", ["engine[0].name", 'write `name = "coulomb"`']),
     "same engine twice": (
         '[[engine]]\nname = "coulomb"',

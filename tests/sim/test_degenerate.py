@@ -1,5 +1,7 @@
 """Starts and systems on the edge: folds, cusps, tangencies, twins, no friction, no stiffness, no belt, bad input."""
 
+import contextlib
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -303,6 +305,39 @@ def test_the_escape_of_one_block_is_certified_where_friction_can_no_longer_hold_
     system = System([[-4.0]], 0.0, 100.0, -0.2)
     assert fate.escape(system, np.array([20.0]), np.array([9.0])) == ""  # c = 49
     assert "1.02 times" in fate.escape(system, np.array([20.0]), np.array([11.0]))  # c = 51
+
+
+@pytest.mark.parametrize(("n", "damping"), [(20, 0.1), (40, 0.3), (12, 0.01)])
+def test_modes_that_are_almost_one_are_no_proof_of_escape(n, damping):
+    """A chain coupled one way: all eigenvalues have the real part -R / 2; as n are one, rounding makes some > 0."""
+    system = System(np.eye(n) - np.eye(n, k=-1), damping, 1.0, -0.2)
+    assert np.linalg.eigvals(system.slip_matrix()).real.max() > 0
+    assert not fate.grows(system)
+    assert fate.escape(system, 1e6 * np.cos(np.arange(n)), np.zeros(n)) == ""
+    run = simulate(system, np.cos(np.arange(n)), 0.0, 300.0)
+    assert (run.outcome, run.t_end) == ("finished", 300.0)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 8])
+def test_free_blocks_that_drift_do_not_escape(n):
+    """A chain tied to nothing, without friction or damping: its centre moves on at its speed."""
+    stiffness = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    stiffness[0, 0] = stiffness[-1, -1] = 1
+    z0 = 0.1 * np.arange(n) ** 2
+    run = simulate(System(stiffness, 0.0, 0.0, -0.2), z0, 1.0, 200.0)
+    assert run.outcome == "finished"
+    assert run.z.mean() == pytest.approx(z0.mean() + 200.0)
+
+
+def test_steps_that_lead_nowhere_are_an_error():
+    """Of a chain coupled one way the far end grows to 1e14, and small blocks feel the rounding of its force.
+
+    Whether they touch the belt for ever, at t = 1072, is a matter of the last digit; that the run ends is not.
+    """
+    n = 40
+    system = System(np.eye(n) - np.eye(n, k=-1), 0.3, 1.0, -0.2)
+    with contextlib.suppress(IntegrationError):
+        assert simulate(system, 3 * np.cos(np.arange(n)), 0.0, 1200.0, stop_early=False).t_end == 1200.0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -528,6 +528,15 @@ def test_blocks_without_damping_that_touch_the_belt():
             assert (run.events.mode == np.sign(-v)).all()
 
 
+def test_sticks_that_are_short_for_their_block_alone_are_events():
+    """A block of the rate 1e-3, shaken by one of the rate 100: it sticks 32 times, for 0.03 each, in one unit."""
+    stiffness, friction = [[0, 1e-6], [0, 1e4]], [1e-6, 0.0]
+    run = simulate(System(stiffness, 0.0, friction, -0.2), [0, 0], [-0.2, 200.0], 1.0)
+    found = independent.follow(independent.Case.of(stiffness, 0.0, friction, -0.2, [0, 0], [-0.2, 200.0]), 1.0)
+    assert run.events.mode.tolist() == found.mode
+    np.testing.assert_allclose(run.events.t, found.t, atol=1e-6)
+
+
 # Against an engine that shares nothing with it
 
 

@@ -182,6 +182,28 @@ def test_an_answer_that_cannot_be_written(sql, more, words, dataset, tmp_path, c
     assert (dataset / "manifest.json").read_bytes() == before
 
 
+def test_an_answer_follows_links_and_leaves_devices_alone(dataset, tmp_path):
+    target, link = tmp_path / "target.csv", tmp_path / "link.csv"
+    link.symlink_to(target)
+    assert main(["query", str(dataset), QUESTION, "--out", str(link)]) == 0
+    assert link.is_symlink()
+    assert target.read_text()
+    device = tmp_path / "pipe.csv"
+    os.mkfifo(device)
+    reader = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
+    assert main(["query", str(dataset), QUESTION, "--out", str(device)]) == 0
+    assert os.read(reader, 1 << 16) == target.read_bytes()
+    os.close(reader)
+    assert device.is_fifo()
+
+
+def test_a_chart_has_no_members(capsys, tmp_path):
+    for option in (["--only", "x"], ["--retry-failed"]):
+        assert main(["run", "fig1", "--out", str(tmp_path / "out"), *option]) == 2
+        assert "expected none with a chart" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("name", ["a.csv", "a.CSV"])
 def test_the_name_says_the_form_unless_another_is_asked_for(name, dataset, tmp_path):
     file = tmp_path / name
