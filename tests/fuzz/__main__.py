@@ -22,26 +22,28 @@ class _Table:
     """By engine and family: cases, errors, what failed."""
 
     def __init__(self) -> None:
-        self._errors: dict[tuple[str, str], list[float]] = defaultdict(list)
+        self._errors: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
         self._failed: Counter[tuple[str, str]] = Counter()
         self._notes: dict[str, Counter[str]] = defaultdict(Counter)
 
-    def add(self, engine: str, family: str, verdict: Verdict) -> None:
+    def add(self, engine: str, family: str, number: int, verdict: Verdict) -> None:
         if not verdict.notes["skipped"]:
-            self._errors[engine, family].append(verdict.worst)
+            self._errors[engine, family].append((verdict.worst, number))
         self._failed[engine, family] += bool(verdict.failures)
         self._notes[engine].update(verdict.notes)
 
     def __str__(self) -> str:
-        lines = [f"{'':24} cases   failed   error over tol times sensitivity: 95% below, worst"]
+        lines = [f"{'':24} cases   failed   error over tol times sensitivity: 95% below, worst, its case"]
         for engine in ("coulomb", "sigmoid"):
             rows = {family: errors for (name, family), errors in sorted(self._errors.items()) if name == engine}
             rows["all"] = [error for errors in rows.values() for error in errors]
             for family, errors in rows.items():
                 failed = sum(n for key, n in self._failed.items() if key[0] == engine and family in (key[1], "all"))
                 if errors:
-                    high, worst = np.quantile(errors, 0.95), max(errors)
-                    lines.append(f"{engine:8} {family:15} {len(errors):5} {failed:8}   {high:12.3g} {worst:12.3g}")
+                    high, (worst, number) = np.quantile([error for error, _ in errors], 0.95), max(errors)
+                    lines.append(
+                        f"{engine:8} {family:15} {len(errors):5} {failed:8}   {high:12.3g} {worst:12.3g} {number:8}"
+                    )
             notes = ", ".join(f"{n} {kind}" for kind, n in sorted(self._notes[engine].items()) if n)
             lines.append(f"{engine:8} series of blocks and cases: {notes}")
         return "\n".join(lines)
@@ -75,7 +77,7 @@ def main(argv: list[str] | None = None) -> int:
     judged, until = partial(judge_case, seed), start + 60 * arguments.minutes
     for number, verdict in verdicts(judged, numbers, arguments.workers, until):
         trial = draw(seed, number)
-        table.add(trial.engine, trial.family, verdict)
+        table.add(trial.engine, trial.family, number, verdict)
         n_cases += 1
         n_wrong += bool(verdict.failures) and trial.engine == "coulomb"
         if verdict.failures:
