@@ -61,6 +61,8 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
     if out is not None:
         with _whole(out, dataset) as stream:
             _write(batches, form, stream)
+    elif sys.stdout is None:
+        raise QueryError("the standard output is closed; name a file by --out")
     elif form == "parquet" and sys.stdout.isatty():
         raise QueryError("--format: parquet is not for reading; name a file by --out, or send it to a program by |")
     else:

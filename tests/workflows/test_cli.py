@@ -197,6 +197,12 @@ def test_an_answer_follows_links_and_leaves_devices_alone(dataset, tmp_path):
     assert device.is_fifo()
 
 
+def test_an_answer_with_no_place_to_go(dataset, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert main(["query", str(dataset), QUESTION]) == 2
+    assert "the standard output is closed" in capsys.readouterr().err
+
+
 def test_a_chart_has_no_members(capsys, tmp_path):
     for option in (["--only", "x"], ["--retry-failed"]):
         assert main(["run", "fig1", "--out", str(tmp_path / "out"), *option]) == 2
