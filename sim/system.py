@@ -173,6 +173,8 @@ class System:
         Blocks are tied if K leads from one to the other, either way and over any number of blocks.
         """
         own = np.abs(self.damping) + np.sqrt(self.row_sums)
+        if isinstance(self.stiffness, np.ndarray) and self.stiffness.all():
+            return np.full(self.n, own.max())
         _, group = connected_components(scipy.sparse.csr_array(self.stiffness), directed=True, connection="weak")
         fastest = np.zeros(self.n)
         np.maximum.at(fastest, group, own)
