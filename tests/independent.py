@@ -77,8 +77,8 @@ class Case:
 
     @cached_property
     def rate(self) -> float:
-        """No motion is faster than about this."""
-        return float(np.sqrt(np.linalg.norm(self.stiffness, 2)) + np.abs(self.damping).max()) or 1.0
+        """No motion is faster than about this; not below one, or friction alone would be seen at too few places."""
+        return max(1.0, float(np.sqrt(np.linalg.norm(self.stiffness, 2)) + np.abs(self.damping).max()))
 
     def perturbed(self, rng: np.random.Generator, size: float) -> Case:
         """Each constant times 1 + size u, and each start plus size u times the largest of the start; |u| <= 1."""
