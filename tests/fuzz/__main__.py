@@ -84,7 +84,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"--seed {seed} --case {number}: {trial.engine}, {trial.family}, n = {trial.case.n}")
             print("".join(f"    {words}\n" for words in verdict.failures), end="", flush=True)
     taken = time.monotonic() - start
-    print(f"\n{table}\n{n_cases} cases in {taken:.0f} s; seed {seed}; a run is wrong beyond {LIMIT:g}")
+    beyond = ", ".join(f"{limit:g} ({engine})" for engine, limit in LIMIT.items())
+    print(f"\n{table}\n{n_cases} cases in {taken:.0f} s; seed {seed}; a run is wrong beyond {beyond}")
     return 1 if n_wrong else 0
 
 
