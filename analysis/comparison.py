@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from analysis import words
-from analysis.change import figures as twin_figures
-from analysis.change.contrast import (
+from stickslip.analysis import words
+from stickslip.analysis.change import figures as twin_figures
+from stickslip.analysis.change.contrast import (
     SHARE_MARGIN,
     SHARES_ADJUSTED,
     contrast,
@@ -20,14 +20,14 @@ from analysis.change.contrast import (
     size_in_words,
     statistics,
 )
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.change.pairs import unchanged
-from analysis.figures import embedded
-from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group, check, groups
-from analysis.report import Report, page_environment
-from analysis.section import Data
-from analysis.settings import AnalysisSettings
-from analysis.tables import F, I, S, records, typed
+from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
+from stickslip.analysis.change.pairs import unchanged
+from stickslip.analysis.figures import embedded
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group, check, groups
+from stickslip.analysis.report import Report, page_environment
+from stickslip.analysis.section import Data
+from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.tables import F, I, S, records, typed
 
 #: What two settings must share: statistics of groups of another size or ensemble are not the same quantity.
 SHARED = ("n", "coupling")
@@ -174,7 +174,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         f"{second.name} minus {first.name} in units of the declared margin (band), with the interval of the "
         f"equivalence test. {twin_figures.HOW_TO_READ}",
     ) if panels else None  # fmt: skip
-    html = page_environment("analysis").get_template("compare.html").render(
+    html = page_environment("stickslip.analysis").get_template("compare.html").render(
         title=f"{first.name} and {second.name}",
         lead=lead,
         src=embedded(picture.recipe()) if picture else None,

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from analysis.words import PAPER_GAMMA
+from stickslip.analysis.words import PAPER_GAMMA
 
 Row = Mapping[str, Any]
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis import words
-from analysis.cascades import Law, Window, laws, sizes_of_path, window
-from analysis.chance.nulls import NullTally, draws_each, random_order
-from analysis.fits import Estimate, add_histograms, correlation_time
-from analysis.section import Series
-from analysis.settings import AnalysisSettings
+from stickslip.analysis import words
+from stickslip.analysis.cascades import Law, Window, laws, sizes_of_path, window
+from stickslip.analysis.chance.nulls import NullTally, draws_each, random_order
+from stickslip.analysis.fits import Estimate, add_histograms, correlation_time
+from stickslip.analysis.section import Series
+from stickslip.analysis.settings import AnalysisSettings
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it

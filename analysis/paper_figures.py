@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, subplots
-from analysis.words import PAPER_GAMMA
+from stickslip.analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, subplots
+from stickslip.analysis.words import PAPER_GAMMA
 
 #: Line styles beside the colours, so that grey print tells curves apart.
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))

@@ -14,21 +14,21 @@ from typing import Any
 import pandas as pd
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from analysis import figures, words
-from analysis.cascades import DEFINITIONS, SAMPLED
-from analysis.chance.clustering_section import clustering_section
-from analysis.chance.gamma_map import map_section
-from analysis.change.engines_section import engines_section
-from analysis.change.pairs import is_changed, unchanged
-from analysis.change.robustness_section import robustness_section
-from analysis.change.sensitivity_section import sensitivity_section
-from analysis.change.survival import TITLE as FATES
-from analysis.change.survival import survival_section
-from analysis.groups import Group, check, fill, groups
-from analysis.law.section import law_section
-from analysis.section import LABELS, Data, Recipe, Section, Series
-from analysis.settings import AnalysisSettings
-from analysis.tables import (
+from stickslip.analysis import figures, words
+from stickslip.analysis.cascades import DEFINITIONS, SAMPLED
+from stickslip.analysis.chance.clustering_section import clustering_section
+from stickslip.analysis.chance.gamma_map import map_section
+from stickslip.analysis.change.engines_section import engines_section
+from stickslip.analysis.change.pairs import is_changed, unchanged
+from stickslip.analysis.change.robustness_section import robustness_section
+from stickslip.analysis.change.sensitivity_section import sensitivity_section
+from stickslip.analysis.change.survival import TITLE as FATES
+from stickslip.analysis.change.survival import survival_section
+from stickslip.analysis.groups import Group, check, fill, groups
+from stickslip.analysis.law.section import law_section
+from stickslip.analysis.section import LABELS, Data, Recipe, Section, Series
+from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.tables import (
     burn_in_table,
     groups_table,
     law_table,
@@ -383,7 +383,7 @@ def page_environment(package: str) -> Environment:
     All of them extend `page.html`, which lies here and holds the style.
     """
     return Environment(
-        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("analysis", ".")]),
+        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("stickslip.analysis", ".")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -392,7 +392,7 @@ def page_environment(package: str) -> Environment:
 
 
 def _environment() -> Environment:
-    environment = page_environment("analysis")
+    environment = page_environment("stickslip.analysis")
     environment.filters["number"] = words.number
     environment.globals["interval"] = words.interval
     return environment

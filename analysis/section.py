@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import words
+from stickslip.analysis import words
 
 Row = Mapping[str, Any]
 Rows = list[dict[str, Any]]
@@ -36,7 +36,7 @@ class Data:
     Attributes
     ----------
     members : DataFrame
-        One row a member; the columns in `analysis.groups.REQUIRED`, null where a setting does not apply.
+        One row a member; the columns in `stickslip.analysis.groups.REQUIRED`, null where a setting does not apply.
     series : mapping to ChangePoints
         Of every member that did not fail.
     events : mapping to Events

@@ -19,7 +19,7 @@ class AnalysisSettings:
         Sampling steps of the sampled definitions (dimensionless); the first is the one drawn in figures.
     resamples : int
         Random orders drawn for each member by the null model; fewer in large groups, see
-        `analysis.chance.nulls.draws_each`.
+        `stickslip.analysis.chance.nulls.draws_each`.
     confidence : float
         Level of every interval, in (0, 1).
     seed : int

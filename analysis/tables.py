@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis import words
-from analysis.chance.nulls import NullTally
-from analysis.fits import (
+from stickslip.analysis import words
+from stickslip.analysis.chance.nulls import NullTally
+from stickslip.analysis.fits import (
     SHORT_WINDOW,
     Estimate,
     Undefined,
@@ -20,8 +20,8 @@ from analysis.fits import (
     over_matrices,
     ratio,
 )
-from analysis.groups import OUTCOMES, Group
-from analysis.settings import AnalysisSettings
+from stickslip.analysis.groups import OUTCOMES, Group
+from stickslip.analysis.settings import AnalysisSettings
 
 S, I, F = "string", "Int64", "Float64"  # noqa: E741  nullable types: a null, never NaN, where nothing applies
 SCHEMAS: dict[str, dict[str, str]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from analysis.fits import LN2, Estimate
+from stickslip.analysis.fits import LN2, Estimate
 
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 

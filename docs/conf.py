@@ -13,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from workflows.keys import key_tables
+from stickslip.workflows.keys import key_tables
 
 project = "stickslip"
 copyright = "the authors of stickslip"
@@ -75,7 +75,7 @@ def _known_elsewhere(app: Sphinx, env: object, node: nodes.Element, content: nod
     if node.get("refdomain") != "py" or node.get("reftype") not in ("obj", "exc"):
         return None
     owner, _, name = target.rpartition(".")
-    found = [pydoc.locate(f"{prefix}{owner}") for prefix in ("", f"{node.get('py:module')}.")]
+    found = [pydoc.locate(f"{prefix}{owner}") for prefix in ("", "stickslip.", f"{node.get('py:module')}.")]
     is_known = not owner or any(hasattr(o, name) or name in getattr(o, "__annotations__", ()) for o in found if o)
     return content if is_known else None
 

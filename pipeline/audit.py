@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.dataset import rows_that_failed
-from pipeline.errors import StoreError
-from pipeline.manifest import dataset_scene, read_manifest, read_tasks
-from pipeline.place import DATA, TEMPORARY, Place, Where, place_of
-from pipeline.shards import SCHEMA_VERSION
+from stickslip.pipeline.dataset import rows_that_failed
+from stickslip.pipeline.errors import StoreError
+from stickslip.pipeline.manifest import dataset_scene, read_manifest, read_tasks
+from stickslip.pipeline.place import DATA, TEMPORARY, Place, Where, place_of
+from stickslip.pipeline.shards import SCHEMA_VERSION
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,12 @@ from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
-from pipeline.child import ONE_THREAD, environment_kept
-from pipeline.errors import AddressError, SceneError, ScheduleError
-from pipeline.interrupt import unbroken
+from stickslip.pipeline.child import ONE_THREAD, environment_kept
+from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
+from stickslip.pipeline.interrupt import unbroken
 
 if TYPE_CHECKING:  # workers load this module first
-    from pipeline.scene import Scene
+    from stickslip.pipeline.scene import Scene
 
 log = logging.getLogger(__name__)
 

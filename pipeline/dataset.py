@@ -15,11 +15,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
-from pipeline.errors import QueryError, StoreError
-from pipeline.manifest import Shard, dataset_scene, read_manifest
-from pipeline.place import DATA, Directory, Place, Where, place_of
-from pipeline.shards import Recording
-from sim.arguments import did_you_mean
+from stickslip.pipeline.errors import QueryError, StoreError
+from stickslip.pipeline.manifest import Shard, dataset_scene, read_manifest
+from stickslip.pipeline.place import DATA, Directory, Place, Where, place_of
+from stickslip.pipeline.shards import Recording
+from stickslip.sim.arguments import did_you_mean
 
 # pandas' plain types have no null but NaN; these do, and keep integers integers
 NULLABLE = {

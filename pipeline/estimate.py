@@ -31,12 +31,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy import special
 
-from pipeline import kernels
-from pipeline.child import one_thread
-from pipeline.errors import ScheduleError
-from pipeline.members import Batch, Member
-from pipeline.scene import Scene
-from pipeline.shards import Recording, encode, row
+from stickslip.pipeline import kernels
+from stickslip.pipeline.child import one_thread
+from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.members import Batch, Member
+from stickslip.pipeline.scene import Scene
+from stickslip.pipeline.shards import Recording, encode, row
 
 #: Seconds that the members of a pilot may take; less where the estimate itself is short.
 PILOT = (1.0, 5.0)

@@ -9,9 +9,9 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from pipeline.members import Member
-from pipeline.shards import Recording, row
-from sim.compile import cache_directory
+from stickslip.pipeline.members import Member
+from stickslip.pipeline.shards import Recording, row
+from stickslip.sim.compile import cache_directory
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
 _PATIENCE = 180.0

@@ -22,11 +22,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from pipeline.errors import SceneError, StoreError
-from pipeline.place import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
-from pipeline.plan import PlanError, Task, tasks
-from pipeline.scene import Scene, parse_scene
-from pipeline.shards import SCHEMA_VERSION
+from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.place import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
+from stickslip.pipeline.plan import PlanError, Task, tasks
+from stickslip.pipeline.scene import Scene, parse_scene
+from stickslip.pipeline.shards import SCHEMA_VERSION
 
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-import sim
-from pipeline.scene import Coulomb, Scene, Sigmoid
+from stickslip import sim
+from stickslip.pipeline.scene import Coulomb, Scene, Sigmoid
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
 MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-from pipeline.errors import StoreError
-from pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
+from stickslip.pipeline.errors import StoreError
+from stickslip.pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0

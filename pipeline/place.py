@@ -4,7 +4,7 @@ A directory: a file is replaced by writing beside it, syncing and renaming, and 
 crash releases at once.
 
 An object store, by any address that fsspec knows (``s3://bucket/dir``, ``gs://``, ``memory://``): see
-`pipeline.objects`.
+`stickslip.pipeline.objects`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pipeline.errors import StoreError
+from stickslip.pipeline.errors import StoreError
 
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
 #: What the names of files begin with while they are being written.
@@ -196,7 +196,7 @@ def place_of(where: Where) -> Place:
         raise StoreError(f"{where}: expected an address such as s3://bucket/dir, got no more than its beginning")
     import fsspec  # with what it loads, a tenth of a second
 
-    from pipeline.objects import Prefix
+    from stickslip.pipeline.objects import Prefix
 
     try:
         # listings are asked for anew: others write there

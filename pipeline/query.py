@@ -14,13 +14,22 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-import sim
-from pipeline.dataset import NULLABLE, dataset, frame, near, not_recorded, plain_type, reading, rows_that_failed
-from pipeline.errors import QueryError
-from pipeline.manifest import dataset_scene, read_manifest
-from pipeline.place import Where, place_of
-from pipeline.shards import scalars
-from pipeline.sql import answer, sql
+from stickslip import sim
+from stickslip.pipeline.dataset import (
+    NULLABLE,
+    dataset,
+    frame,
+    near,
+    not_recorded,
+    plain_type,
+    reading,
+    rows_that_failed,
+)
+from stickslip.pipeline.errors import QueryError
+from stickslip.pipeline.manifest import dataset_scene, read_manifest
+from stickslip.pipeline.place import Where, place_of
+from stickslip.pipeline.shards import scalars
+from stickslip.pipeline.sql import answer, sql
 
 if TYPE_CHECKING:
     from dask.dataframe import DataFrame
@@ -61,7 +70,7 @@ def table(
     Parameters
     ----------
     path : str, Path or Place
-        Directory or address of the dataset; see `pipeline.place`.
+        Directory or address of the dataset; see `stickslip.pipeline.place`.
     columns : sequence of str, optional
         Columns of the dataset; all, the lists too, if left out.
     filters : pyarrow.compute.Expression or list of tuple, optional

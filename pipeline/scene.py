@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
-from pipeline.tables import (
+from stickslip.pipeline.tables import (
     BlockNumbers,
     Count,
     Natural,
@@ -26,8 +26,8 @@ from pipeline.tables import (
     parse_toml,
     read_source,
 )
-from sim import COUPLINGS
-from sim.arguments import did_you_mean
+from stickslip.sim import COUPLINGS
+from stickslip.sim.arguments import did_you_mean
 
 #: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
 MAX_MEMBERS = 1_000_000
@@ -197,7 +197,7 @@ class PerturbationTable(StrictTable):
     readings: Readings = Field(
         default=("scale",),
         min_length=1,
-        description="what moves by how much: see `sim.perturb_system`",
+        description="what moves by how much: see `stickslip.sim.perturb_system`",
         examples=[["scale", "relative"]],
     )
     sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])

@@ -16,18 +16,18 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
 
-from pipeline import kernels
-from pipeline.alone import compute_alone
-from pipeline.audit import Status, status
-from pipeline.cluster import check_address, check_memory, connect
-from pipeline.errors import ScheduleError
-from pipeline.live import Began
-from pipeline.members import Member, expand
-from pipeline.place import Where
-from pipeline.plan import Task
-from pipeline.scene import Scene
-from pipeline.shards import Recording, Result, compute, program, row
-from pipeline.store import Store
+from stickslip.pipeline import kernels
+from stickslip.pipeline.alone import compute_alone
+from stickslip.pipeline.audit import Status, status
+from stickslip.pipeline.cluster import check_address, check_memory, connect
+from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.live import Began
+from stickslip.pipeline.members import Member, expand
+from stickslip.pipeline.place import Where
+from stickslip.pipeline.plan import Task
+from stickslip.pipeline.scene import Scene
+from stickslip.pipeline.shards import Recording, Result, compute, program, row
+from stickslip.pipeline.store import Store
 
 log = logging.getLogger(__name__)
 

@@ -17,10 +17,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-import sim
-from pipeline.members import Batch, Member
-from pipeline.scene import Scene
-from sim.compile import source_digest
+from stickslip import sim
+from stickslip.pipeline.members import Batch, Member
+from stickslip.pipeline.scene import Scene
+from stickslip.sim.compile import source_digest
 
 #: Version of the schema below; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3

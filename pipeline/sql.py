@@ -12,11 +12,11 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
-from pipeline.errors import QueryError, printable
-from pipeline.manifest import dataset_scene
-from pipeline.place import Where
-from pipeline.shards import scalars
+from stickslip.pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
+from stickslip.pipeline.errors import QueryError, printable
+from stickslip.pipeline.manifest import dataset_scene
+from stickslip.pipeline.place import Where
+from stickslip.pipeline.shards import scalars
 
 #: Rows that an answer is handed over in.
 _ROWS = 100_000

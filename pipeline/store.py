@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
 
-from pipeline.errors import SceneError, StoreError
-from pipeline.interrupt import last_act, unbroken
-from pipeline.manifest import (
+from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.interrupt import last_act, unbroken
+from stickslip.pipeline.manifest import (
     DamagedManifest,
     Manifest,
     Shard,
@@ -22,8 +22,8 @@ from pipeline.manifest import (
     read_manifest,
     stored_scene,
 )
-from pipeline.members import expand
-from pipeline.place import (
+from stickslip.pipeline.members import expand
+from stickslip.pipeline.place import (
     DATA,
     LOCK,
     MANIFEST,
@@ -35,10 +35,10 @@ from pipeline.place import (
     Where,
     place_of,
 )
-from pipeline.plan import Task, grows, pack, tasks
-from pipeline.scene import Scene, parse_scene
-from pipeline.shards import Result, program
-from pipeline.tables import parse_toml
+from stickslip.pipeline.plan import Task, grows, pack, tasks
+from stickslip.pipeline.scene import Scene, parse_scene
+from stickslip.pipeline.shards import Result, program
+from stickslip.pipeline.tables import parse_toml
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class Store:
     Parameters
     ----------
     path : str, Path or Place
-        A directory or an address; see `pipeline.place`.
+        A directory or an address; see `stickslip.pipeline.place`.
     scene : Scene
     source : bytes
         The scene file.

@@ -15,8 +15,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
 
-from pipeline.errors import SceneError
-from sim.arguments import did_you_mean
+from stickslip.pipeline.errors import SceneError
+from stickslip.sim.arguments import did_you_mean
 
 #: A dense K of this many blocks is 80 GB.
 MAX_BLOCKS = 100_000

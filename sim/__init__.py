@@ -1,9 +1,9 @@
 """The physics: a system in, an event series out. No files, no dask, no pandas."""
 
-from sim.coupling import COUPLINGS, READINGS, draw_system, perturb_system
-from sim.run import IntegrationError, Run, Samples, Stats, simulate
-from sim.series import EventSeries
-from sim.system import System
+from stickslip.sim.coupling import COUPLINGS, READINGS, draw_system, perturb_system
+from stickslip.sim.run import IntegrationError, Run, Samples, Stats, simulate
+from stickslip.sim.series import EventSeries
+from stickslip.sim.system import System
 
 __all__ = [
     "COUPLINGS",

@@ -1,7 +1,7 @@
 """The exact engine: set-valued Coulomb friction, event by event, Taylor series between events.
 
 Between events a sticking block moves with the belt (z linear in t: nothing to integrate) and a slipping one obeys
-a linear law: `sim.taylor` expands them all. The next event is the first root of
+a linear law: `stickslip.sim.taylor` expands them all. The next event is the first root of
 
     sigma (w - v)     of a slipping block,
     mu + sigma F      of a sticking one, F = R v + K z = -mu lambda, for either sigma.
@@ -25,13 +25,13 @@ import math
 
 import numpy as np
 
-from sim import drive, fate
-from sim.arguments import Floats, flag, number
-from sim.compile import inner, kernel
-from sim.kernels import ROUNDING, copy, largest, roots
-from sim.run import Run, Samples
-from sim.system import System, require_diagonal_damping
-from sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
+from stickslip.sim import drive, fate
+from stickslip.sim.arguments import Floats, flag, number
+from stickslip.sim.compile import inner, kernel
+from stickslip.sim.kernels import ROUNDING, copy, largest, roots
+from stickslip.sim.run import Run, Samples
+from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
 _REACH = 1.2
@@ -277,7 +277,7 @@ def integrate(
     tol: float = 1e-10,
     stop_early: bool = True,
 ) -> Run:
-    """Run the exact engine under the contract of `sim.run`.
+    """Run the exact engine under the contract of `stickslip.sim.run`.
 
     Parameters
     ----------

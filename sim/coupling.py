@@ -12,8 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.arguments import Floats, integer
-from sim.system import System
+from stickslip.sim.arguments import Floats, integer
+from stickslip.sim.system import System
 
 
 def _on_diagonal(off: Floats, diagonal: Floats) -> Floats:

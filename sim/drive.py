@@ -12,11 +12,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import fate
-from sim.arguments import Floats
-from sim.run import IntegrationError, Outcome, Run, Samples, Stats
-from sim.series import EventSeries, without_returns
-from sim.system import System
+from stickslip.sim import fate
+from stickslip.sim.arguments import Floats
+from stickslip.sim.run import IntegrationError, Outcome, Run, Samples, Stats
+from stickslip.sim.series import EventSeries, without_returns
+from stickslip.sim.system import System
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)

@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from sim.arguments import Floats
+from stickslip.sim.arguments import Floats
 
 _F = Fraction
 #: Stage weights a_ij by rows; the last row is b (stiffly accurate). gamma = 1/4 on the diagonal.

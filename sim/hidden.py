@@ -1,8 +1,8 @@
-"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (`sim.hidden_runs`: slow time).
+"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (`stickslip.sim.hidden_runs`: slow time).
 
 Inside the layer lambda_j = phi((w_j - v) / eps_j), and on the fast time of eq. (13), positive factors kept,
 
-    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `sim.switching`)
+    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `stickslip.sim.switching`)
 
 Sticking modes are its equilibria, eq. (14). The factors move neither modes nor saddles, but they shape basins and,
 where eigenvalues are complex or there are more than two switches, can decide stability. Dimensionless.
@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from sim.arguments import Floats, per_block
-from sim.run import IntegrationError
-from sim.switching import Slips, SwitchingLaw
-from sim.system import System, require_diagonal_damping
+from stickslip.sim.arguments import Floats, per_block
+from stickslip.sim.run import IntegrationError
+from stickslip.sim.switching import Slips, SwitchingLaw
+from stickslip.sim.system import System, require_diagonal_damping
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]
 
@@ -318,5 +318,5 @@ def continuations(
 
 def total_force(system: System, z: Floats, w: Floats) -> Floats:
     """F_i = R_i w_i + (K z)_i; ValueError if the damping is not diagonal."""
-    require_diagonal_damping(system, "`sim.hidden`")
+    require_diagonal_damping(system, "`stickslip.sim.hidden`")
     return np.asarray(system.damping * w + system.stiffness @ z, dtype=np.float64)

@@ -1,7 +1,7 @@
 """Hidden dynamics in slow time: modes followed to jumps and exits, and runs of one and two blocks under any law.
 
 Between events z and w move with lambda on its mode, f(F; lambda) = 0, eq. (14); at an event the fast system of
-`sim.hidden` decides which mode comes next. Dimensionless.
+`stickslip.sim.hidden` decides which mode comes next. Dimensionless.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from sim.arguments import Floats, number, per_block
-from sim.hidden import TANH, Blowup, Sigmoid, total_force
-from sim.run import IntegrationError
-from sim.switching import Slips, SwitchingLaw
-from sim.system import System, require_diagonal_damping
+from stickslip.sim.arguments import Floats, number, per_block
+from stickslip.sim.hidden import TANH, Blowup, Sigmoid, total_force
+from stickslip.sim.run import IntegrationError
+from stickslip.sim.switching import Slips, SwitchingLaw
+from stickslip.sim.system import System, require_diagonal_damping
 
 EventKind = Literal["exit", "entry", "crossing", "jump"]
 #: what ended a phase: a slipping block reached the belt, a mode met a face, a saddle, or a Hopf point, or time was up
@@ -125,7 +125,7 @@ def run_with_law(
         lambda from which blocks with w0_i = v settle. Blocks that come from slip enter at their face; if two
         come at one instant, at equal depth.
     eps, sigmoid
-        See `sim.hidden.Blowup`.
+        See `stickslip.sim.hidden.Blowup`.
 
     Raises
     ------
@@ -134,9 +134,11 @@ def run_with_law(
     IntegrationError
         If the fast system cannot decide: it cycles, or ends in an unstable mode.
     """
-    require_diagonal_damping(system, "`sim.hidden_runs`")
+    require_diagonal_damping(system, "`stickslip.sim.hidden_runs`")
     if system.n > 2:
-        raise ValueError(f"system: expected one or two blocks, got {system.n}; `sim.simulate` runs more, by Coulomb")
+        raise ValueError(
+            f"system: expected one or two blocks, got {system.n}; `stickslip.sim.simulate` runs more, by Coulomb"
+        )
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
     blowup = Blowup(law, system.friction, eps, sigmoid)
     return _collect(_march(system, blowup, z, w, per_block("entry", entry, system.n), number("t_end", t_end, 0.0)))
@@ -178,7 +180,7 @@ def follow(
     ValueError, IntegrationError
         As `run_with_law`.
     """
-    require_diagonal_damping(system, "`sim.hidden_runs`")
+    require_diagonal_damping(system, "`stickslip.sim.hidden_runs`")
     start, belt = per_block("z", z, system.n), np.full(system.n, system.belt_speed)
     blowup = Blowup(law, system.friction, eps, sigmoid)
     marching = _march(system, blowup, start, belt, per_block("lam", lam, system.n), number("t_end", t_end, 0.0))

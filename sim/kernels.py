@@ -8,7 +8,7 @@ import numba
 import numba.extending
 import numpy as np
 
-from sim.compile import inner
+from stickslip.sim.compile import inner
 
 #: what rounding may do to a sum of terms, relative to the sum of their magnitudes
 ROUNDING = 32 * np.finfo(np.float64).eps

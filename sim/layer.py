@@ -1,14 +1,14 @@
 """Who sticks under the smoothed law, and when that changes: events in a step, by the layer |w - v| < band around v.
 
-`sim.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
+`stickslip.sim.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sim.compile import inner
-from sim.kernels import roots
+from stickslip.sim.compile import inner
+from stickslip.sim.kernels import roots
 
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
 UNRESOLVED = 2.0

@@ -25,13 +25,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim import show
-from sim.arguments import Floats, did_you_mean, floats, number, per_block
-from sim.series import EventSeries
-from sim.system import System
+from stickslip.sim import show
+from stickslip.sim.arguments import Floats, did_you_mean, floats, number, per_block
+from stickslip.sim.series import EventSeries
+from stickslip.sim.system import System
 
 if TYPE_CHECKING:
-    from sim.show import Axes
+    from stickslip.sim.show import Axes
 
 Outcome = Literal["finished", "collapsed", "diverged"]
 Engine = Literal["coulomb", "sigmoid"]
@@ -168,9 +168,9 @@ def simulate(
     **settings
         both: ``stop_early`` (True: ask whether a collapse or an escape is certain; a run that collapsed then goes on
         without steps, one that escapes ends); coulomb: ``tol`` (see
-        `sim.coulomb.integrate`);
+        `stickslip.sim.coulomb.integrate`);
         sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
-        `sim.sigmoid.integrate`).
+        `stickslip.sim.sigmoid.integrate`).
 
     Returns
     -------
@@ -183,7 +183,7 @@ def simulate(
     IntegrationError
         If the engine cannot go on.
     """
-    from sim import coulomb, sigmoid  # the engines build on this contract
+    from stickslip.sim import coulomb, sigmoid  # the engines build on this contract
 
     engines: dict[str, Callable[..., Run]] = {"coulomb": coulomb.integrate, "sigmoid": sigmoid.integrate}
     if not isinstance(system, System):

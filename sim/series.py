@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim import show
-from sim.arguments import Floats
+from stickslip.sim import show
+from stickslip.sim.arguments import Floats
 
 if TYPE_CHECKING:
-    from sim.show import Axes
+    from stickslip.sim.show import Axes
 
 
 @dataclass(frozen=True, eq=False)

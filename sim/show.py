@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
 
-    from sim.series import EventSeries
+    from stickslip.sim.series import EventSeries
 
 #: Mode -> what the block does, and a colour: distinguishable with every common form of colour blindness.
 _MODES = {0: ("sticks", "#0072B2"), 1: ("slips right", "#DDDDDD"), -1: ("slips left", "#E69F00")}

@@ -16,7 +16,7 @@ a predicted w, and again with N times their own w until it stays. A sweep takes 
 depends on beta with slope below 1 / a, it multiplies the error of w, in the Euclidean norm, by at most
 h gamma |N| / (1 + h gamma min R) for every delta, and the step is kept so short that this is 1/2.
 
-The method is in `sim.esdirk`, the search for entries and exits in `sim.layer`.
+The method is in `stickslip.sim.esdirk`, the search for entries and exits in `stickslip.sim.layer`.
 
 When does a block stick?
 
@@ -36,14 +36,23 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim import drive, fate
-from sim.arguments import Floats, flag, floats, number, per_block
-from sim.compile import inner, kernel
-from sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from sim.kernels import ROUGH, ROUNDING, copy, largest, one_product, rough_product, tanh_positive, two_products
-from sim.layer import PASSES, UNRESOLVED, between, step_events
-from sim.run import Run, Samples
-from sim.system import System
+from stickslip.sim import drive, fate
+from stickslip.sim.arguments import Floats, flag, floats, number, per_block
+from stickslip.sim.compile import inner, kernel
+from stickslip.sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
+from stickslip.sim.kernels import (
+    ROUGH,
+    ROUNDING,
+    copy,
+    largest,
+    one_product,
+    rough_product,
+    tanh_positive,
+    two_products,
+)
+from stickslip.sim.layer import PASSES, UNRESOLVED, between, step_events
+from stickslip.sim.run import Run, Samples
+from stickslip.sim.system import System
 
 Stick = Literal["manifold", "threshold"]
 
@@ -350,7 +359,7 @@ def integrate(
     thresholds: ArrayLike = (),
     stop_early: bool = True,
 ) -> Run:
-    """Run the stiff engine under the contract of `sim.run`.
+    """Run the stiff engine under the contract of `stickslip.sim.run`.
 
     Parameters
     ----------

@@ -19,10 +19,10 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.arguments import Floats, integer, per_block
-from sim.geometry import Visibility, require_blocks, stiffness_rows, visibility_of
-from sim.kernels import ROUNDING
-from sim.system import System, require_diagonal_damping
+from stickslip.sim.arguments import Floats, integer, per_block
+from stickslip.sim.geometry import Visibility, require_blocks, stiffness_rows, visibility_of
+from stickslip.sim.kernels import ROUNDING
+from stickslip.sim.system import System, require_diagonal_damping
 
 #: Of a stratum: all its folds are visible, all invisible, some of each; or one is degenerate.
 Kind: TypeAlias = Literal["exit", "entry", "mixed", "degenerate"]
@@ -57,7 +57,7 @@ class Stratum:
     sides: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        require_diagonal_damping(self.system, "`sim.strata`")
+        require_diagonal_damping(self.system, "`stickslip.sim.strata`")
 
     @cached_property
     def normals(self) -> Floats:
@@ -291,7 +291,7 @@ def _rank(sizes: NDArray[np.floating[Any]], n: int) -> int:
 
 
 def _stuck(system: System, stuck: Sequence[int] | None) -> tuple[int, ...]:
-    require_diagonal_damping(system, "`sim.strata`")
+    require_diagonal_damping(system, "`stickslip.sim.strata`")
     if stuck is None:
         return tuple(range(system.n))
     held = sorted(integer("stuck", i, 0, system.n - 1) for i in stuck)

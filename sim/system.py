@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from sim import show
-from sim.arguments import Floats, floats, number, per_block
+from stickslip.sim import show
+from stickslip.sim.arguments import Floats, floats, number, per_block
 
 #: K by columns as the kernels take it: K transposed, dense, in float64 and float32; or, when these are empty, CSC
 #: (indptr, indices, data)

@@ -1,38 +1,10 @@
 """Blocks held by dry friction: `from stickslip import draw_system, simulate` is all that a single run needs.
 
-The names are those of `sim`. Ensembles are in `pipeline`, their statistics in `analysis`; the command is also
-``python -m stickslip``.
+The physics is in `stickslip.sim`, ensembles in `stickslip.pipeline`, their statistics in `stickslip.analysis`, the
+command in `stickslip.workflows`; it is also ``python -m stickslip``.
 """
 
-from importlib.metadata import version
+import lazy_loader
 
-from sim import (
-    COUPLINGS,
-    READINGS,
-    EventSeries,
-    IntegrationError,
-    Run,
-    Samples,
-    Stats,
-    System,
-    draw_system,
-    perturb_system,
-    simulate,
-)
-
-__version__ = version("stickslip")
-
-__all__ = [
-    "COUPLINGS",
-    "READINGS",
-    "EventSeries",
-    "IntegrationError",
-    "Run",
-    "Samples",
-    "Stats",
-    "System",
-    "__version__",
-    "draw_system",
-    "perturb_system",
-    "simulate",
-]
+# Loaded when a name of it is first asked for: numba and pandas take seconds. The names are in __init__.pyi.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

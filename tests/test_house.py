@@ -17,6 +17,15 @@ def test_a_floor_imports_only_from_floors_below():
 
 
 def test_the_physics_needs_no_dask_and_no_files():
-    code = "import sys, sim; sys.exit(', '.join({'dask', 'pandas', 'pyarrow', 'matplotlib'} & set(sys.modules)) or 0)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    assert not {"dask", "pandas", "pyarrow", "matplotlib"} & loaded_by("from stickslip import sim, simulate")
+
+
+def test_the_name_loads_nothing():
+    """`import stickslip` takes some hundredths of a second; numba alone would take half of one."""
+    assert not {"numpy", "numba", "scipy", "pandas", "dask"} & loaded_by("import stickslip; stickslip.__version__")
+
+
+def loaded_by(code):
+    show = f"{code}; import sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", show], cwd=ROOT, capture_output=True, text=True, check=True)
+    return set(done.stdout.split())

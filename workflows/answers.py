@@ -14,11 +14,11 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from pipeline import QueryError
-from pipeline.dataset import frame
-from pipeline.errors import printable
-from pipeline.place import Directory, Where, place_of
-from workflows.parser import NO_FOLDER
+from stickslip.pipeline import QueryError
+from stickslip.pipeline.dataset import frame
+from stickslip.pipeline.errors import printable
+from stickslip.pipeline.place import Directory, Where, place_of
+from stickslip.workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
 

@@ -14,13 +14,13 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from pipeline.interrupt import Interrupted, interruptible
-from workflows.parser import NO_FOLDER, parser
+from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
+from stickslip.pipeline.interrupt import Interrupted, interruptible
+from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
-    from pipeline.place import Place, Where
-    from workflows.drawing import Drawing
+    from stickslip.pipeline.place import Place, Where
+    from stickslip.workflows.drawing import Drawing
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
@@ -28,13 +28,13 @@ _DONE, _UNFINISHED, _WRONG = 0, 1, 2
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pipeline.place import Directory, place_of
-    from workflows.drawing import Drawing
-    from workflows.scenes import chart_of, find, shipped
+    from stickslip.pipeline.place import Directory, place_of
+    from stickslip.workflows.drawing import Drawing
+    from stickslip.workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
-        from sim.arguments import did_you_mean
+        from stickslip.sim.arguments import did_you_mean
 
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
         raise _Wrong(
@@ -63,11 +63,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing | None) -> int:
-    from pipeline import parse_scene, run_scene
-    from pipeline.interrupt import last_act
-    from pipeline.place import DATA, SCENE, Directory
-    from pipeline.tables import read_source
-    from workflows.progress import Watch, clock
+    from stickslip.pipeline import parse_scene, run_scene
+    from stickslip.pipeline.interrupt import last_act
+    from stickslip.pipeline.place import DATA, SCENE, Directory
+    from stickslip.pipeline.tables import read_source
+    from stickslip.workflows.progress import Watch, clock
 
     source = read_source(file)
     scene = parse_scene(source, str(file))
@@ -79,7 +79,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
         with Watch(out) as watch, last_act(how_to_go_on):
             if drawing is not None:
                 # while workers compute
-                Thread(target=import_module, args=("workflows.reporting",), daemon=True).start()
+                Thread(target=import_module, args=("stickslip.workflows.reporting",), daemon=True).start()
             status = run_scene(
                 scene,
                 source,
@@ -111,12 +111,12 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
 
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from pipeline import parse_scene
-    from pipeline.cluster import check_memory
-    from pipeline.estimate import estimate
-    from pipeline.store import Store
-    from pipeline.tables import read_source
-    from workflows.progress import in_words
+    from stickslip.pipeline import parse_scene
+    from stickslip.pipeline.cluster import check_memory
+    from stickslip.pipeline.estimate import estimate
+    from stickslip.pipeline.store import Store
+    from stickslip.pipeline.tables import read_source
+    from stickslip.workflows.progress import in_words
 
     source = read_source(file)
     scene = parse_scene(source, str(file))
@@ -136,7 +136,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
 
 def _run_member(file: Path, member_id: str) -> int:
-    from pipeline import load_scene, run_member
+    from stickslip.pipeline import load_scene, run_member
 
     scene = load_scene(file)
     try:
@@ -152,7 +152,7 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _check_directory(out: Path, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
-    from pipeline.place import MANIFEST
+    from stickslip.pipeline.place import MANIFEST
 
     place, here = out.resolve(), Path(__file__).resolve().parents[1]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
@@ -164,17 +164,17 @@ def _check_directory(out: Path, file: Path) -> None:
 
 
 def _check_no_ensemble(out: Place) -> None:
-    from pipeline.place import MANIFEST
+    from stickslip.pipeline.place import MANIFEST
 
     if MANIFEST in out.names():
         raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from pipeline.place import Directory
-    from workflows.charts import ChartError, load_chart
-    from workflows.charts.alone import measure_alone
-    from workflows.reporting import write
+    from stickslip.pipeline.place import Directory
+    from stickslip.workflows.charts import ChartError, load_chart
+    from stickslip.workflows.charts.alone import measure_alone
+    from stickslip.workflows.reporting import write
 
     kind, scene = load_chart(file)
     if arguments.dry_run:
@@ -204,7 +204,7 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 
 
 def _write_report(directory: Where, drawing: Drawing) -> None:
-    from workflows.reporting import report, write
+    from stickslip.workflows.reporting import report, write
 
     gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
     built, status = report(directory, drawing)
@@ -216,7 +216,7 @@ def _write_report(directory: Where, drawing: Drawing) -> None:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from workflows.drawing import Drawing
+    from stickslip.workflows.drawing import Drawing
 
     if arguments.compare is None:
         if arguments.out is not None:
@@ -229,8 +229,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
-    from pipeline.place import place_of
-    from workflows.reporting import compared, name_of, write
+    from stickslip.pipeline.place import place_of
+    from stickslip.workflows.reporting import compared, name_of, write
 
     place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
     _check_no_ensemble(place)
@@ -244,7 +244,7 @@ def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from workflows.progress import say, watch
+    from stickslip.workflows.progress import say, watch
 
     try:
         (watch if arguments.watch else say)(arguments.directory, arguments.plot)
@@ -254,7 +254,7 @@ def _status(arguments: argparse.Namespace) -> int:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from pipeline import verify
+    from stickslip.pipeline import verify
 
     problems = verify(arguments.directory)
     print("\n".join(problems) if problems else f"{arguments.directory}: every shard is as the manifest says")
@@ -262,8 +262,8 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 
 def _query(arguments: argparse.Namespace) -> int:
-    from pipeline.query import answer
-    from workflows.answers import form_of, write
+    from stickslip.pipeline.query import answer
+    from stickslip.workflows.answers import form_of, write
 
     form = form_of(arguments.format, arguments.out)
     try:
@@ -276,14 +276,14 @@ def _query(arguments: argparse.Namespace) -> int:
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
-    from workflows.starting import listing
+    from stickslip.workflows.starting import listing
 
     print("\n".join(listing()))
     return _DONE
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from workflows.starting import NotWritten, new_scene
+    from stickslip.workflows.starting import NotWritten, new_scene
 
     try:
         print("\n".join(new_scene(arguments.file)))
@@ -293,11 +293,11 @@ def _init(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    from workflows.keys import lines
-    from workflows.starting import schema_text
+    from stickslip.workflows.keys import lines
+    from stickslip.workflows.starting import schema_text
 
     if arguments.chart is not None:
-        from workflows.charts import KINDS
+        from stickslip.workflows.charts import KINDS
 
         if arguments.chart not in KINDS:
             raise _Wrong(
@@ -308,7 +308,7 @@ def _schema(arguments: argparse.Namespace) -> int:
 
 
 def _completion(arguments: argparse.Namespace) -> int:
-    from workflows.starting import completion
+    from stickslip.workflows.starting import completion
 
     print(completion(parser(), arguments.shell))
     return _DONE
@@ -327,7 +327,7 @@ _ON_DATA = {"run": _run, "status": _status, "verify": _verify, "report": _report
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = parser().parse_args(argv)
-    from pipeline.child import one_thread
+    from stickslip.pipeline.child import one_thread
 
     try:
         with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's

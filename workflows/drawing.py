@@ -10,11 +10,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from pipeline.child import Child, answering
+from stickslip.pipeline.child import Child, answering
 
 if TYPE_CHECKING:
-    from analysis.report import Image
-    from analysis.section import Recipe
+    from stickslip.analysis.report import Image
+    from stickslip.analysis.section import Recipe
 
 
 class Drawing:
@@ -24,7 +24,7 @@ class Drawing:
     """
 
     def __init__(self) -> None:
-        self._process = Child("from workflows.drawing import serve; serve()")
+        self._process = Child("from stickslip.workflows.drawing import serve; serve()")
         self._asking = ThreadPoolExecutor(1)
         self._asked: list[tuple[Future[str | None], Recipe]] = []
         self._drawn_here: dict[Future[str | None], str] = {}
@@ -42,7 +42,7 @@ class Drawing:
 
     def __call__(self, recipe: Recipe) -> Image:
         """Have a figure drawn; what is returned gives its image."""
-        from analysis.figures import embedded
+        from stickslip.analysis.figures import embedded
 
         asked = self._asking.submit(self._ask, recipe)
         self._asked.append((asked, recipe))
@@ -60,7 +60,7 @@ class Drawing:
         Done when the first image is asked for, as all that is missing then is images. An error of any recipe is
         raised there.
         """
-        from analysis.figures import embedded
+        from stickslip.analysis.figures import embedded
 
         while self._asked:
             asked, recipe = self._asked.pop()
@@ -81,7 +81,7 @@ def serve() -> None:
     answers = answering()
     from matplotlib.figure import Figure
 
-    from analysis.figures import embedded
+    from stickslip.analysis.figures import embedded
 
     gc.disable()  # figures are full of cycles, which are looked for again and again; of one report all find room
     embedded(Figure())  # meanwhile: the first figure has to find the fonts

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from workflows.starting import schema
+from stickslip.workflows.starting import schema
 
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 
@@ -86,7 +86,7 @@ def _keys(table: Mapping[str, Any]) -> tuple[Key, ...]:
 
 
 def _default(name: str, field: Mapping[str, Any], is_required: bool) -> str:
-    from pipeline.scene import TOLERANCES
+    from stickslip.pipeline.scene import TOLERANCES
 
     if "default" in field:
         return json.dumps(field["default"])

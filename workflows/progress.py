@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
-from pipeline.errors import printable
-from pipeline.live import Follower, View
-from pipeline.place import Where
+from stickslip.pipeline.errors import printable
+from stickslip.pipeline.live import Follower, View
+from stickslip.pipeline.place import Where
 
 if TYPE_CHECKING:
-    from pipeline import Progress
-    from pipeline.estimate import Amounts, Estimate
+    from stickslip.pipeline import Progress
+    from stickslip.pipeline.estimate import Amounts, Estimate
 
 # What reads data loads pandas: only who is told of data waits for it, and no run does before it starts.
 
@@ -102,7 +102,7 @@ def watch(directory: Where, plot: bool = False) -> None:
 
 def _say_unseen(plot: bool) -> None:
     if plot:
-        from workflows.sparkline import obstacle
+        from stickslip.workflows.sparkline import obstacle
 
         if why := obstacle():
             print(f"plot    not drawn: {why}", file=sys.stderr)
@@ -111,7 +111,7 @@ def _say_unseen(plot: bool) -> None:
 def _drawn(directory: Where, plot: bool) -> list[str]:
     if not plot:
         return []
-    from workflows.sparkline import newest
+    from stickslip.workflows.sparkline import newest
 
     return newest(directory)
 
@@ -166,7 +166,7 @@ class Watch:
         elif progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
-            from pipeline.query import reasons
+            from stickslip.pipeline.query import reasons
 
             for reason, count in reasons(self._directory, progress.last_shard).items():
                 self._print(f"failed  {count}: {reason}")

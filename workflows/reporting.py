@@ -7,13 +7,13 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from analysis import AnalysisSettings, Report, build
-from analysis.comparison import Ensemble, compare
-from analysis.report import Image, on_demand
-from analysis.section import Data, Recipe
-from pipeline import Scene, Status, StoreError, dataset_scene, status
-from pipeline.place import Directory, Where, place_of
-from pipeline.query import all_events, by_threshold, members, separations, series
+from stickslip.analysis import AnalysisSettings, Report, build
+from stickslip.analysis.comparison import Ensemble, compare
+from stickslip.analysis.report import Image, on_demand
+from stickslip.analysis.section import Data, Recipe
+from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline.place import Directory, Where, place_of
+from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 
 
 def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from workflows.scenes import shipped
+from stickslip.workflows.scenes import shipped
 
 #: The schema that a new scene's first line names, beside the scene.
 SCHEMA = "stickslip.schema.json"
@@ -37,7 +37,7 @@ def listing() -> list[str]:
 def _members(table: dict[str, Any], file: Path) -> str:
     if "chart" in table:
         return "chart"
-    from pipeline import load_scene
+    from stickslip.pipeline import load_scene
 
     return str(load_scene(file).n_members)
 
@@ -90,9 +90,9 @@ def _body() -> str:
 
 def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
-    from pipeline import Scene
-    from pipeline.tables import json_schema
-    from workflows.charts import kind
+    from stickslip.pipeline import Scene
+    from stickslip.pipeline.tables import json_schema
+    from stickslip.workflows.charts import kind
 
     return json_schema(Scene if chart is None else kind(chart).scene)
 

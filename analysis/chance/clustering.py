@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.cascades import Spans, Window, spans
-from analysis.chance.nulls import BlockSteps, rotated, triggered
-from analysis.fits import Undefined
+from stickslip.analysis.cascades import Spans, Window, spans
+from stickslip.analysis.chance.nulls import BlockSteps, rotated, triggered
+from stickslip.analysis.fits import Undefined
 
 
 def steps_of_series(win: Window) -> BlockSteps:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis import words
-from analysis.chance import figures as chance_figures
-from analysis.chance.clustering_tables import (
+from stickslip.analysis import words
+from stickslip.analysis.chance import figures as chance_figures
+from stickslip.analysis.chance.clustering_tables import (
     INDEPENDENT,
     POWER,
     SCHEMAS,
@@ -22,10 +22,10 @@ from analysis.chance.clustering_tables import (
     pairs_rows,
     spans_rows,
 )
-from analysis.chance.nulls import draws_each
-from analysis.groups import Group
-from analysis.section import Column, Data, Picture, Row, Section, Table
-from analysis.tables import drift, records, typed
+from stickslip.analysis.chance.nulls import draws_each
+from stickslip.analysis.groups import Group
+from stickslip.analysis.section import Column, Data, Picture, Row, Section, Table
+from stickslip.analysis.tables import drift, records, typed
 
 #: Label, and at each x: the share of lengths above x means, observed, by chance, and of an exponential.
 Tail = tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

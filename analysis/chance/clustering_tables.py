@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis import student
-from analysis.cascades import Law, Spans, Window, spans
-from analysis.chance.clustering import (
+from stickslip.analysis import student
+from stickslip.analysis.cascades import Law, Spans, Window, spans
+from stickslip.analysis.chance.clustering import (
     Clustering,
     chance_within,
     control,
@@ -24,11 +24,11 @@ from analysis.chance.clustering import (
     variation,
     variation_difference,
 )
-from analysis.chance.nulls import block_steps, independent_sums, random_order, rotated
-from analysis.fits import LN2, Estimate, gamma, gamma_difference, over_matrices, ratio
-from analysis.groups import Group, generator, windows
-from analysis.section import Data
-from analysis.tables import F, I, S
+from stickslip.analysis.chance.nulls import block_steps, independent_sums, random_order, rotated
+from stickslip.analysis.fits import LN2, Estimate, gamma, gamma_difference, over_matrices, ratio
+from stickslip.analysis.groups import Group, generator, windows
+from stickslip.analysis.section import Data
+from stickslip.analysis.tables import F, I, S
 
 B = "boolean"
 SCHEMAS: Mapping[str, Mapping[str, Any]] = {

@@ -1,4 +1,4 @@
-"""Drawings of the map gamma(dt, c) and of clustering, in the style of `analysis.figures`."""
+"""Drawings of the map gamma(dt, c) and of clustering, in the style of `stickslip.analysis.figures`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
 
-from analysis.cascades import SAMPLED
-from analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, subplots
-from analysis.words import PAPER_GAMMA
+from stickslip.analysis.cascades import SAMPLED
+from stickslip.analysis.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, subplots
+from stickslip.analysis.words import PAPER_GAMMA
 
 Row = Mapping[str, Any]
 _PLAIN = StrMethodFormatter("{x:g}")

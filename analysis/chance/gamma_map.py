@@ -15,14 +15,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis import words
-from analysis.cascades import SAMPLED, Law, Window, cluster_sizes, laws, sizes_of_path
-from analysis.chance import figures as chance_figures
-from analysis.chance.nulls import NullTally, block_steps, draws_each, independent_sums, random_order, rotations
-from analysis.fits import Estimate, Undefined, gamma, gamma_difference, over_matrices
-from analysis.groups import Group, generator, windows
-from analysis.section import Column, Data, Picture, Row, Section, Table
-from analysis.tables import F, I, S, records, typed
+from stickslip.analysis import words
+from stickslip.analysis.cascades import SAMPLED, Law, Window, cluster_sizes, laws, sizes_of_path
+from stickslip.analysis.chance import figures as chance_figures
+from stickslip.analysis.chance.nulls import (
+    NullTally,
+    block_steps,
+    draws_each,
+    independent_sums,
+    random_order,
+    rotations,
+)
+from stickslip.analysis.fits import Estimate, Undefined, gamma, gamma_difference, over_matrices
+from stickslip.analysis.groups import Group, generator, windows
+from stickslip.analysis.section import Column, Data, Picture, Row, Section, Table
+from stickslip.analysis.tables import F, I, S, records, typed
 
 SCHEMA: Mapping[str, Any] = {
     "group": S, "n": I, "engine": S, "definition": S, "dt": F, "tau": F, "threshold": F, "n_cascades": I,

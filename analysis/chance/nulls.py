@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
-from analysis.cascades import SAMPLED, Law, Window, cluster_sizes, sizes_of_path
-from analysis.fits import add_histograms, gamma, jackknife
+from stickslip.analysis.cascades import SAMPLED, Law, Window, cluster_sizes, sizes_of_path
+from stickslip.analysis.fits import add_histograms, gamma, jackknife
 
 
 @dataclass
@@ -154,7 +154,7 @@ def independent_sums(law: Law, n_exits: int, n_entries: int, span: float) -> np.
     Returns
     -------
     ndarray, shape (2,)
-        The columns that `analysis.fits.gamma` reads; zero where no cascade is ever complete.
+        The columns that `stickslip.analysis.fits.gamma` reads; zero where no cascade is ever complete.
     """
     if n_exits == 0 or n_entries == 0:
         return np.zeros(2)

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis import fits, words
-from analysis.cascades import Law, Window, laws, sizes_of_path, window
-from analysis.change import equivalence
-from analysis.change.equivalence import Compared
-from analysis.change.survival import COLLAPSED, DIVERGED, SILENT, fate
-from analysis.fits import Estimate, Undefined, correlation_time, gamma, jackknife, over_matrices, ratio
-from analysis.section import ChangePoints, Data
+from stickslip.analysis import fits, words
+from stickslip.analysis.cascades import Law, Window, laws, sizes_of_path, window
+from stickslip.analysis.change import equivalence
+from stickslip.analysis.change.equivalence import Compared
+from stickslip.analysis.change.survival import COLLAPSED, DIVERGED, SILENT, fate
+from stickslip.analysis.fits import Estimate, Undefined, correlation_time, gamma, jackknife, over_matrices, ratio
+from stickslip.analysis.section import ChangePoints, Data
 
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from analysis import words
-from analysis.change import figures as twin_figures
-from analysis.change.contrast import (
+from stickslip.analysis import words
+from stickslip.analysis.change import figures as twin_figures
+from stickslip.analysis.change.contrast import (
     CERTIFIED,
     SHARES_ADJUSTED,
     Sample,
@@ -26,10 +26,10 @@ from analysis.change.contrast import (
     size_in_words,
     statistics,
 )
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group
-from analysis.section import Column, Data, Rows, Section, Table
-from analysis.tables import F, I, S, typed
+from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group
+from stickslip.analysis.section import Column, Data, Rows, Section, Table
+from stickslip.analysis.tables import F, I, S, typed
 
 LAW, TOLERANCE, THRESHOLD = "engines", "tolerances", "thresholds"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the

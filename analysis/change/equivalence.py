@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, special
 
-from analysis import student, words
+from stickslip.analysis import student, words
 
 EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
 POWER = 0.8  # of the equivalence test, for the number of matrices that would be needed

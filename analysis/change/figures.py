@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.change.growth_rates import GROWS, SHRINKS
-from analysis.figures import CYCLE, GREY, STYLE, subplots
-from analysis.section import Picture
+from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
+from stickslip.analysis.change.growth_rates import GROWS, SHRINKS
+from stickslip.analysis.figures import CYCLE, GREY, STYLE, subplots
+from stickslip.analysis.section import Picture
 
 if TYPE_CHECKING:
-    from analysis.change.survival import Curve
+    from stickslip.analysis.change.survival import Curve
 
 Row = Mapping[str, Any]
 Line = tuple[str, str, np.ndarray, np.ndarray]  # family (one colour), label, times, values
@@ -271,7 +271,7 @@ def contrasts(panels: Sequence[tuple[str, Sequence[Row]]], caption: str) -> Pict
     Parameters
     ----------
     panels : sequence of (label, rows)
-        Rows of `analysis.change.contrast.judged` that have a difference.
+        Rows of `stickslip.analysis.change.contrast.judged` that have a difference.
     caption : str
     """
     return Picture(

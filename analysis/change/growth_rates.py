@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from analysis import student
-from analysis.change.pairs import START, Comparison, Setting
-from analysis.change.sensitivity import BLOCKS, CEILING, Growth, amplification_gap, growth, saturation
-from analysis.section import Data, Rows, Separation
-from analysis.tables import F, I, S
+from stickslip.analysis import student
+from stickslip.analysis.change.pairs import START, Comparison, Setting
+from stickslip.analysis.change.sensitivity import BLOCKS, CEILING, Growth, amplification_gap, growth, saturation
+from stickslip.analysis.section import Data, Rows, Separation
+from stickslip.analysis.tables import F, I, S
 
 GROWTH_COLUMNS = {
     "setting": S, "n": I, "engine": S, "eps": F, "size": F, "n_pairs": I, "n_runaway": I, "n_fitted": I, "rate": F,

@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
-from analysis import words
-from analysis.groups import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis import words
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: what a perturbation moves, if the members do not say: every constant by up to a share of its scale

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.change.figures import Line
-from analysis.change.growth_rates import is_kept
-from analysis.change.pairs import Comparison, Setting
-from analysis.change.sensitivity import horizon, mean_difference, median_interval, redraw_difference
-from analysis.fits import over_matrices, ratio
-from analysis.section import Data, Rows
-from analysis.tables import F, I, S
+from stickslip.analysis.change.figures import Line
+from stickslip.analysis.change.growth_rates import is_kept
+from stickslip.analysis.change.pairs import Comparison, Setting
+from stickslip.analysis.change.sensitivity import horizon, mean_difference, median_interval, redraw_difference
+from stickslip.analysis.fits import over_matrices, ratio
+from stickslip.analysis.section import Data, Rows
+from stickslip.analysis.tables import F, I, S
 
 WINDOW = 1.0  # width of the windows in which n_stick is compared
 _DRAWN = 120  # points of a curve

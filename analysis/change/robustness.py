@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
-from analysis import student, words
-from analysis.cascades import Law, Window, sizes
-from analysis.change import equivalence
-from analysis.change.equivalence import Compared
-from analysis.change.pairs import Comparison
-from analysis.fits import Undefined, correlation_time, gamma, jackknife, jackknife_error
+from stickslip.analysis import student, words
+from stickslip.analysis.cascades import Law, Window, sizes
+from stickslip.analysis.change import equivalence
+from stickslip.analysis.change.equivalence import Compared
+from stickslip.analysis.change.pairs import Comparison
+from stickslip.analysis.fits import Undefined, correlation_time, gamma, jackknife, jackknife_error
 
 #: quantities by name, and what the reader is told
 QUANTITIES: Mapping[str, str] = {

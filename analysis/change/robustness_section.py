@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis import words
-from analysis.cascades import window
-from analysis.change import equivalence
-from analysis.change import figures as twin_figures
-from analysis.change.equivalence import EQUIVALENT, OPEN, share_over_matrices
-from analysis.change.pairs import Comparison, Setting, settings
-from analysis.change.robustness import (
+from stickslip.analysis import words
+from stickslip.analysis.cascades import window
+from stickslip.analysis.change import equivalence
+from stickslip.analysis.change import figures as twin_figures
+from stickslip.analysis.change.equivalence import EQUIVALENT, OPEN, share_over_matrices
+from stickslip.analysis.change.pairs import Comparison, Setting, settings
+from stickslip.analysis.change.robustness import (
     BAND,
     QUANTITIES,
     Result,
@@ -25,11 +25,11 @@ from analysis.change.robustness import (
     redrawn,
     summary,
 )
-from analysis.change.robustness_words import ENDS, lead_words, statements_of, verdict_words
-from analysis.change.survival import fates
-from analysis.groups import generator
-from analysis.section import Column, Data, Rows, Section, Table
-from analysis.tables import F, I, S, typed
+from stickslip.analysis.change.robustness_words import ENDS, lead_words, statements_of, verdict_words
+from stickslip.analysis.change.survival import fates
+from stickslip.analysis.groups import generator
+from stickslip.analysis.section import Column, Data, Rows, Section, Table
+from stickslip.analysis.tables import F, I, S, typed
 
 _SCHEMA = {
     "setting": S, "n": I, "engine": S, "kind": S, "reading": S, "size": F, "change": S, "quantity": S,

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from itertools import groupby
 from typing import Any
 
-from analysis import words
-from analysis.change import equivalence
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
-from analysis.change.pairs import CONSTANTS, RATIOS, START, Setting
-from analysis.change.robustness import QUANTITIES
-from analysis.section import Rows
+from stickslip.analysis import words
+from stickslip.analysis.change import equivalence
+from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN
+from stickslip.analysis.change.pairs import CONSTANTS, RATIOS, START, Setting
+from stickslip.analysis.change.robustness import QUANTITIES
+from stickslip.analysis.section import Rows
 
 ENDS = {"collapsed": "total collapse", "silent": "silent, not certified", "diverged": "runaway"}
 _SAME_PATH = 0.5  # below so many times the noise of the window, runs have hardly left each other's path

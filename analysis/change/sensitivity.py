@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from analysis.cascades import sample
-from analysis.change.pairs import Comparison
-from analysis.fits import Estimate, over_matrices, ratio
-from analysis.section import ChangePoints, Separation
+from stickslip.analysis.cascades import sample
+from stickslip.analysis.change.pairs import Comparison
+from stickslip.analysis.fits import Estimate, over_matrices, ratio
+from stickslip.analysis.section import ChangePoints, Separation
 
 FLOOR = 3.0  # the linear range begins where a distance has grown so many times: it then points along the growth
 CEILING = 1e-2  # and ends at this share of the scale at which distances saturate

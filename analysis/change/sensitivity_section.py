@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis import words
-from analysis.change import figures as twin_figures
-from analysis.change.growth_rates import (
+from stickslip.analysis import words
+from stickslip.analysis.change import figures as twin_figures
+from stickslip.analysis.change.growth_rates import (
     ABOVE_ERROR,
     GROWTH_COLUMNS,
     RATE_COLUMNS,
@@ -17,11 +17,18 @@ from analysis.change.growth_rates import (
     growth_rows,
     saturations,
 )
-from analysis.change.pairs import CONSTANTS, START, Setting, settings
-from analysis.change.parting import HORIZON_COLUMNS, PARTING_COLUMNS, WINDOW, distances, parting_rows, paths_of
-from analysis.change.sensitivity import BLOCKS, CEILING, FLOOR
-from analysis.section import Column, Data, Picture, Rows, Section, Table
-from analysis.tables import typed
+from stickslip.analysis.change.pairs import CONSTANTS, START, Setting, settings
+from stickslip.analysis.change.parting import (
+    HORIZON_COLUMNS,
+    PARTING_COLUMNS,
+    WINDOW,
+    distances,
+    parting_rows,
+    paths_of,
+)
+from stickslip.analysis.change.sensitivity import BLOCKS, CEILING, FLOOR
+from stickslip.analysis.section import Column, Data, Picture, Rows, Section, Table
+from stickslip.analysis.tables import typed
 
 _PROPORTIONAL = 0.1  # amplifications apart by less than this (of their logarithm) count as equal
 

@@ -21,12 +21,12 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from analysis import words
-from analysis.change import figures as twin_figures
-from analysis.change.equivalence import wilson
-from analysis.change.pairs import Setting, settings
-from analysis.section import ChangePoints, Column, Data, Picture, Section, Table
-from analysis.tables import F, I, S, typed
+from stickslip.analysis import words
+from stickslip.analysis.change import figures as twin_figures
+from stickslip.analysis.change.equivalence import wilson
+from stickslip.analysis.change.pairs import Setting, settings
+from stickslip.analysis.section import ChangePoints, Column, Data, Picture, Section, Table
+from stickslip.analysis.tables import F, I, S, typed
 
 TITLE = "Collapse and escape"
 COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, special
 
-from analysis.fits import Undefined
+from stickslip.analysis.fits import Undefined
 
 #: Log of the weights: sizes, shape (K,), and internal parameters, shape (p,), to shape (K,).
 LogWeights = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.figures import CYCLE, GREY, STYLE, size_axis, subplots
-from analysis.law.goodness import Quotient
+from stickslip.analysis.figures import CYCLE, GREY, STYLE, size_axis, subplots
+from stickslip.analysis.law.goodness import Quotient
 
 _DASHES = ("-", "--", ":", "-.", (0, (5, 1)))
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from analysis import student, words
-from analysis.fits import Estimate, Statistic, Undefined, gamma, jackknife, over_matrices
-from analysis.law.families import EXPONENTIAL, log_shares
+from stickslip.analysis import student, words
+from stickslip.analysis.fits import Estimate, Statistic, Undefined, gamma, jackknife, over_matrices
+from stickslip.analysis.law.families import EXPONENTIAL, log_shares
 
 FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
 #: A size is judged if so many cascades are expected above it. Nothing in the data says where to cut the tail, so the

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis import student
-from analysis.fits import Estimate, Undefined, jackknife_error, over_matrices, ratio
-from analysis.law.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
+from stickslip.analysis import student
+from stickslip.analysis.fits import Estimate, Undefined, jackknife_error, over_matrices, ratio
+from stickslip.analysis.law.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis import words
-from analysis.cascades import Law
-from analysis.fits import Estimate
-from analysis.groups import Group, generator
-from analysis.law.families import EXPONENTIAL, RIVALS, Fit, maximise, truncate
-from analysis.law.figures import Panel, quotient_panels
-from analysis.law.goodness import (
+from stickslip.analysis import words
+from stickslip.analysis.cascades import Law
+from stickslip.analysis.fits import Estimate
+from stickslip.analysis.groups import Group, generator
+from stickslip.analysis.law.families import EXPONENTIAL, RIVALS, Fit, maximise, truncate
+from stickslip.analysis.law.figures import Panel, quotient_panels
+from stickslip.analysis.law.goodness import (
     CUTS,
     Goodness,
     LeastSquares,
@@ -26,9 +26,9 @@ from analysis.law.goodness import (
     quotients,
     rate,
 )
-from analysis.law.rivals import Rival, rivals
-from analysis.section import Column, Picture, Section, Table
-from analysis.tables import F, I, S, typed
+from stickslip.analysis.law.rivals import Rival, rivals
+from stickslip.analysis.section import Column, Picture, Section, Table
+from stickslip.analysis.tables import F, I, S, typed
 
 TAIL = 5  # the share of cascades of so many blocks or more is what a rival is compared by
 PANELS = 6  # groups drawn

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import AnalysisSettings
+from stickslip.analysis import AnalysisSettings
 
 T_END = 1000.0
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis import Law, over_matrices, random_order, sizes, window
-from analysis.cascades import SAMPLED, Window, laws
-from analysis.chance.nulls import (
+from stickslip.analysis import Law, over_matrices, random_order, sizes, window
+from stickslip.analysis.cascades import SAMPLED, Window, laws
+from stickslip.analysis.chance.nulls import (
     BlockSteps,
     block_steps,
     draws_each,
@@ -17,7 +17,7 @@ from analysis.chance.nulls import (
     rotations,
     triggered,
 )
-from analysis.fits import LN2, gamma, gamma_difference
+from stickslip.analysis.fits import LN2, gamma, gamma_difference
 
 EVENTS = Law("events")
 

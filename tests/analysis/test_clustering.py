@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import AnalysisSettings
-from analysis.cascades import Window, spans
-from analysis.chance.clustering import (
+from stickslip.analysis import AnalysisSettings
+from stickslip.analysis.cascades import Window, spans
+from stickslip.analysis.chance.clustering import (
     chance_within,
     excess,
     fano,
@@ -25,13 +25,13 @@ from analysis.chance.clustering import (
     variation,
     variation_difference,
 )
-from analysis.chance.clustering_section import clustering_section, verdict
-from analysis.chance.gamma_map import crossings, map_section
-from analysis.chance.nulls import BlockSteps, rotated, triggered
-from analysis.fits import gamma_difference, over_matrices, ratio
-from analysis.groups import fill, groups
-from analysis.section import Data
-from analysis.tables import records
+from stickslip.analysis.chance.clustering_section import clustering_section, verdict
+from stickslip.analysis.chance.gamma_map import crossings, map_section
+from stickslip.analysis.chance.nulls import BlockSteps, rotated, triggered
+from stickslip.analysis.fits import gamma_difference, over_matrices, ratio
+from stickslip.analysis.groups import fill, groups
+from stickslip.analysis.section import Data
+from stickslip.analysis.tables import records
 
 T = 200.0
 TAUS = (0.05, 0.2, 1.0, 3.0)

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.change.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
-from analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
-from analysis.fits import gamma, ratio
-from analysis.section import Data
+from stickslip.analysis.change.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
+from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
+from stickslip.analysis.fits import gamma, ratio
+from stickslip.analysis.section import Data
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Statistic("share", ratio, 0.2, is_share=True)

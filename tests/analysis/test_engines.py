@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import AnalysisSettings, build
-from analysis.change.engines_section import engines_section
-from analysis.groups import groups
-from analysis.section import Data
+from stickslip.analysis import AnalysisSettings, build
+from stickslip.analysis.change.engines_section import engines_section
+from stickslip.analysis.groups import groups
+from stickslip.analysis.section import Data
 
 MARGINS = {"mean": 0.1, "rate": 0.1, "gamma": 0.05}
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-from analysis import figures
-from analysis.change import figures as change_figures
-from analysis.change.equivalence import DIFFERENT, OPEN
+from stickslip.analysis import figures
+from stickslip.analysis.change import figures as change_figures
+from stickslip.analysis.change.equivalence import DIFFERENT, OPEN
 
 SIZES = [
     {

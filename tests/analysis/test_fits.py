@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from analysis import correlation_time, gamma, over_matrices, student, window
-from analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
+from stickslip.analysis import correlation_time, gamma, over_matrices, student, window
+from stickslip.analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
 
 
 @pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.fits import Undefined, gamma, jackknife
-from analysis.law.families import truncate
-from analysis.law.goodness import between_share, goodness, least_squares, line, quotients, rate, truncated_gamma
+from stickslip.analysis.fits import Undefined, gamma, jackknife
+from stickslip.analysis.law.families import truncate
+from stickslip.analysis.law.goodness import (
+    between_share,
+    goodness,
+    least_squares,
+    line,
+    quotients,
+    rate,
+    truncated_gamma,
+)
 
 spec = importlib.util.spec_from_file_location("law_studies", Path(__file__).with_name("law_studies.py"))
 studies = importlib.util.module_from_spec(spec)

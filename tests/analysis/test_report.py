@@ -10,17 +10,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import AnalysisSettings, Data, build
-from analysis.chance.clustering_section import clustering_section
-from analysis.fits import LN2
-from analysis.report import on_demand
+from stickslip.analysis import AnalysisSettings, Data, build
+from stickslip.analysis.chance.clustering_section import clustering_section
+from stickslip.analysis.fits import LN2
+from stickslip.analysis.report import on_demand
 
 
 @pytest.fixture(autouse=True)
 def few_controls(monkeypatch):
     """Positive controls of clustering, most of a report's time, have tests of their own: here two each will do."""
     few = partial(clustering_section, resamples=5, repeats=2)
-    monkeypatch.setattr("analysis.report.clustering_section", few)
+    monkeypatch.setattr("stickslip.analysis.report.clustering_section", few)
 
 
 def undrawn(recipe):

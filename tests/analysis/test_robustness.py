@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.cascades import window
-from analysis.change.equivalence import (
+from stickslip.analysis.cascades import window
+from stickslip.analysis.change.equivalence import (
     DIFFERENT,
     EQUIVALENT,
     OPEN,
@@ -21,9 +21,9 @@ from analysis.change.equivalence import (
     unpaired,
     wilson,
 )
-from analysis.change.robustness import band_share, summary, time_shares, wasserstein
-from analysis.change.robustness_section import robustness_section
-from analysis.section import Data
+from stickslip.analysis.change.robustness import band_share, summary, time_shares, wasserstein
+from stickslip.analysis.change.robustness_section import robustness_section
+from stickslip.analysis.section import Data
 
 _spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
 studies = importlib.util.module_from_spec(_spec)

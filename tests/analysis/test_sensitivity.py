@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from analysis.change.pairs import CONSTANTS, RATIOS, START, settings
-from analysis.change.sensitivity import (
+from stickslip.analysis.change.pairs import CONSTANTS, RATIOS, START, settings
+from stickslip.analysis.change.sensitivity import (
     BLOCKS,
     amplification_gap,
     horizon,
@@ -20,8 +20,8 @@ from analysis.change.sensitivity import (
     slope,
     slope_error,
 )
-from analysis.change.sensitivity_section import sensitivity_section
-from analysis.section import Data
+from stickslip.analysis.change.sensitivity_section import sensitivity_section
+from stickslip.analysis.section import Data
 
 _spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
 studies = importlib.util.module_from_spec(_spec)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.change.survival import (
+from stickslip.analysis.change.survival import (
     COLLAPSED,
     DIVERGED,
     ENDS,
@@ -17,8 +17,8 @@ from analysis.change.survival import (
     survival,
     survival_section,
 )
-from analysis.report import _leading
-from analysis.section import Data, Section
+from stickslip.analysis.report import _leading
+from stickslip.analysis.section import Data, Section
 
 
 def test_survival_against_the_textbook():

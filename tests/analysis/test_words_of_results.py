@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from analysis import Estimate, window
-from analysis.law import families
+from stickslip.analysis import Estimate, window
+from stickslip.analysis.law import families
 
 
 def test_estimate():

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pipeline import expand, place
+from stickslip.pipeline import expand, place
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
 from tests.processes import until

@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline import Progress, StoreError, parse_scene, query, run_scene, status, verify
+from stickslip.pipeline import Progress, StoreError, parse_scene, query, run_scene, status, verify
 from tests.faults.registry import fault
 from tests.faults.world import World, content
 

@@ -17,7 +17,7 @@ from tests.processes import until
 def _one_clear_refusal(words: str, reason: str) -> None:
     lines = words.strip().splitlines()
     last = lines[-1]
-    assert last.startswith("pipeline.errors.StoreError: "), words
+    assert last.startswith("stickslip.pipeline.errors.StoreError: "), words
     assert reason in last, words
     assert "run the same scene again: the shards that are done are kept" in last, words
 

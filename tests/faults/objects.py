@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
-from pipeline import objects, verify
+from stickslip.pipeline import objects, verify
 from tests.faults.bucket import ask, bucket
 from tests.faults.registry import fault
 from tests.faults.world import World, end_of, wait
@@ -99,7 +99,7 @@ def object_store_lost(world: World, count: int) -> int:
             assert code in (0, 1)  # it may have been quicker
             if code:
                 last = said.read_text().strip().splitlines()[-1]
-                assert last.startswith("pipeline.errors.StoreError: s3://bucket/"), last
+                assert last.startswith("stickslip.pipeline.errors.StoreError: s3://bucket/"), last
                 assert "Service is unable to handle request" in last or "(Service Unavailable)" in last, last
                 assert "run the same scene again: the shards that are done are kept" in last, last
             cloud.resume(f"out{k}")

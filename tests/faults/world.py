@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline import expand, members, parse_scene, run_scene, verify
-from pipeline.manifest import read_manifest
-from pipeline.shards import program
+from stickslip.pipeline import expand, members, parse_scene, run_scene, verify
+from stickslip.pipeline.manifest import read_manifest
+from stickslip.pipeline.shards import program
 
 ROOT = Path(__file__).parents[2]
 INJECT = Path(__file__).parent / "inject"

@@ -18,8 +18,8 @@ from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import block_diag, eig
 from scipy.sparse import csc_array
 
-from sim import IntegrationError, Run, System, simulate
-from sim.run import Engine
+from stickslip.sim import IntegrationError, Run, System, simulate
+from stickslip.sim.run import Engine
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Undecided, follow
@@ -377,6 +377,6 @@ def _compile() -> None:
 
 
 def judge(trial: Trial, run: Simulate = simulate) -> Verdict:
-    """Everything that is checked of one case; `run` stands in for `sim.simulate`."""
+    """Everything that is checked of one case; `run` stands in for `stickslip.sim.simulate`."""
     _compile()
     return _Judge(trial, run).judge()

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from pipeline import members, parse_scene, run_scene
+from stickslip.pipeline import members, parse_scene, run_scene
 
 SOURCE = b"""\
 title = "small"

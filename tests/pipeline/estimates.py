@@ -11,9 +11,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from pipeline import Progress, Scene, parse_scene, run_scene, status
-from pipeline.estimate import estimate
-from pipeline.store import Store
+from stickslip.pipeline import Progress, Scene, parse_scene, run_scene, status
+from stickslip.pipeline.estimate import estimate
+from stickslip.pipeline.store import Store
 
 _SCENE = """
 [system]

@@ -8,9 +8,9 @@ from concurrent.futures import Future
 
 import pytest
 
-import sim
-from pipeline import ScheduleError, estimate, members
-from workflows.progress import in_words
+from stickslip import sim
+from stickslip.pipeline import ScheduleError, estimate, members
+from stickslip.workflows.progress import in_words
 
 
 class Here:
@@ -36,7 +36,7 @@ def test_a_pilot_that_fails_gives_a_reason_and_no_interval(scene, batches, monke
             raise MemoryError("no room for K")
         return simulate(system, *args, **settings)
 
-    monkeypatch.setattr("sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.sim.simulate", fragile)
     found = estimate.estimate(scene, batches, 2)
     assert found.amounts is None
     assert list(found.failures) == ["MemoryError: no room for K"]

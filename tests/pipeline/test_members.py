@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import batches, expand, parse_scene
+from stickslip.pipeline import batches, expand, parse_scene
 
 ROOT = Path(__file__).parents[2]
 
@@ -165,11 +165,12 @@ def test_each_draw_is_numpys_own_under_its_key(source):
 @pytest.mark.parametrize("room", ["sim/coupling.py", "sim/new/deeper.py", "pipeline/members.py", "pipeline/scene.py"])
 def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
     """Data of two sets of draws are never mixed: a change of any of these sources is another program."""
+    shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)
     for folder in ("sim", "pipeline"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
 
     def program():
-        asked = [sys.executable, "-c", "from pipeline.shards import program; print(program())"]
+        asked = [sys.executable, "-c", "from stickslip.pipeline.shards import program; print(program())"]
         found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
         return found.stdout
 
@@ -183,7 +184,9 @@ def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
 def test_settings_reach_the_engine(source, monkeypatch):
     scene = change(source, it=('ratio = "uniform"', 'rtol = 1e-7\natol = 1e-9\nratio = "uniform"'))
     seen = []
-    monkeypatch.setattr("sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings)))
+    monkeypatch.setattr(
+        "stickslip.sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings))
+    )
     members = by_id(scene)
     members["n3-m000-coulomb-1e-10"].simulate()
     members["n5-m002-sigmoid-0.03-u1-1e-7-1e-9-c1"].simulate()
@@ -210,9 +213,9 @@ def test_batches_hold_every_member_once_in_order(scene):
 def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
-    monkeypatch.setattr("pipeline.members._MANY", 3)
+    monkeypatch.setattr("stickslip.pipeline.members._MANY", 3)
     for target, count in ((whole, 1), (whole / 3.01, 4), (whole / 6, 4), (whole / 24, 5)):
-        monkeypatch.setattr("pipeline.members.TARGET_COST", target)
+        monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", target)
         packed = batches(members, scene.hash)
         assert count <= len(packed) <= count + 1
         assert [member for batch in packed for member in batch.members] == members

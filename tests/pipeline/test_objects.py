@@ -10,9 +10,9 @@ import time
 import fsspec
 import pytest
 
-from pipeline import Progress, StoreError, objects, place, query, run_scene, status, verify
-from pipeline.live import running
-from pipeline.store import Store
+from stickslip.pipeline import Progress, StoreError, objects, place, query, run_scene, status, verify
+from stickslip.pipeline.live import running
+from stickslip.pipeline.store import Store
 from tests.processes import until
 
 OUT = "memory://bucket/out"
@@ -92,7 +92,7 @@ def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, 
     del memory["/bucket/out/manifest.json"]
     with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
         status(OUT)
-    monkeypatch.setattr("sim.simulate", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
     run_scene(scene, source, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
@@ -102,7 +102,7 @@ def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, co
     fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
     assert content(tmp_path) == content(finished)
     (tmp_path / "manifest.json").unlink()
-    monkeypatch.setattr("sim.simulate", None)
+    monkeypatch.setattr("stickslip.sim.simulate", None)
     assert run_scene(scene, source, tmp_path, workers=0).is_complete
 
 
@@ -273,7 +273,7 @@ def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
 
 
 def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
-    monkeypatch.setattr("pipeline.store._LAST_SECONDS", 0.1)
+    monkeypatch.setattr("stickslip.pipeline.store._LAST_SECONDS", 0.1)
     answered, listed = threading.Event(), []
     with Store(stored, scene, source) as store:
         monkeypatch.setattr(objects.Prefix, "names", lambda self: listed.append(answered.wait(60)) or [])

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from pipeline import QueryError, StoreError, expand, parse_scene, query, run_scene
-from pipeline.shards import SCHEMA, scalars
+from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_scene
+from stickslip.pipeline.shards import SCHEMA, scalars
 
 
 def test_members_table(finished, scene):
@@ -364,7 +364,7 @@ def test_a_table_holds_the_lists_too(finished):
 
 
 def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
-    monkeypatch.setattr("pipeline.query._PART", 60_000)  # some parts
+    monkeypatch.setattr("stickslip.pipeline.query._PART", 60_000)  # some parts
     columns, filters = ["member_id", "n", "tol", "n_exits", "stick"], [("engine", "=", "coulomb")]
     lazy = query.dask_members(finished, columns, filters)
     assert lazy.npartitions > 2

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import Scene, SceneError, expand, load_scene, parse_scene
+from stickslip.pipeline import Scene, SceneError, expand, load_scene, parse_scene
 
 SCENES = Path(str(resources.files("workflows"))) / "scenes"
 

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from pipeline import Progress, ScheduleError, cluster, expand, run_scene, schedule, status, verify
-from pipeline.store import Store
+from stickslip.pipeline import Progress, ScheduleError, cluster, expand, run_scene, schedule, status, verify
+from stickslip.pipeline.store import Store
 from tests.pipeline.conftest import SOURCE
 
 
@@ -70,7 +70,7 @@ def test_libraries_have_one_thread_in_a_worker():
 
 
 def test_no_scheduler_there(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.cluster.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("stickslip.pipeline.cluster.CONNECT_TIMEOUT", 0.5)
     with pytest.raises(ScheduleError, match=r"scheduler: expected the address.*127\.0\.0\.1:9.*dask scheduler"):
         run_scene(scene, source, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(ValueError, match="workers: expected a count >= 0, got -1"):
@@ -127,14 +127,14 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
 
 
 def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.schedule.program", lambda: "9.9.9-0123")
+    monkeypatch.setattr("stickslip.pipeline.schedule.program", lambda: "9.9.9-0123")
     with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
         run_scene(scene, source, tmp_path / "out", workers=0)
     assert status(tmp_path / "out").n_done == 0
 
 
 def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("pipeline.schedule.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr("stickslip.pipeline.schedule.LOST_TIMEOUT", 0.5)
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
@@ -184,7 +184,7 @@ def test_each_kernel_is_compiled_once(tmp_path):
     command = [sys.executable, "-c", f"""
 import sys
 from numba.core import event
-from pipeline import expand, kernels, parse_scene
+from stickslip.pipeline import expand, kernels, parse_scene
 members = [member for member in expand(parse_scene({SOURCE!r})) if member.engine == "coulomb"]
 with event.install_recorder("numba:compile") as compiled:
     kernels.load(members)

@@ -18,9 +18,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import pipeline
-import sim
-from pipeline import (
+from stickslip import pipeline, sim
+from stickslip.pipeline import (
     Progress,
     StoreError,
     expand,
@@ -33,10 +32,10 @@ from pipeline import (
     status,
     verify,
 )
-from pipeline.manifest import read_manifest
-from pipeline.place import Directory
-from pipeline.shards import SCHEMA, Recording, compute, scalars
-from pipeline.store import Store
+from stickslip.pipeline.manifest import read_manifest
+from stickslip.pipeline.place import Directory
+from stickslip.pipeline.shards import SCHEMA, Recording, compute, scalars
+from stickslip.pipeline.store import Store
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -110,7 +109,7 @@ def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
             raise ZeroDivisionError("one\n  two")
         return simulate(system, *args, **settings)
 
-    monkeypatch.setattr("sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.sim.simulate", fragile)
     result = run_scene(scene, source, tmp_path / "out", workers=0)
     assert result.is_complete
     assert result.outcomes["failed"] == 9
@@ -148,7 +147,7 @@ def python(script, *arguments):
 DRIVER = """
 import os, sys
 from pathlib import Path
-from pipeline import members, parse_scene, run_scene
+from stickslip.pipeline import members, parse_scene, run_scene
 members.TARGET_COST = 3.5e-3
 source = Path(sys.argv[1]).read_bytes()
 scene = parse_scene(source)
@@ -191,7 +190,7 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
     with pytest.raises(StoreError, match=r"No space left on device.*run the same scene again"):
         run_scene(scene, source, out, workers=0)
     monkeypatch.undo()
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 3.5e-3)
+    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 3.5e-3)
     assert list(out.rglob(".tmp-*")) == []
     assert not (out / ".lock").exists()
     run_scene(scene, source, out, workers=0)
@@ -407,7 +406,7 @@ def test_a_shard_that_is_gone_is_counted(copy):
 
 
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):
-    monkeypatch.setattr("sim.simulate", None)
+    monkeypatch.setattr("stickslip.sim.simulate", None)
     changed = source.replace(b'title = "small"', b'title = "new"').replace(b"t_burn = 1.0", b"t_burn = 2.0")
     assert run_scene(parse_scene(changed), changed, copy, workers=0).is_complete
     assert (copy / "scene.toml").read_bytes() == changed
@@ -415,7 +414,7 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
 
 
 def test_a_dataset_keeps_the_packing_that_it_began_with(copy, scene, source, content, finished, monkeypatch):
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 7e-3)
+    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 7e-3)
     shards(copy)[2].unlink()
     run_scene(scene, source, copy, workers=0)
     assert content(copy) == content(finished)
@@ -477,7 +476,7 @@ def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
     with pytest.raises(StoreError):  # of another scene, it is left alone
         run_scene(other, changed, copy, workers=0)
     assert listing(copy) == before
-    monkeypatch.setattr("sim.simulate", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
     run_scene(scene, source, copy, workers=0)
     assert content(copy) == content(finished)
     assert verify(copy) == []
@@ -497,8 +496,8 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
 
 @pytest.mark.parametrize("where", ["{tmp_path}/out", "memory://bucket/written"])
 def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.members.TARGET_COST", 1e-9)  # a member each
-    monkeypatch.setattr("sim.simulate", None)  # a row that says so
+    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 1e-9)  # a member each
+    monkeypatch.setattr("stickslip.sim.simulate", None)  # a row that says so
     written = []
 
     def counting(function, position):
@@ -617,7 +616,7 @@ def test_members_are_finished_collapsed_diverged_or_failed_each_once(scene, sour
             raise MemoryError
         return simulate(system, *args, **settings)
 
-    monkeypatch.setattr("sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.sim.simulate", fragile)
     found = run_scene(scene, source, tmp_path / "out", workers=0)
     ids = [row["member_id"] for table in tables(tmp_path / "out") for row in table.to_pylist()]
     assert sorted(ids) == sorted({member.member_id for member in expand(scene)})
@@ -637,7 +636,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
             raise ZeroDivisionError
         return simulate(system, *args, **settings)
 
-    monkeypatch.setattr("sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.sim.simulate", fragile)
     out = tmp_path / "out"
     run_scene(scene, source, out, workers=0)
     failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
@@ -649,7 +648,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     calls.clear()
     run_scene(scene, source, out, workers=0)
     assert calls == []  # a failed member is done
-    monkeypatch.setattr("sim.simulate", simulate)
+    monkeypatch.setattr("stickslip.sim.simulate", simulate)
     touched = {file: file.stat().st_mtime_ns for file in shards(out)}
     with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
     seen: list[Progress] = []

@@ -15,11 +15,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pipeline
-from pipeline import Progress, batches, expand, parse_scene, run_scene
-from pipeline.manifest import read_commits
-from pipeline.place import DATA
-from pipeline.shards import Recording, compute
+from stickslip import pipeline
+from stickslip.pipeline import Progress, batches, expand, parse_scene, run_scene
+from stickslip.pipeline.manifest import read_commits
+from stickslip.pipeline.place import DATA
+from stickslip.pipeline.shards import Recording, compute
 
 SOURCE = b"""\
 title = "Ten thousand members"

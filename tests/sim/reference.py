@@ -14,7 +14,7 @@ import mpmath
 import numpy as np
 from mpmath import mpf
 
-from sim import System
+from stickslip.sim import System
 
 _DPS = 34
 _ORDER = 36

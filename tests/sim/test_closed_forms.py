@@ -8,7 +8,7 @@ in 40-digit arithmetic with the couplings of eq. (6): s = +1 as printed, s = -1 
 import numpy as np
 import pytest
 
-from sim import System, simulate
+from stickslip.sim import System, simulate
 
 TOL = 1e-15
 

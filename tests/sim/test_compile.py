@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from sim.compile import _KernelFiles, cache_directory, kernel
+from stickslip.sim.compile import _KernelFiles, cache_directory, kernel
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse
 from scipy.integrate import solve_ivp
 
-from sim import (
+from stickslip.sim import (
     COUPLINGS,
     READINGS,
     System,
@@ -22,7 +22,7 @@ from sim import (
     simulate,
     strata,
 )
-from sim.switching import Coulomb
+from stickslip.sim.switching import Coulomb
 
 FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse
 from scipy.linalg import expm
 
-from sim import IntegrationError, System, draw_system, fate, simulate
+from stickslip.sim import IntegrationError, System, draw_system, fate, simulate
 
 from .reference import follow
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim import EventSeries, System, draw_system, perturb_system, simulate
-from sim.coupling import COUPLINGS
+from stickslip.sim import EventSeries, System, draw_system, perturb_system, simulate
+from stickslip.sim.coupling import COUPLINGS
 
 START = (-0.7, -0.4)
 

@@ -10,8 +10,8 @@ from itertools import count
 import numpy as np
 import pytest
 
-from sim import EventSeries, Run, System, draw_system, simulate
-from sim.run import Samples
+from stickslip.sim import EventSeries, Run, System, draw_system, simulate
+from stickslip.sim.run import Samples
 from tests.fuzz import judge as judging
 from tests.fuzz.draw import Trial, draw
 from tests.fuzz.judge import judge

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim import System
+from stickslip.sim import System
 from tests.independent import Case, Path, follow, sensitivity
 
 from .reference import follow as follow_in_34_digits

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from sim.kernels import roots
+from stickslip.sim.kernels import roots
 
 
 @numba.njit

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim import draw_system, simulate
-from sim.geometry import can_stick, two_blocks
-from sim.hidden import Blowup
-from sim.switching import Modified
+from stickslip.sim import draw_system, simulate
+from stickslip.sim.geometry import can_stick, two_blocks
+from stickslip.sim.hidden import Blowup
+from stickslip.sim.switching import Modified
 
 K1, K2, K12, RHO, MU, V = 1.1, 1.6, 0.5, 0.1, 1.0, -1.0
 START = (-0.7, -0.4)

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sim import EventSeries, System, draw_system, simulate
-from sim.series import without_returns
+from stickslip.sim import EventSeries, System, draw_system, simulate
+from stickslip.sim.series import without_returns
 from tests import independent
 
 from .reference import follow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim import System, draw_system, simulate
+from stickslip.sim import System, draw_system, simulate
 
 ENGINES = {
     "coulomb": {"engine": "coulomb", "tol": 1e-12},

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim import System, draw_system, simulate
-from sim.esdirk import EMBEDDED, NODES, TABLEAU
-from sim.fate import Collapse
-from sim.kernels import tanh_positive
+from stickslip.sim import System, draw_system, simulate
+from stickslip.sim.esdirk import EMBEDDED, NODES, TABLEAU
+from stickslip.sim.fate import Collapse
+from stickslip.sim.kernels import tanh_positive
 
 START = (-0.7, -0.4)
 

@@ -11,12 +11,12 @@ import sys
 import numpy as np
 import pytest
 
-from sim import System, draw_system, simulate
+from stickslip.sim import System, draw_system, simulate
 from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
 STIFF = ("one", "stiff", "undamped stiff")
-BOUND = 100.0  # `sim.sigmoid.integrate` states it
+BOUND = 100.0  # `stickslip.sim.sigmoid.integrate` states it
 
 
 def draw(family, rng, t_max):

@@ -1,7 +1,7 @@
 import pytest
 
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 SMALL = """
 title = "A small <scene>"

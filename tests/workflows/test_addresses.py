@@ -7,8 +7,8 @@ import io
 import pandas as pd
 import pytest
 
+from stickslip.workflows.cli import main
 from tests.faults.bucket import ask, bucket
-from workflows.cli import main
 
 SOURCE = """\
 title = "in a bucket"

@@ -22,15 +22,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import workflows
-from pipeline import Progress, load_scene, query, status
-from pipeline.live import Began, Follower
-from pipeline.manifest import read_manifest, read_tasks
-from workflows import answers
-from workflows.cli import _BEFORE, main
-from workflows.progress import Watch
-from workflows.reporting import compared
-from workflows.scenes import find, shipped
+from stickslip import workflows
+from stickslip.pipeline import Progress, load_scene, query, status
+from stickslip.pipeline.live import Began, Follower
+from stickslip.pipeline.manifest import read_manifest, read_tasks
+from stickslip.workflows import answers
+from stickslip.workflows.cli import _BEFORE, main
+from stickslip.workflows.progress import Watch
+from stickslip.workflows.reporting import compared
+from stickslip.workflows.scenes import find, shipped
 
 
 def test_run_leaves_data_and_a_report(dataset, capsys):
@@ -252,7 +252,7 @@ def test_an_interrupted_query(number, dataset, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "workflows.cli",
+        "stickslip.workflows.cli",
         "query",
         str(dataset),
         endless,
@@ -394,7 +394,7 @@ def test_a_bad_scene_is_refused_with_key_and_remedy_and_nothing_is_written(mista
     ],
 )
 def test_what_no_worker_can_hold_is_refused(old, new, words, small_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("pipeline.cluster.MEMORY_LIMIT", 4e9)
+    monkeypatch.setattr("stickslip.pipeline.cluster.MEMORY_LIMIT", 4e9)
     small = small_scene.read_text().replace("[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 4e-4")
     check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
 
@@ -461,7 +461,7 @@ def test_a_wrong_address_is_refused_before_anything_is_done(address, dataset, sm
 def test_a_run_without_a_report(small_scene, dataset, tmp_path, monkeypatch, capsys):
     out = tmp_path / "a run"
     with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "workflows.reporting", None)  # nothing of it is loaded
+        patch.setitem(sys.modules, "stickslip.workflows.reporting", None)  # nothing of it is loaded
         assert main(["run", str(small_scene), "--out", str(out), "--workers", "1", "--no-report"]) == 0
     assert f"stickslip report '{out}' makes it" in capsys.readouterr().out
     assert not (out / "report.html").exists()
@@ -492,7 +492,7 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
 
 def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    monkeypatch.setattr("pipeline.live.time", SimpleNamespace(time=lambda: 1010.0))
+    monkeypatch.setattr("stickslip.pipeline.live.time", SimpleNamespace(time=lambda: 1010.0))
     costs = {batch.name: batch.cost for batch, _ in read_tasks(copy, read_manifest(copy))}
     follower = Follower(copy)
     follower._costs |= {"one more": 3.0 * sum(costs.values())}  # of four parts one is done, half of it before
@@ -546,7 +546,7 @@ def test_one_member_is_run_and_nothing_written(dataset, small_scene, tmp_path, m
     shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.strip().split("\n"))
     assert (shown["member_id"], shown["outcome"], int(shown["n_events"])) == tuple(row)
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("sim.simulate", None)
+    monkeypatch.setattr("stickslip.sim.simulate", None)
     assert main(["run", str(small_scene), "--only", row.member_id]) == 1
     assert "reason             TypeError: 'NoneType' object is not callable" in capsys.readouterr().out
     assert main(["run", str(small_scene), "--only", "n7"]) == 2
@@ -585,7 +585,7 @@ def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
     """Cold start: nobody waits for dask, pandas or matplotlib to be told what there is."""
     heavy |= {"dask", "distributed", "pandas", "pyarrow", "matplotlib"}
     code = (
-        "import sys\nfrom workflows.cli import main\n"
+        "import sys\nfrom stickslip.workflows.cli import main\n"
         f"try:\n    main({argv})\nexcept SystemExit:\n    pass\n"
         f"sys.exit(', '.join({heavy} & set(sys.modules)) or 0)"
     )
@@ -594,7 +594,7 @@ def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
     assert words in done.stdout
 
 
-@pytest.mark.parametrize("module", ["stickslip", "workflows.cli"])
+@pytest.mark.parametrize("module", ["stickslip", "stickslip.workflows.cli"])
 def test_as_a_module(module):
     done = subprocess.run([sys.executable, "-m", module, "status", "nowhere"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
@@ -611,7 +611,7 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
 
 
 def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("analysis.comparison.embedded", lambda figure: "data:image/svg+xml;base64,")
+    monkeypatch.setattr("stickslip.analysis.comparison.embedded", lambda figure: "data:image/svg+xml;base64,")
     other = shutil.copytree(dataset, tmp_path / "other")
     scene = (other / "scene.toml").read_text().replace("t_burn = 1.0", "t_burn = 20.0").replace("[0.5]", "[1.0]")
     (other / "scene.toml").write_text(scene + "[analysis.margins]\nmean = 0.9\n")
@@ -636,7 +636,7 @@ def test_comparisons_that_cannot_be(dataset, capsys, more, code, words):
 
 def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, monkeypatch, capsys):
     none_done = dataclasses.replace(status(dataset), n_done=0)
-    monkeypatch.setattr("workflows.reporting.status", lambda path: none_done)
+    monkeypatch.setattr("stickslip.workflows.reporting.status", lambda path: none_done)
     for more in ([], ["--compare", str(dataset)]):
         assert main(["report", str(dataset), *more]) == 1
         assert "no member is done yet; run the scene first" in capsys.readouterr().err

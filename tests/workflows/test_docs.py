@@ -22,12 +22,12 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from analysis.change.survival import fate
-from analysis.groups import OUTCOMES
-from analysis.section import Data
-from pipeline import parse_scene, query, run_scene
-from sim import coupling, draw_system, perturb_system
-from workflows.cli import main
+from stickslip.analysis.change.survival import fate
+from stickslip.analysis.groups import OUTCOMES
+from stickslip.analysis.section import Data
+from stickslip.pipeline import parse_scene, query, run_scene
+from stickslip.sim import coupling, draw_system, perturb_system
+from stickslip.workflows.cli import main
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -182,7 +182,7 @@ def test_matrices_from_files(tmp_path, monkeypatch):
 
 
 def test_the_tolerances_are_those_that_are_picked():
-    from pipeline.scene import TOLERANCES
+    from stickslip.pipeline.scene import TOLERANCES
 
     rows = re.findall(r"^\| .*? \| (1e-\d+) \| (1e-\d+) \|$", page("engines"), flags=re.MULTILINE)[:2]
     assert [tuple(map(float, row)) for row in rows] == [(t["tol"], t["rtol"]) for t in TOLERANCES.values()]

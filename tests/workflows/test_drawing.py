@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from analysis import figures
-from analysis.report import on_demand
+from stickslip.analysis import figures
+from stickslip.analysis.report import on_demand
+from stickslip.workflows.drawing import Drawing
 from tests.processes import is_running, until
-from workflows.drawing import Drawing
 
 
 def levels(count: int) -> partial[Figure]:
@@ -62,7 +62,7 @@ def test_the_process_outlives_neither_its_use_nor_its_owner() -> None:
     assert process.poll() is not None
 
     code = (
-        "import time; from workflows.drawing import Drawing\n"
+        "import time; from stickslip.workflows.drawing import Drawing\n"
         "drawing = Drawing(); print(drawing._process.pid, flush=True); time.sleep(60)"
     )
     root = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.cascades import spans, window
-from pipeline import parse_scene, query, run_scene
+from stickslip.analysis.cascades import spans, window
+from stickslip.pipeline import parse_scene, query, run_scene
 
 GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()
 SECTIONS = re.findall(r"^## (\d+)\. (.*?)\n(.*?)(?=^## |\Z)", GUIDE, flags=re.DOTALL | re.MULTILINE)

@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from pipeline import query
-from workflows import sparkline
-from workflows.cli import main
+from stickslip.pipeline import query
+from stickslip.workflows import sparkline
+from stickslip.workflows.cli import main
 
 
 def level(lines, t, t_stop):

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from pipeline.errors import SceneError
-from pipeline.scene import MINUTES
-from pipeline.tables import Positive, StrictTable, as_scene, parse_toml, read_source
+from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.scene import MINUTES
+from stickslip.pipeline.tables import Positive, StrictTable, as_scene, parse_toml, read_source
 
 if TYPE_CHECKING:
-    from analysis import Report
+    from stickslip.analysis import Report
 
 #: Told of each thing as it is done.
 Say = Callable[[str], None]
@@ -61,11 +61,11 @@ class Kind:
 
 #: The module of each kind, which holds it as KIND: loaded when it is asked for.
 KINDS = {
-    "paper": "workflows.charts.paper.page",
-    "scaling": "workflows.charts.scaling_page",
-    "speed_accuracy": "workflows.charts.speed_page",
-    "stability": "workflows.charts.stability_page",
-    "statistics": "workflows.charts.statistics_page",
+    "paper": "stickslip.workflows.charts.paper.page",
+    "scaling": "stickslip.workflows.charts.scaling_page",
+    "speed_accuracy": "stickslip.workflows.charts.speed_page",
+    "stability": "stickslip.workflows.charts.stability_page",
+    "statistics": "stickslip.workflows.charts.statistics_page",
 }
 
 
@@ -76,7 +76,7 @@ def kind(chart: str) -> Kind:
 
 
 def load_chart(file: Path) -> tuple[Kind, Any]:
-    """Read a scene file that `workflows.scenes.chart_of` found to be a chart: its kind and its scene.
+    """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart: its kind and its scene.
 
     Raises
     ------

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.child import ONE_THREAD, environment, python
-from workflows.charts import ChartError, load_chart
+from stickslip.pipeline.child import ONE_THREAD, environment, python
+from stickslip.workflows.charts import ChartError, load_chart
 
 #: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.
 _BATCH, _BATCHES = 3e-4, 5
@@ -67,7 +67,7 @@ def measure_alone(file: Path) -> Any:
         If that process ends early.
     """
     done = subprocess.run(
-        [*python(), "-m", "workflows.charts.alone", str(file)],
+        [*python(), "-m", "stickslip.workflows.charts.alone", str(file)],
         env=environment() | ONE_THREAD, stdout=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
     if done.returncode:

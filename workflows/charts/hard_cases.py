@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-import sim
-from sim.arguments import per_block
-from workflows.charts import Say
-from workflows.charts.peers import METHODS, Floats, GivenUp, MethodError, Problem, random_problem
+from stickslip import sim
+from stickslip.sim.arguments import per_block
+from stickslip.workflows.charts import Say
+from stickslip.workflows.charts.peers import METHODS, Floats, GivenUp, MethodError, Problem, random_problem
 
 Answer = Literal["right", "refused", "too slow", "wrong"]
 #: (time, block, mode from then on)

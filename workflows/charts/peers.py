@@ -20,9 +20,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import sim
-from pipeline.members import MATRIX, RATIO
-from workflows.charts.fixed import BEYOND, STEPPERS, whole_steps
+from stickslip import sim
+from stickslip.pipeline.members import MATRIX, RATIO
+from stickslip.workflows.charts.fixed import BEYOND, STEPPERS, whole_steps
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]

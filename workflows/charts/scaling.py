@@ -22,14 +22,14 @@ import numpy as np
 import scipy.sparse
 from pydantic import AfterValidator, BeforeValidator, Field
 
-import sim
-from pipeline import parse_scene, run_scene
-from pipeline.cluster import local
-from pipeline.members import MATRIX
-from pipeline.tables import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
-from workflows.charts import ChartScene, Say
-from workflows.charts.alone import Product, versions
-from workflows.charts.peers import W0, Z0, Floats
+from stickslip import sim
+from stickslip.pipeline import parse_scene, run_scene
+from stickslip.pipeline.cluster import local
+from stickslip.pipeline.members import MATRIX
+from stickslip.pipeline.tables import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
+from stickslip.workflows.charts import ChartScene, Say
+from stickslip.workflows.charts.alone import Product, versions
+from stickslip.workflows.charts.peers import W0, Z0, Floats
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
 KAPPA_AT = 200

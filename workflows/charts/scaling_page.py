@@ -11,11 +11,11 @@ from jinja2 import Environment
 from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
-from analysis import Report, chart_figures
-from analysis.figures import embedded
-from analysis.report import page_environment
-from workflows.charts import Kind
-from workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
+from stickslip.analysis import Report, chart_figures
+from stickslip.analysis.figures import embedded
+from stickslip.analysis.report import page_environment
+from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
 
 #: The level of the intervals.
 CONFIDENCE = 0.95
@@ -313,7 +313,7 @@ def build(scene: ScalingScene, measured: Measured) -> Report:
     ----------
     scene : ScalingScene
     measured : Measured
-        What `workflows.charts.scaling.measure` found for that scene.
+        What `stickslip.workflows.charts.scaling.measure` found for that scene.
     """
     fits = {
         which: {quantity: _fit(measured, *which, quantity, claim) for quantity, claim in quantities.items()}
@@ -387,7 +387,7 @@ def _points(rows: Sequence[Cost], quantity: Quantity, unit: float) -> chart_figu
 
 
 def _environment() -> Environment:
-    environment = page_environment("workflows.charts")
+    environment = page_environment("stickslip.workflows.charts")
     environment.filters["count"] = _count
     environment.filters["time"] = _seconds
     return environment

@@ -19,11 +19,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-import sim
-from pipeline.tables import BlockNumbers, Count, Positive, as_tuple, distinct
-from workflows.charts import ChartScene, Say
-from workflows.charts.alone import Product, versions
-from workflows.charts.peers import (
+from stickslip import sim
+from stickslip.pipeline.tables import BlockNumbers, Count, Positive, as_tuple, distinct
+from stickslip.workflows.charts import ChartScene, Say
+from stickslip.workflows.charts.alone import Product, versions
+from stickslip.workflows.charts.peers import (
     METHODS,
     Floats,
     GivenUp,

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, chart_figures
-from analysis.figures import embedded
-from analysis.report import page_environment
-from workflows.charts import Kind
-from workflows.charts.peers import METHODS, Model
-from workflows.charts.speed import Cost, Measured, Reference, SpeedScene, measure
+from stickslip.analysis import Report, chart_figures
+from stickslip.analysis.figures import embedded
+from stickslip.analysis.report import page_environment
+from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts.peers import METHODS, Model
+from stickslip.workflows.charts.speed import Cost, Measured, Reference, SpeedScene, measure
 
 #: Errors at which methods are compared: the first two in words, all in the table.
 TARGETS = (1e-4, 1e-6, 1e-8)
@@ -161,7 +161,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
     ----------
     scene : SpeedScene
     measured : Measured
-        What `workflows.charts.speed.measure` found for that scene.
+        What `stickslip.workflows.charts.speed.measure` found for that scene.
     """
     panels = _panels(measured)
     answer = {
@@ -214,7 +214,7 @@ def _drawn(panel: _Panel) -> tuple[str, list[chart_figures.Curve], float | None,
 
 
 def _environment() -> Environment:
-    environment = page_environment("workflows.charts")
+    environment = page_environment("stickslip.workflows.charts")
     environment.filters["count"] = _count
     environment.filters["power"] = _power
     return environment

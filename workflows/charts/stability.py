@@ -23,13 +23,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-import sim
-from pipeline.tables import Blocks, Count, Positive, as_tuple, distinct
-from workflows.charts import ChartScene, Say
-from workflows.charts.alone import versions
-from workflows.charts.fixed import whole_steps
-from workflows.charts.hard_cases import Verdict, judged
-from workflows.charts.peers import (
+from stickslip import sim
+from stickslip.pipeline.tables import Blocks, Count, Positive, as_tuple, distinct
+from stickslip.workflows.charts import ChartScene, Say
+from stickslip.workflows.charts.alone import versions
+from stickslip.workflows.charts.fixed import whole_steps
+from stickslip.workflows.charts.hard_cases import Verdict, judged
+from stickslip.workflows.charts.peers import (
     METHODS,
     Floats,
     GivenUp,

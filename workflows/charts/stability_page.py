@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, chart_figures
-from analysis.figures import embedded
-from analysis.report import page_environment
-from workflows.charts import Kind
-from workflows.charts.hard_cases import EPS, EXACT_TOLERANCE, TOLERANCE, Verdict
-from workflows.charts.peers import METHODS
-from workflows.charts.stability import LAWS, Axis, Cell, Measured, StabilityScene, measure
-from workflows.charts.tableaus import TABLEAUS, Tableau
+from stickslip.analysis import Report, chart_figures
+from stickslip.analysis.figures import embedded
+from stickslip.analysis.report import page_environment
+from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts.hard_cases import EPS, EXACT_TOLERANCE, TOLERANCE, Verdict
+from stickslip.workflows.charts.peers import METHODS
+from stickslip.workflows.charts.stability import LAWS, Axis, Cell, Measured, StabilityScene, measure
+from stickslip.workflows.charts.tableaus import TABLEAUS, Tableau
 
 #: What each axis is called above its maps, and along them.
 TITLES: dict[Axis, tuple[str, str]] = {
@@ -292,7 +292,7 @@ def build(scene: StabilityScene, measured: Measured) -> Report:
     ----------
     scene : StabilityScene
     measured : Measured
-        What `workflows.charts.stability.measure` found for that scene.
+        What `stickslip.workflows.charts.stability.measure` found for that scene.
     """
     groups = {axis: _maps(cell for cell in measured.cells if cell.axis == axis) for axis in LAWS}
     groups = {axis: maps for axis, maps in groups.items() if maps}
@@ -347,7 +347,7 @@ def _by_case(cases: Sequence[Verdict]) -> list[tuple[Verdict, dict[str, Verdict]
 
 
 def _environment() -> Environment:
-    environment = page_environment("workflows.charts")
+    environment = page_environment("stickslip.workflows.charts")
     environment.filters["power"] = _power
     return environment
 

@@ -19,14 +19,14 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from scipy import stats
 
-import sim
-from analysis.cascades import Law, sizes, window
-from analysis.fits import Estimate, gamma, gamma_difference, over_matrices, ratio
-from pipeline.tables import Blocks, Natural, Positive, as_tuple, distinct
-from workflows.charts import ChartScene, Say
-from workflows.charts.alone import Product, versions
-from workflows.charts.fixed import moreau_jean
-from workflows.charts.peers import W0, Z0, Model, random_problem
+from stickslip import sim
+from stickslip.analysis.cascades import Law, sizes, window
+from stickslip.analysis.fits import Estimate, gamma, gamma_difference, over_matrices, ratio
+from stickslip.pipeline.tables import Blocks, Natural, Positive, as_tuple, distinct
+from stickslip.workflows.charts import ChartScene, Say
+from stickslip.workflows.charts.alone import Product, versions
+from stickslip.workflows.charts.fixed import moreau_jean
+from stickslip.workflows.charts.peers import W0, Z0, Model, random_problem
 
 #: Engine and tolerance that each law's biases are taken against.
 REFERENCES: dict[Model, tuple[str, float]] = {

@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from analysis import Report, chart_figures
-from analysis.figures import embedded
-from analysis.fits import Estimate
-from analysis.report import page_environment
-from analysis.words import count, number, percent, sentence, signed
-from workflows.charts import Kind
-from workflows.charts.peers import Model
-from workflows.charts.statistics import (
+from stickslip.analysis import Report, chart_figures
+from stickslip.analysis.figures import embedded
+from stickslip.analysis.fits import Estimate
+from stickslip.analysis.report import page_environment
+from stickslip.analysis.words import count, number, percent, sentence, signed
+from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts.peers import Model
+from stickslip.workflows.charts.statistics import (
     METHODS,
     REFERENCES,
     STATISTICS,
@@ -248,7 +248,7 @@ def build(scene: StatisticsScene, measured: Measured) -> Report:
     ----------
     scene : StatisticsScene
     measured : Measured
-        What `workflows.charts.statistics.measure` found for that scene.
+        What `stickslip.workflows.charts.statistics.measure` found for that scene.
     """
     rows = compared(measured)
     by_method = _settings(rows)
@@ -381,7 +381,7 @@ def _points(method: str, statistic: str, settings: Sequence[_Setting]) -> chart_
 
 
 def _environment() -> Environment:
-    environment = page_environment("workflows.charts")
+    environment = page_environment("stickslip.workflows.charts")
     environment.filters["count"] = _count
     environment.filters["number"] = number
     environment.filters["bias"] = _bias

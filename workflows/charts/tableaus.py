@@ -14,8 +14,8 @@ from scipy.integrate import DOP853, RK45
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
-from sim.esdirk import WEIGHTS
-from workflows.charts.peers import Floats
+from stickslip.sim.esdirk import WEIGHTS
+from stickslip.workflows.charts.peers import Floats
 
 #: Where the search for the end of stability looks, and how finely.
 _STABLE_MAX, _GRID = 20.0, 2000

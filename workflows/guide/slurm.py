@@ -17,11 +17,19 @@ from typing import TYPE_CHECKING, Any
 
 from distributed import Client, Security
 
-from pipeline import Interrupted, SceneError, ScheduleError, StoreError, interruptible, load_scene, run_scene
-from pipeline.cluster import QuietScheduler, local
-from pipeline.interrupt import unbroken
-from workflows.progress import Watch
-from workflows.scenes import find
+from stickslip.pipeline import (
+    Interrupted,
+    SceneError,
+    ScheduleError,
+    StoreError,
+    interruptible,
+    load_scene,
+    run_scene,
+)
+from stickslip.pipeline.cluster import QuietScheduler, local
+from stickslip.pipeline.interrupt import unbroken
+from stickslip.workflows.progress import Watch
+from stickslip.workflows.scenes import find
 
 if TYPE_CHECKING:
     from distributed.deploy import Cluster

@@ -32,7 +32,7 @@ with open("/proc/self/cmdline") as _command:
 if _plan and not _is_helper:
     import time
 
-    from pipeline import members
+    from stickslip.pipeline import members
 
     members.TARGET_COST = _plan["target_cost"]
     _simulate = members.Member.simulate

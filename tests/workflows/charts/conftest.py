@@ -2,9 +2,9 @@
 
 import pytest
 
-from pipeline import SceneError
-from workflows.charts import load_chart
-from workflows.cli import main
+from stickslip.pipeline import SceneError
+from stickslip.workflows.charts import load_chart
+from stickslip.workflows.cli import main
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sim
-from workflows.charts import hard_cases
-from workflows.charts.hard_cases import ONE_BLOCK, judge
-from workflows.charts.peers import METHODS, Method, MethodError, Solution
+from stickslip import sim
+from stickslip.workflows.charts import hard_cases
+from stickslip.workflows.charts.hard_cases import ONE_BLOCK, judge
+from stickslip.workflows.charts.peers import METHODS, Method, MethodError, Solution
 
 CASES = {case.name: case for case in hard_cases.hard_cases()}
 ENGINES = ("coulomb engine", "sigmoid engine")

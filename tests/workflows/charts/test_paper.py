@@ -9,15 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import paper_figures
-from sim import EventSeries, simulate
-from workflows import charts
-from workflows.charts.paper import blocks, claim_words, claims, hidden, runs
-from workflows.charts.paper import words as figure_words
-from workflows.charts.paper.measure import Measured, measure
-from workflows.charts.paper.page import build
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip.analysis import paper_figures
+from stickslip.sim import EventSeries, simulate
+from stickslip.workflows import charts
+from stickslip.workflows.charts.paper import blocks, claim_words, claims, hidden, runs
+from stickslip.workflows.charts.paper import words as figure_words
+from stickslip.workflows.charts.paper.measure import Measured, measure
+from stickslip.workflows.charts.paper.page import build
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 
 def load_chart(file):

@@ -10,15 +10,15 @@ import pandas as pd
 import pytest
 import scipy.sparse
 
-import sim
-from analysis import chart_figures
-from pipeline import parse_scene
-from workflows import charts
-from workflows.charts import alone, scaling
-from workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
-from workflows.charts.scaling_page import build, exponent_words, growth, lockstep_words
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip import sim
+from stickslip.analysis import chart_figures
+from stickslip.pipeline import parse_scene
+from stickslip.workflows import charts
+from stickslip.workflows.charts import alone, scaling
+from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
+from stickslip.workflows.charts.scaling_page import build, exponent_words, growth, lockstep_words
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """
 chart = "scaling"
@@ -120,7 +120,7 @@ def test_random_systems_are_an_ensembles_and_alike_in_the_force_that_couples_a_b
 
 
 def scaling_members(scene):
-    from pipeline import expand
+    from stickslip.pipeline import expand
 
     return expand(parse_scene(scaling.ensemble_source(scene, "coulomb", {"tol": 1e-10})))
 

@@ -9,15 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import sim
-from analysis import chart_figures
-from workflows import charts
-from workflows.charts import alone, speed
-from workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
-from workflows.charts.speed import Cost, Measured, Reference, measure
-from workflows.charts.speed_page import build, products_at
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip import sim
+from stickslip.analysis import chart_figures
+from stickslip.workflows import charts
+from stickslip.workflows.charts import alone, speed
+from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
+from stickslip.workflows.charts.speed import Cost, Measured, Reference, measure
+from stickslip.workflows.charts.speed_page import build, products_at
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 
 def load_chart(file):
@@ -54,7 +54,8 @@ def without_extra(monkeypatch):
     """As if the extra `bench` were not installed."""
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "workflows.charts.peers.find_spec", lambda name: None if name in ("CyRK", "sksundae") else find(name)
+        "stickslip.workflows.charts.peers.find_spec",
+        lambda name: None if name in ("CyRK", "sksundae") else find(name),
     )
 
 
@@ -76,7 +77,7 @@ def test_shipped_chart_explains_each_key():
 
 
 def test_the_system_is_that_of_an_ensemble_with_the_same_seed(scene_file):
-    from pipeline import expand, parse_scene
+    from stickslip.pipeline import expand, parse_scene
 
     ensemble = parse_scene(b"""
 [system]

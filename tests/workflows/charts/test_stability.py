@@ -10,17 +10,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis import chart_figures
-from sim.esdirk import TABLEAU
-from workflows import charts
-from workflows.charts import alone, stability
-from workflows.charts.hard_cases import Verdict
-from workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
-from workflows.charts.stability import Cell, Measured, Reference, classified, measure
-from workflows.charts.stability_page import build
-from workflows.charts.tableaus import TABLEAUS
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip.analysis import chart_figures
+from stickslip.sim.esdirk import TABLEAU
+from stickslip.workflows import charts
+from stickslip.workflows.charts import alone, stability
+from stickslip.workflows.charts.hard_cases import Verdict
+from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
+from stickslip.workflows.charts.stability import Cell, Measured, Reference, classified, measure
+from stickslip.workflows.charts.stability_page import build
+from stickslip.workflows.charts.tableaus import TABLEAUS
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """
 chart = "stability"

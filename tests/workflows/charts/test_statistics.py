@@ -10,13 +10,13 @@ import pytest
 import scipy.sparse
 from scipy import stats
 
-import sim
-from analysis import chart_figures
-from workflows import charts
-from workflows.charts import alone, statistics
-from workflows.charts.fixed import BEYOND, STEPPERS, moreau_jean, whole_steps
-from workflows.charts.peers import random_problem
-from workflows.charts.statistics import (
+from stickslip import sim
+from stickslip.analysis import chart_figures
+from stickslip.workflows import charts
+from stickslip.workflows.charts import alone, statistics
+from stickslip.workflows.charts.fixed import BEYOND, STEPPERS, moreau_jean, whole_steps
+from stickslip.workflows.charts.peers import random_problem
+from stickslip.workflows.charts.statistics import (
     METHODS,
     REFERENCES,
     STATISTICS,
@@ -28,9 +28,9 @@ from workflows.charts.statistics import (
     paired,
     sampling_error,
 )
-from workflows.charts.statistics_page import build
-from workflows.cli import main
-from workflows.scenes import chart_of, shipped
+from stickslip.workflows.charts.statistics_page import build
+from stickslip.workflows.cli import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """
 chart = "statistics"

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-import sim
-from sim import geometry, strata
-from workflows.charts.peers import Floats
+from stickslip import sim
+from stickslip.sim import geometry, strata
+from stickslip.workflows.charts.peers import Floats
 
 #: Figure 1, of which the paper gives no constants: rho, kappa, mu, |v|.
 ONE = (0.1, 1.0, 1.0, 0.5)

@@ -9,18 +9,18 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-import sim
-from pipeline import parse_scene, run_scene
-from pipeline.query import members as read_members
-from pipeline.query import series as read_series
-from workflows.charts.paper.blocks import V, corner, pair, sampled
-from workflows.charts.paper.runs import Fate, fate
-from workflows.charts.paper.scene import COUPLING, PaperScene
-from workflows.charts.peers import W0, Z0
+from stickslip import sim
+from stickslip.pipeline import parse_scene, run_scene
+from stickslip.pipeline.query import members as read_members
+from stickslip.pipeline.query import series as read_series
+from stickslip.workflows.charts.paper.blocks import V, corner, pair, sampled
+from stickslip.workflows.charts.paper.runs import Fate, fate
+from stickslip.workflows.charts.paper.scene import COUPLING, PaperScene
+from stickslip.workflows.charts.peers import W0, Z0
 
 #: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.
 APART, FOLLOWED, DIRECTIONS = 1e-6, 10.0, 16
-#: What the seeds of the random single blocks are for, beside the words in `pipeline.members`.
+#: What the seeds of the random single blocks are for, beside the words in `stickslip.pipeline.members`.
 _ONE_BLOCK = 1000
 
 

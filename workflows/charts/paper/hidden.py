@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-import sim
-from sim.hidden import Blowup, Mode, continuations
-from sim.hidden_runs import LawRun, Segment, run_with_law
-from sim.switching import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
-from workflows.charts.paper.blocks import ONE, V, pair, single
-from workflows.charts.peers import Floats
+from stickslip import sim
+from stickslip.sim.hidden import Blowup, Mode, continuations
+from stickslip.sim.hidden_runs import LawRun, Segment, run_with_law
+from stickslip.sim.switching import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
+from stickslip.workflows.charts.paper.blocks import ONE, V, pair, single
+from stickslip.workflows.charts.peers import Floats
 
 #: Figure 6: F_1 = -F_2.
 FORCE = 0.5

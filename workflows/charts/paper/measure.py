@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields
 from itertools import product
 from typing import Any, get_args, get_type_hints
 
-from workflows.charts import Say
-from workflows.charts.alone import versions
-from workflows.charts.paper.blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
-from workflows.charts.paper.claims import (
+from stickslip.workflows.charts import Say
+from stickslip.workflows.charts.alone import versions
+from stickslip.workflows.charts.paper.blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
+from stickslip.workflows.charts.paper.claims import (
     Certified,
     OneBlock,
     Pair,
@@ -22,7 +22,7 @@ from workflows.charts.paper.claims import (
     one_block,
     survival,
 )
-from workflows.charts.paper.hidden import (
+from stickslip.workflows.charts.paper.hidden import (
     BlowUp,
     Branches,
     Future,
@@ -33,8 +33,18 @@ from workflows.charts.paper.hidden import (
     slow_run,
     undetermined,
 )
-from workflows.charts.paper.runs import Cascades, Change, Draw, Sizes, Trace, draw, long_runs, sensitivity, trace
-from workflows.charts.paper.scene import LAWS, PaperScene
+from stickslip.workflows.charts.paper.runs import (
+    Cascades,
+    Change,
+    Draw,
+    Sizes,
+    Trace,
+    draw,
+    long_runs,
+    sensitivity,
+    trace,
+)
+from stickslip.workflows.charts.paper.scene import LAWS, PaperScene
 
 
 @dataclass(frozen=True)

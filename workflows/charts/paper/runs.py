@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-import sim
-from analysis import cascades, fits
-from analysis.chance.nulls import NullTally, random_order
-from pipeline.members import MATRIX
-from workflows.charts.paper.scene import LAWS, Law, PaperScene
+from stickslip import sim
+from stickslip.analysis import cascades, fits
+from stickslip.analysis.chance.nulls import NullTally, random_order
+from stickslip.pipeline.members import MATRIX
+from stickslip.workflows.charts.paper.scene import LAWS, Law, PaperScene
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
 

@@ -10,12 +10,12 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-import sim
-from pipeline.members import MATRIX, PERTURBATION, RATIO
-from pipeline.scene import TOLERANCES, Purpose
-from pipeline.tables import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
-from workflows.charts import ChartScene
-from workflows.charts.peers import W0, Z0, Floats
+from stickslip import sim
+from stickslip.pipeline.members import MATRIX, PERTURBATION, RATIO
+from stickslip.pipeline.scene import TOLERANCES, Purpose
+from stickslip.pipeline.tables import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
+from stickslip.workflows.charts import ChartScene
+from stickslip.workflows.charts.peers import W0, Z0, Floats
 
 Law = Literal["coulomb", "sigmoid"]
 LAWS: tuple[Law, ...] = get_args(Law)
