@@ -553,7 +553,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
 
 def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
     for room in ("store", "shards", "schedule"):
-        monkeypatch.setattr(f"pipeline.{room}.program", lambda: "9.9.9-0123")
+        monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
     assert run_scene(scene, source, copy, workers=0).is_complete  # nothing to compute: nothing to mix
     assert content(copy) == complete

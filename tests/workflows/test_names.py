@@ -23,7 +23,8 @@ def test_a_users_files_break_nothing(how, users_own, small_scene):
         "if __name__ == '__main__':\n"
         "    from stickslip import load_scene, members, run_scene, simulate, System\n"
         "    print(simulate(System([[1.0]], 0.5), -3.0, 0.0, 5.0).outcome)\n"
-        f"    run_scene(load_scene({str(small_scene)!r}), 'out', workers=2)\n"
+        f"    file = {str(small_scene)!r}\n"
+        "    run_scene(load_scene(file), open(file, 'rb').read(), 'out', workers=2)\n"
         "    print(len(members('out')))\n"
     )
     (users_own / "mine.py").write_text(code)
