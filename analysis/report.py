@@ -377,13 +377,13 @@ def _distributions(
     return found
 
 
-def page_environment(package: str) -> Environment:
-    """Where templates of a package's pages are found, and how they are filled: escaped, nothing undefined.
+def page_environment(*packages: str) -> Environment:
+    """Where templates of some packages' pages are found, and how they are filled: escaped, nothing undefined.
 
     All of them extend `page.html`, which lies here and holds the style.
     """
     return Environment(
-        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("stickslip.analysis", ".")]),
+        loader=ChoiceLoader([PackageLoader(package, ".") for package in (*packages, "stickslip.analysis")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -392,7 +392,7 @@ def page_environment(package: str) -> Environment:
 
 
 def _environment() -> Environment:
-    environment = page_environment("stickslip.analysis")
+    environment = page_environment()
     environment.filters["number"] = words.number
     environment.globals["interval"] = words.interval
     return environment

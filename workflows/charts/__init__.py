@@ -61,9 +61,9 @@ class Kind:
 
 #: The module of each kind, which holds it as KIND: loaded when it is asked for.
 KINDS = {
-    "paper": "stickslip.workflows.charts.paper.page",
+    "paper": "stickslip.workflows.paper.page",
     "scaling": "stickslip.workflows.charts.scaling_page",
-    "speed_accuracy": "stickslip.workflows.charts.speed_page",
+    "speed_accuracy": "stickslip.workflows.charts.speed_accuracy_page",
     "stability": "stickslip.workflows.charts.stability_page",
     "statistics": "stickslip.workflows.charts.statistics_page",
 }

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.members import MATRIX, RATIO
-from stickslip.workflows.charts.fixed import BEYOND, STEPPERS, whole_steps
+from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, whole_steps
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]

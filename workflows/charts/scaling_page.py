@@ -11,10 +11,11 @@ from jinja2 import Environment
 from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
-from stickslip.analysis import Report, chart_figures
+from stickslip.analysis import Report
 from stickslip.analysis.figures import embedded
 from stickslip.analysis.report import page_environment
 from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
 
 #: The level of the intervals.

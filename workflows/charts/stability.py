@@ -27,7 +27,6 @@ from stickslip import sim
 from stickslip.pipeline.tables import Blocks, Count, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import versions
-from stickslip.workflows.charts.fixed import whole_steps
 from stickslip.workflows.charts.hard_cases import Verdict, judged
 from stickslip.workflows.charts.peers import (
     METHODS,
@@ -40,6 +39,7 @@ from stickslip.workflows.charts.peers import (
     Solver,
     random_problem,
 )
+from stickslip.workflows.charts.steppers import whole_steps
 
 Axis = Literal["layer", "bond", "damping"]
 Outcome = Literal["right", "rough", "wrong", "failed", "too slow", "not judged", "absent"]

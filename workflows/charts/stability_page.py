@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from stickslip.analysis import Report, chart_figures
+from stickslip.analysis import Report
 from stickslip.analysis.figures import embedded
 from stickslip.analysis.report import page_environment
 from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.hard_cases import EPS, EXACT_TOLERANCE, TOLERANCE, Verdict
 from stickslip.workflows.charts.peers import METHODS
 from stickslip.workflows.charts.stability import LAWS, Axis, Cell, Measured, StabilityScene, measure

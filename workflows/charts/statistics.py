@@ -25,8 +25,8 @@ from stickslip.analysis.fits import Estimate, gamma, gamma_difference, over_matr
 from stickslip.pipeline.tables import Blocks, Natural, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import Product, versions
-from stickslip.workflows.charts.fixed import moreau_jean
 from stickslip.workflows.charts.peers import W0, Z0, Model, random_problem
+from stickslip.workflows.charts.steppers import moreau_jean
 
 #: Engine and tolerance that each law's biases are taken against.
 REFERENCES: dict[Model, tuple[str, float]] = {

@@ -11,12 +11,13 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from stickslip.analysis import Report, chart_figures
+from stickslip.analysis import Report
 from stickslip.analysis.figures import embedded
 from stickslip.analysis.fits import Estimate
 from stickslip.analysis.report import page_environment
 from stickslip.analysis.words import count, number, percent, sentence, signed
 from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.peers import Model
 from stickslip.workflows.charts.statistics import (
     METHODS,

@@ -11,10 +11,10 @@ import pytest
 import scipy.sparse
 
 from stickslip import sim
-from stickslip.analysis import chart_figures
 from stickslip.pipeline import parse_scene
 from stickslip.workflows import charts
 from stickslip.workflows.charts import alone, scaling
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
 from stickslip.workflows.charts.scaling_page import build, exponent_words, growth, lockstep_words
 from stickslip.workflows.cli import main

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import chart_figures
 from stickslip.sim.esdirk import TABLEAU
 from stickslip.workflows import charts
 from stickslip.workflows.charts import alone, stability
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.hard_cases import Verdict
 from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
 from stickslip.workflows.charts.stability import Cell, Measured, Reference, classified, measure

@@ -11,10 +11,9 @@ import scipy.sparse
 from scipy import stats
 
 from stickslip import sim
-from stickslip.analysis import chart_figures
 from stickslip.workflows import charts
 from stickslip.workflows.charts import alone, statistics
-from stickslip.workflows.charts.fixed import BEYOND, STEPPERS, moreau_jean, whole_steps
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.peers import random_problem
 from stickslip.workflows.charts.statistics import (
     METHODS,
@@ -29,6 +28,7 @@ from stickslip.workflows.charts.statistics import (
     sampling_error,
 )
 from stickslip.workflows.charts.statistics_page import build
+from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, moreau_jean, whole_steps
 from stickslip.workflows.cli import main
 from stickslip.workflows.scenes import chart_of, shipped
 

@@ -12,7 +12,7 @@ from stickslip import sim
 from stickslip.analysis import cascades, fits
 from stickslip.analysis.chance.nulls import NullTally, random_order
 from stickslip.pipeline.members import MATRIX
-from stickslip.workflows.charts.paper.scene import LAWS, Law, PaperScene
+from stickslip.workflows.paper.scene import LAWS, Law, PaperScene
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
 

@@ -8,15 +8,16 @@ from itertools import product
 import pandas as pd
 from jinja2 import Environment
 
-from stickslip.analysis import Report, paper_figures
+from stickslip.analysis import Report
 from stickslip.analysis.figures import embedded
 from stickslip.analysis.report import page_environment
 from stickslip.analysis.words import capital
 from stickslip.workflows.charts import Kind
-from stickslip.workflows.charts.paper import claim_words, words
-from stickslip.workflows.charts.paper.claims import Survival
-from stickslip.workflows.charts.paper.measure import Measured, measure
-from stickslip.workflows.charts.paper.scene import LAWS, PaperScene
+from stickslip.workflows.paper import claim_words, words
+from stickslip.workflows.paper import figures as paper_figures
+from stickslip.workflows.paper.claims import Survival
+from stickslip.workflows.paper.measure import Measured, measure
+from stickslip.workflows.paper.scene import LAWS, PaperScene
 
 
 def build(scene: PaperScene, measured: Measured) -> Report:
@@ -29,7 +30,7 @@ def build(scene: PaperScene, measured: Measured) -> Report:
     ----------
     scene : PaperScene
     measured : Measured
-        What `stickslip.workflows.charts.paper.measure` found for that scene.
+        What `stickslip.workflows.paper.measure` found for that scene.
     """
     drawings = {
         1: lambda: words.figure1(measured),
@@ -123,7 +124,7 @@ def _lines(scene: PaperScene, measured: Measured, one: words.Drawing) -> list[st
 
 
 def _environment() -> Environment:
-    environment = page_environment("stickslip.workflows.charts")
+    environment = page_environment("stickslip.workflows.paper", "stickslip.workflows.charts")
     environment.filters["minus"] = words.minus
     return environment
 

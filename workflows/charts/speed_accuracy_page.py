@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment
 
-from stickslip.analysis import Report, chart_figures
+from stickslip.analysis import Report
 from stickslip.analysis.figures import embedded
 from stickslip.analysis.report import page_environment
 from stickslip.workflows.charts import Kind
+from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.peers import METHODS, Model
-from stickslip.workflows.charts.speed import Cost, Measured, Reference, SpeedScene, measure
+from stickslip.workflows.charts.speed_accuracy import Cost, Measured, Reference, SpeedScene, measure
 
 #: Errors at which methods are compared: the first two in words, all in the table.
 TARGETS = (1e-4, 1e-6, 1e-8)
@@ -161,7 +162,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
     ----------
     scene : SpeedScene
     measured : Measured
-        What `stickslip.workflows.charts.speed.measure` found for that scene.
+        What `stickslip.workflows.charts.speed_accuracy.measure` found for that scene.
     """
     panels = _panels(measured)
     answer = {
@@ -175,7 +176,7 @@ def build(scene: SpeedScene, measured: Measured) -> Report:
         for target in TARGETS
         for name, products in panel.at(target, model).items()
     ]
-    html = _environment().get_template("speed.html").render(
+    html = _environment().get_template("speed_accuracy.html").render(
         scene=scene,
         answer=answer,
         src=embedded(chart_figures.speed_accuracy([_drawn(panel) for panel in panels])),

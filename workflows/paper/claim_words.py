@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from stickslip.analysis import paper_figures
-from stickslip.workflows.charts.paper.claims import APART, FOLLOWED, Survival
-from stickslip.workflows.charts.paper.measure import Measured
-from stickslip.workflows.charts.paper.scene import PaperScene
-from stickslip.workflows.charts.paper.words import counted, number, share
+from stickslip.workflows.paper import figures as paper_figures
+from stickslip.workflows.paper.claims import APART, FOLLOWED, Survival
+from stickslip.workflows.paper.measure import Measured
+from stickslip.workflows.paper.scene import PaperScene
+from stickslip.workflows.paper.words import counted, number, share
 
 
 @dataclass(frozen=True)

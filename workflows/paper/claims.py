@@ -13,10 +13,10 @@ from stickslip import sim
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.query import members as read_members
 from stickslip.pipeline.query import series as read_series
-from stickslip.workflows.charts.paper.blocks import V, corner, pair, sampled
-from stickslip.workflows.charts.paper.runs import Fate, fate
-from stickslip.workflows.charts.paper.scene import COUPLING, PaperScene
 from stickslip.workflows.charts.peers import W0, Z0
+from stickslip.workflows.paper.blocks import V, corner, pair, sampled
+from stickslip.workflows.paper.runs import Fate, fate
+from stickslip.workflows.paper.scene import COUPLING, PaperScene
 
 #: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.
 APART, FOLLOWED, DIRECTIONS = 1e-6, 10.0, 16

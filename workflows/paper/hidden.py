@@ -13,8 +13,8 @@ from stickslip import sim
 from stickslip.sim.hidden import Blowup, Mode, continuations
 from stickslip.sim.hidden_runs import LawRun, Segment, run_with_law
 from stickslip.sim.switching import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
-from stickslip.workflows.charts.paper.blocks import ONE, V, pair, single
 from stickslip.workflows.charts.peers import Floats
+from stickslip.workflows.paper.blocks import ONE, V, pair, single
 
 #: Figure 6: F_1 = -F_2.
 FORCE = 0.5

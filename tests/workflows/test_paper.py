@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import paper_figures
 from stickslip.sim import EventSeries, simulate
 from stickslip.workflows import charts
-from stickslip.workflows.charts.paper import blocks, claim_words, claims, hidden, runs
-from stickslip.workflows.charts.paper import words as figure_words
-from stickslip.workflows.charts.paper.measure import Measured, measure
-from stickslip.workflows.charts.paper.page import build
 from stickslip.workflows.cli import main
+from stickslip.workflows.paper import blocks, claim_words, claims, hidden, runs
+from stickslip.workflows.paper import figures as paper_figures
+from stickslip.workflows.paper import words as figure_words
+from stickslip.workflows.paper.measure import Measured, measure
+from stickslip.workflows.paper.page import build
 from stickslip.workflows.scenes import chart_of, shipped
 
 
@@ -53,7 +53,7 @@ workers = 1
 seed = 0
 """
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 SCENES = [*(f"fig{k}" for k in range(1, 7)), "paper"]
 
 

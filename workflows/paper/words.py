@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from stickslip.analysis import paper_figures
 from stickslip.analysis.words import PAPER_GAMMA, capital
-from stickslip.workflows.charts.paper.blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
-from stickslip.workflows.charts.paper.hidden import FORCE, SlowRun, Undetermined
-from stickslip.workflows.charts.paper.measure import Measured
-from stickslip.workflows.charts.paper.runs import EARLY, Cascades, Change, Draw
-from stickslip.workflows.charts.paper.scene import LAWS, PaperScene
+from stickslip.workflows.paper import figures as paper_figures
+from stickslip.workflows.paper.blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
+from stickslip.workflows.paper.hidden import FORCE, SlowRun, Undetermined
+from stickslip.workflows.paper.measure import Measured
+from stickslip.workflows.paper.runs import EARLY, Cascades, Change, Draw
+from stickslip.workflows.paper.scene import LAWS, PaperScene
 
 #: The level of the intervals.
 CONFIDENCE = 0.95

@@ -11,8 +11,8 @@ from typing import Any, get_args, get_type_hints
 
 from stickslip.workflows.charts import Say
 from stickslip.workflows.charts.alone import versions
-from stickslip.workflows.charts.paper.blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
-from stickslip.workflows.charts.paper.claims import (
+from stickslip.workflows.paper.blocks import ONE, Parallelogram, Path2, Portrait, parallelogram, portrait
+from stickslip.workflows.paper.claims import (
     Certified,
     OneBlock,
     Pair,
@@ -22,7 +22,7 @@ from stickslip.workflows.charts.paper.claims import (
     one_block,
     survival,
 )
-from stickslip.workflows.charts.paper.hidden import (
+from stickslip.workflows.paper.hidden import (
     BlowUp,
     Branches,
     Future,
@@ -33,7 +33,7 @@ from stickslip.workflows.charts.paper.hidden import (
     slow_run,
     undetermined,
 )
-from stickslip.workflows.charts.paper.runs import (
+from stickslip.workflows.paper.runs import (
     Cascades,
     Change,
     Draw,
@@ -44,7 +44,7 @@ from stickslip.workflows.charts.paper.runs import (
     sensitivity,
     trace,
 )
-from stickslip.workflows.charts.paper.scene import LAWS, PaperScene
+from stickslip.workflows.paper.scene import LAWS, PaperScene
 
 
 @dataclass(frozen=True)
