@@ -12,8 +12,8 @@ import pytest
 from stickslip import sim
 from stickslip.workflows import charts
 from stickslip.workflows.charts import alone
-from stickslip.workflows.charts import speed_accuracy as speed
 from stickslip.workflows.charts import figures as chart_figures
+from stickslip.workflows.charts import speed_accuracy as speed
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import Cost, Measured, Reference, measure
 from stickslip.workflows.charts.speed_accuracy_page import build, products_at
