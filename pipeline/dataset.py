@@ -16,9 +16,9 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from stickslip.pipeline.errors import QueryError, StoreError
-from stickslip.pipeline.manifest import Shard, dataset_scene, read_manifest
-from stickslip.pipeline.place import DATA, Directory, Place, Where, place_of
-from stickslip.pipeline.shards import Recording
+from stickslip.pipeline.ledger import Shard, dataset_scene, read_manifest
+from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.storage import DATA, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
 
 # pandas' plain types have no null but NaN; these do, and keep integers integers

@@ -32,11 +32,11 @@ import numpy as np
 from scipy import special
 
 from stickslip.pipeline import kernels
-from stickslip.pipeline.child import one_thread
+from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.pipeline.members import Batch, Member
+from stickslip.pipeline.processes import one_thread
 from stickslip.pipeline.scene import Scene
-from stickslip.pipeline.shards import Recording, encode, row
+from stickslip.pipeline.schema import Recording, encode, row
 
 #: Seconds that the members of a pilot may take; less where the estimate itself is short.
 PILOT = (1.0, 5.0)

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from stickslip.pipeline.members import Member
-from stickslip.pipeline.shards import Recording, row
+from stickslip.pipeline.design import Member
+from stickslip.pipeline.schema import Recording, row
 from stickslip.sim.compile import cache_directory
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
+from stickslip.pipeline.design import Batch, Member, as_batch, batches, expand
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.members import Batch, Member, as_batch, batches, expand
 from stickslip.pipeline.scene import Scene, parse_scene
-from stickslip.pipeline.shards import Recording
+from stickslip.pipeline.schema import Recording
 
 #: A shard to be: its members, and what to keep of them.
 Task = tuple[Batch, Recording]

@@ -26,10 +26,10 @@ from stickslip.pipeline.dataset import (
     rows_that_failed,
 )
 from stickslip.pipeline.errors import QueryError
-from stickslip.pipeline.manifest import dataset_scene, read_manifest
-from stickslip.pipeline.place import Where, place_of
-from stickslip.pipeline.shards import scalars
+from stickslip.pipeline.ledger import dataset_scene, read_manifest
+from stickslip.pipeline.schema import scalars
 from stickslip.pipeline.sql import answer, sql
+from stickslip.pipeline.storage import Where, place_of
 
 if TYPE_CHECKING:
     from dask.dataframe import DataFrame
@@ -70,7 +70,7 @@ def table(
     Parameters
     ----------
     path : str, Path or Place
-        Directory or address of the dataset; see `stickslip.pipeline.place`.
+        Directory or address of the dataset; see `stickslip.pipeline.storage`.
     columns : sequence of str, optional
         Columns of the dataset; all, the lists too, if left out.
     filters : pyarrow.compute.Expression or list of tuple, optional

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
-from stickslip.pipeline.tables import (
+from stickslip.pipeline.toml import (
     BlockNumbers,
     Count,
     Natural,

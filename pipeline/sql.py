@@ -14,9 +14,9 @@ import pyarrow as pa
 
 from stickslip.pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
 from stickslip.pipeline.errors import QueryError, printable
-from stickslip.pipeline.manifest import dataset_scene
-from stickslip.pipeline.place import Where
-from stickslip.pipeline.shards import scalars
+from stickslip.pipeline.ledger import dataset_scene
+from stickslip.pipeline.schema import scalars
+from stickslip.pipeline.storage import Where
 
 #: Rows that an answer is handed over in.
 _ROWS = 100_000

@@ -1,10 +1,10 @@
 from .analysis.fits import gamma as gamma
+from .pipeline.driver import run_scene as run_scene
 from .pipeline.query import members as members
 from .pipeline.query import n_stick as n_stick
 from .pipeline.query import sql as sql
 from .pipeline.scene import Scene as Scene
 from .pipeline.scene import load_scene as load_scene
-from .pipeline.schedule import run_scene as run_scene
 from .sim.coupling import COUPLINGS as COUPLINGS
 from .sim.coupling import READINGS as READINGS
 from .sim.coupling import draw_system as draw_system

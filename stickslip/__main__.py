@@ -2,6 +2,6 @@
 
 import sys
 
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 
 sys.exit(main())

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.child import Child, answering
+from stickslip.pipeline.processes import Child, answering
 
 if TYPE_CHECKING:
     from stickslip.analysis.report import Image

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TextIO
 from tqdm import tqdm
 
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.live import Follower, View
-from stickslip.pipeline.place import Where
+from stickslip.pipeline.monitor import Follower, View
+from stickslip.pipeline.storage import Where
 
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress

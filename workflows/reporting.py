@@ -12,8 +12,8 @@ from stickslip.analysis.comparison import Ensemble, compare
 from stickslip.analysis.report import Image, on_demand
 from stickslip.analysis.section import Data, Recipe
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
-from stickslip.pipeline.place import Directory, Where, place_of
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
+from stickslip.pipeline.storage import Directory, Where, place_of
 
 
 def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow.compute as pc
 
 from stickslip.pipeline.dataset import dataset, reading
-from stickslip.pipeline.manifest import read_commits, read_manifest
-from stickslip.pipeline.place import Where
+from stickslip.pipeline.ledger import read_commits, read_manifest
+from stickslip.pipeline.storage import Where
 
 #: The dots of a braille character, two columns of four from the top, as bits of its code.
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline import expand, place
+from stickslip.pipeline import expand, storage
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
 from tests.processes import until
@@ -61,7 +61,7 @@ def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
 
     for name in _STEPS:
         setattr(os, name, of(getattr(os, name)))
-    place.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
+    storage.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
 
 
 def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
-from stickslip.pipeline import objects, verify
+from stickslip.pipeline import object_store, verify
 from tests.faults.bucket import ask, bucket
 from tests.faults.registry import fault
 from tests.faults.world import World, end_of, wait
@@ -27,7 +27,7 @@ class Cloud:
         import s3fs  # noqa: F401  loaded before anything forks
 
         self.world, self._address = world, address
-        objects.LEASE, objects.SETTLE, objects.PAUSES = _LEASE, 0.2, (0.02,) * 12
+        object_store.LEASE, object_store.SETTLE, object_store.PAUSES = _LEASE, 0.2, (0.02,) * 12
         start = time.perf_counter()
         assert world.fork(lambda: self.run("timed")) == 0
         self.seconds = time.perf_counter() - start

@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stickslip.pipeline import expand, members, parse_scene, run_scene, verify
-from stickslip.pipeline.manifest import read_manifest
-from stickslip.pipeline.shards import program
+from stickslip.pipeline import design, expand, parse_scene, run_scene, verify
+from stickslip.pipeline.ledger import read_manifest
+from stickslip.pipeline.schema import program
 
 ROOT = Path(__file__).parents[2]
 INJECT = Path(__file__).parent / "inject"
@@ -80,7 +80,7 @@ class World:
     reference: dict[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        members.TARGET_COST = TARGET_COST
+        design.TARGET_COST = TARGET_COST
         self.random = random.Random(self.seed)
         self.program = program()  # found once, before anything forks
         self.scene = parse_scene(self.source)

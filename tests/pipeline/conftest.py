@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from stickslip.pipeline import members, parse_scene, run_scene
+from stickslip.pipeline import design, parse_scene, run_scene
 
 SOURCE = b"""\
 title = "small"
@@ -51,7 +51,7 @@ SMALL_BATCHES = 3.5e-3
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
-    monkeypatch.setattr(members, "TARGET_COST", SMALL_BATCHES)
+    monkeypatch.setattr(design, "TARGET_COST", SMALL_BATCHES)
 
 
 @pytest.fixture(scope="session")
@@ -69,7 +69,7 @@ def finished(scene, source, tmp_path_factory):
     """The finished dataset, computed in this process; not to be changed."""
     path = tmp_path_factory.mktemp("finished") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(members, "TARGET_COST", SMALL_BATCHES)
+        patch.setattr(design, "TARGET_COST", SMALL_BATCHES)
         run_scene(scene, source, path, workers=0)
     return path
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from stickslip.pipeline import Progress, Scene, parse_scene, run_scene, status
 from stickslip.pipeline.estimate import estimate
-from stickslip.pipeline.store import Store
+from stickslip.pipeline.writer import Store
 
 _SCENE = """
 [system]

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 import pytest
 
 from stickslip import sim
-from stickslip.pipeline import ScheduleError, estimate, members
+from stickslip.pipeline import ScheduleError, design, estimate
 from stickslip.workflows.progress import in_words
 
 
@@ -25,7 +25,7 @@ class Here:
 @pytest.fixture
 def batches(scene, monkeypatch):
     monkeypatch.setattr(estimate, "_processes", lambda count: contextlib.nullcontext(Here()))
-    return members.batches(members.expand(scene), scene.hash)
+    return design.batches(design.expand(scene), scene.hash)
 
 
 def test_a_pilot_that_fails_gives_a_reason_and_no_interval(scene, batches, monkeypatch):

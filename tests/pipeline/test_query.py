@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 import pytest
 
 from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_scene
-from stickslip.pipeline.shards import SCHEMA, scalars
+from stickslip.pipeline.schema import SCHEMA, scalars
 
 
 def test_members_table(finished, scene):

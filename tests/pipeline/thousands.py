@@ -17,9 +17,9 @@ from pathlib import Path
 
 from stickslip import pipeline
 from stickslip.pipeline import Progress, batches, expand, parse_scene, run_scene
-from stickslip.pipeline.manifest import read_commits
-from stickslip.pipeline.place import DATA
-from stickslip.pipeline.shards import Recording, compute
+from stickslip.pipeline.ledger import read_commits
+from stickslip.pipeline.schema import Recording, compute
+from stickslip.pipeline.storage import DATA
 
 SOURCE = b"""\
 title = "Ten thousand members"

@@ -2,7 +2,7 @@ import pytest
 
 from stickslip.pipeline import SceneError
 from stickslip.workflows.charts import load_chart
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
 SMALL = """

@@ -7,7 +7,7 @@ import io
 import pandas as pd
 import pytest
 
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from tests.faults.bucket import ask, bucket
 
 SOURCE = """\

@@ -18,7 +18,7 @@ import pytest
 from distributed import Client
 
 from stickslip.pipeline import parse_scene, run_scene, status, verify
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 
 SCRIPT = Path(__file__).parents[2] / "workflows" / "guide" / "slurm.py"
 SOURCE = b"""\
@@ -155,7 +155,7 @@ def by_hand(directory, *worker):
 )
 def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, capsys, caplog):
     """Threads that run members side by side, in one process, get the same bytes, and the driver says it is slow."""
-    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 0.005)
+    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 0.005)
     source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 60", b"matrices = 6")
     (tmp_path / "mine.toml").write_bytes(source)
     run_scene(parse_scene(source), source, tmp_path / "reference", workers=0)

@@ -27,7 +27,7 @@ from stickslip.analysis.groups import OUTCOMES
 from stickslip.analysis.section import Data
 from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.sim import coupling, draw_system, perturb_system
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"

@@ -11,7 +11,7 @@ import pytest
 
 from stickslip.sim import EventSeries, simulate
 from stickslip.workflows import charts
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.paper import blocks, claim_words, claims, hidden, runs
 from stickslip.workflows.paper import figures as paper_figures
 from stickslip.workflows.paper import words as figure_words

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -8,7 +8,7 @@ import pytest
 
 from stickslip.pipeline import query
 from stickslip.workflows import sparkline
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 
 
 def level(lines, t, t_stop):

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene import MINUTES
-from stickslip.pipeline.tables import Positive, StrictTable, as_scene, parse_toml, read_source
+from stickslip.pipeline.toml import Positive, StrictTable, as_scene, parse_toml, read_source
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report

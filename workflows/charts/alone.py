@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.pipeline.child import ONE_THREAD, environment, python
+from stickslip.pipeline.processes import ONE_THREAD, environment, python
 from stickslip.workflows.charts import ChartError, load_chart
 
 #: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip import sim
-from stickslip.pipeline.members import MATRIX, RATIO
+from stickslip.pipeline.design import MATRIX, RATIO
 from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, whole_steps
 
 Floats = NDArray[np.float64]

@@ -25,8 +25,8 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from stickslip import sim
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.cluster import local
-from stickslip.pipeline.members import MATRIX
-from stickslip.pipeline.tables import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
+from stickslip.pipeline.design import MATRIX
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import Product, versions
 from stickslip.workflows.charts.peers import W0, Z0, Floats

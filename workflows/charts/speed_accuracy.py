@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from stickslip import sim
-from stickslip.pipeline.tables import BlockNumbers, Count, Positive, as_tuple, distinct
+from stickslip.pipeline.toml import BlockNumbers, Count, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import Product, versions
 from stickslip.workflows.charts.peers import (

@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from stickslip import sim
-from stickslip.pipeline.tables import Blocks, Count, Positive, as_tuple, distinct
+from stickslip.pipeline.toml import Blocks, Count, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import versions
 from stickslip.workflows.charts.hard_cases import Verdict, judged

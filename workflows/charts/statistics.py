@@ -22,7 +22,7 @@ from scipy import stats
 from stickslip import sim
 from stickslip.analysis.cascades import Law, sizes, window
 from stickslip.analysis.fits import Estimate, gamma, gamma_difference, over_matrices, ratio
-from stickslip.pipeline.tables import Blocks, Natural, Positive, as_tuple, distinct
+from stickslip.pipeline.toml import Blocks, Natural, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import Product, versions
 from stickslip.workflows.charts.peers import W0, Z0, Model, random_problem

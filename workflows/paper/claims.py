@@ -20,7 +20,7 @@ from stickslip.workflows.paper.scene import COUPLING, PaperScene
 
 #: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.
 APART, FOLLOWED, DIRECTIONS = 1e-6, 10.0, 16
-#: What the seeds of the random single blocks are for, beside the words in `stickslip.pipeline.members`.
+#: What the seeds of the random single blocks are for, beside the words in `stickslip.pipeline.design`.
 _ONE_BLOCK = 1000
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from stickslip import sim
 from stickslip.analysis import cascades, fits
 from stickslip.analysis.chance.nulls import NullTally, random_order
-from stickslip.pipeline.members import MATRIX
+from stickslip.pipeline.design import MATRIX
 from stickslip.workflows.paper.scene import LAWS, Law, PaperScene
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]

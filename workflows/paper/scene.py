@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from stickslip import sim
-from stickslip.pipeline.members import MATRIX, PERTURBATION, RATIO
+from stickslip.pipeline.design import MATRIX, PERTURBATION, RATIO
 from stickslip.pipeline.scene import TOLERANCES, Purpose
-from stickslip.pipeline.tables import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene
 from stickslip.workflows.charts.peers import W0, Z0, Floats
 

@@ -32,15 +32,15 @@ with open("/proc/self/cmdline") as _command:
 if _plan and not _is_helper:
     import time
 
-    from stickslip.pipeline import members
+    from stickslip.pipeline import design
 
-    members.TARGET_COST = _plan["target_cost"]
-    _simulate = members.Member.simulate
+    design.TARGET_COST = _plan["target_cost"]
+    _simulate = design.Member.simulate
 
-    def _faulty(self: members.Member, t_eval: object = ()) -> object:
+    def _faulty(self: design.Member, t_eval: object = ()) -> object:
         time.sleep(_plan.get("sleep", 0.0))
         if self.member_id in _plan.get("victims", {}):
             _die(_plan["victims"][self.member_id])
         return _simulate(self, t_eval)
 
-    members.Member.simulate = _faulty
+    design.Member.simulate = _faulty

@@ -17,7 +17,7 @@ from stickslip.workflows.charts import alone, scaling
 from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure
 from stickslip.workflows.charts.scaling_page import build, exponent_words, growth, lockstep_words
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """

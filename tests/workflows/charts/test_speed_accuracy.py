@@ -17,7 +17,7 @@ from stickslip.workflows.charts import speed_accuracy as speed
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import Cost, Measured, Reference, measure
 from stickslip.workflows.charts.speed_accuracy_page import build, products_at
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
 

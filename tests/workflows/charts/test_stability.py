@@ -19,7 +19,7 @@ from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodErr
 from stickslip.workflows.charts.stability import Cell, Measured, Reference, classified, measure
 from stickslip.workflows.charts.stability_page import build
 from stickslip.workflows.charts.tableaus import TABLEAUS
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """

@@ -29,7 +29,7 @@ from stickslip.workflows.charts.statistics import (
 )
 from stickslip.workflows.charts.statistics_page import build
 from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, moreau_jean, whole_steps
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """

@@ -91,7 +91,7 @@ def _body() -> str:
 def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from stickslip.pipeline import Scene
-    from stickslip.pipeline.tables import json_schema
+    from stickslip.pipeline.toml import json_schema
     from stickslip.workflows.charts import kind
 
     return json_schema(Scene if chart is None else kind(chart).scene)

@@ -17,17 +17,17 @@ from distributed import Client, Future, KilledWorker, as_completed, fire_and_for
 from distributed.comm import CommClosedError
 
 from stickslip.pipeline import kernels
-from stickslip.pipeline.alone import compute_alone
-from stickslip.pipeline.audit import Status, status
 from stickslip.pipeline.cluster import check_address, check_memory, connect
+from stickslip.pipeline.design import Member, expand
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.pipeline.live import Began
-from stickslip.pipeline.members import Member, expand
-from stickslip.pipeline.place import Where
+from stickslip.pipeline.integrity import Status, status
+from stickslip.pipeline.monitor import Began
 from stickslip.pipeline.plan import Task
 from stickslip.pipeline.scene import Scene
-from stickslip.pipeline.shards import Recording, Result, compute, program, row
-from stickslip.pipeline.store import Store
+from stickslip.pipeline.schema import Recording, Result, compute, program, row
+from stickslip.pipeline.storage import Where
+from stickslip.pipeline.worker import compute_alone
+from stickslip.pipeline.writer import Store
 
 log = logging.getLogger(__name__)
 

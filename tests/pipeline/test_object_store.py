@@ -10,9 +10,9 @@ import time
 import fsspec
 import pytest
 
-from stickslip.pipeline import Progress, StoreError, objects, place, query, run_scene, status, verify
-from stickslip.pipeline.live import running
-from stickslip.pipeline.store import Store
+from stickslip.pipeline import Progress, StoreError, object_store, query, run_scene, status, storage, verify
+from stickslip.pipeline.monitor import running
+from stickslip.pipeline.writer import Store
 from tests.processes import until
 
 OUT = "memory://bucket/out"
@@ -29,8 +29,8 @@ def memory():
 
 @pytest.fixture
 def impatient(monkeypatch):
-    monkeypatch.setattr(objects, "PAUSES", (0.0, 0.0, 0.0))
-    monkeypatch.setattr(objects, "SETTLE", 0.3)
+    monkeypatch.setattr(object_store, "PAUSES", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(object_store, "SETTLE", 0.3)
 
 
 def objects_of(memory, prefix="/bucket/out/"):
@@ -140,7 +140,7 @@ def test_a_lock_that_ran_out_is_taken_over(scene, source, stored, memory, impati
 
 def test_of_many_that_take_over_one_does(memory, impatient):
     leave_lock(-0.1)
-    owner, got, ended = place.place_of(OUT), [], threading.Event()
+    owner, got, ended = storage.place_of(OUT), [], threading.Event()
 
     def contend():
         try:
@@ -165,13 +165,13 @@ def test_of_many_that_take_over_one_does(memory, impatient):
 
 
 def test_a_lock_is_renewed_as_long_as_its_owner_lives(memory, impatient, monkeypatch):
-    monkeypatch.setattr(objects, "LEASE", 8.0)  # renewed after 2 s
-    with place.place_of(OUT).own() as hold:
+    monkeypatch.setattr(object_store, "LEASE", 8.0)  # renewed after 2 s
+    with storage.place_of(OUT).own() as hold:
         hold.note("began 0 0 0")
         noted = memory["/bucket/out/.lock"].getvalue()
         until(lambda: memory["/bucket/out/.lock"].getvalue() != noted)
-        assert running(OUT).owner == place.this_process()
-        with pytest.raises(StoreError, match="expected to be its only writer"), place.place_of(OUT).own():
+        assert running(OUT).owner == storage.this_process()
+        with pytest.raises(StoreError, match="expected to be its only writer"), storage.place_of(OUT).own():
             pass
         hold.check()
 
@@ -179,7 +179,7 @@ def test_a_lock_is_renewed_as_long_as_its_owner_lives(memory, impatient, monkeyp
 def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
     scene, source, finished, content, memory, impatient, monkeypatch
 ):
-    monkeypatch.setattr(objects, "LEASE", 0.2)
+    monkeypatch.setattr(object_store, "LEASE", 0.2)
 
     def stopped_for_a_while(progress):
         if progress.n_shards_done == 2:
@@ -273,10 +273,10 @@ def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
 
 
 def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.store._LAST_SECONDS", 0.1)
+    monkeypatch.setattr("stickslip.pipeline.writer._LAST_SECONDS", 0.1)
     answered, listed = threading.Event(), []
     with Store(stored, scene, source) as store:
-        monkeypatch.setattr(objects.Prefix, "names", lambda self: listed.append(answered.wait(60)) or [])
+        monkeypatch.setattr(object_store.Prefix, "names", lambda self: listed.append(answered.wait(60)) or [])
         store._sweep()
         assert listed == []
         answered.set()

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset import frame
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.place import Directory, Where, place_of
+from stickslip.pipeline.storage import Directory, Where, place_of
 from stickslip.workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]

@@ -162,7 +162,7 @@ def test_each_draw_is_numpys_own_under_its_key(source):
     assert w == pytest.approx(-0.4 + by[1], rel=1e-14)
 
 
-@pytest.mark.parametrize("room", ["sim/coupling.py", "sim/new/deeper.py", "pipeline/members.py", "pipeline/scene.py"])
+@pytest.mark.parametrize("room", ["sim/coupling.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/scene.py"])
 def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
     """Data of two sets of draws are never mixed: a change of any of these sources is another program."""
     shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)
@@ -170,7 +170,7 @@ def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
 
     def program():
-        asked = [sys.executable, "-c", "from stickslip.pipeline.shards import program; print(program())"]
+        asked = [sys.executable, "-c", "from stickslip.pipeline.schema import program; print(program())"]
         found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
         return found.stdout
 
@@ -213,9 +213,9 @@ def test_batches_hold_every_member_once_in_order(scene):
 def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
-    monkeypatch.setattr("stickslip.pipeline.members._MANY", 3)
+    monkeypatch.setattr("stickslip.pipeline.design._MANY", 3)
     for target, count in ((whole, 1), (whole / 3.01, 4), (whole / 6, 4), (whole / 24, 5)):
-        monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", target)
+        monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", target)
         packed = batches(members, scene.hash)
         assert count <= len(packed) <= count + 1
         assert [member for batch in packed for member in batch.members] == members

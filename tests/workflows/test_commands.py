@@ -24,10 +24,10 @@ import pytest
 
 from stickslip import workflows
 from stickslip.pipeline import Progress, load_scene, query, status
-from stickslip.pipeline.live import Began, Follower
-from stickslip.pipeline.manifest import read_manifest, read_tasks
-from stickslip.workflows import answers
-from stickslip.workflows.cli import _BEFORE, main
+from stickslip.pipeline.ledger import read_manifest, read_tasks
+from stickslip.pipeline.monitor import Began, Follower
+from stickslip.workflows import export
+from stickslip.workflows.commands import _BEFORE, main
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared
 from stickslip.workflows.scenes import find, shipped
@@ -150,7 +150,7 @@ def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
 
 def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_path):
     pieces = pa.table({"k": range(1800)}).to_batches(max_chunksize=600)
-    answers.write(pa.RecordBatchReader.from_batches(pieces[0].schema, pieces), "table", tmp_path / "k.txt", "data")
+    export.write(pa.RecordBatchReader.from_batches(pieces[0].schema, pieces), "table", tmp_path / "k.txt", "data")
     head, *rows, more = (tmp_path / "k.txt").read_text().splitlines()
     assert (head.split(), [int(row) for row in rows]) == (["k"], list(range(1000)))
     assert more == "... 800 rows more: --format csv has them all"
@@ -252,7 +252,7 @@ def test_an_interrupted_query(number, dataset, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "stickslip.workflows.cli",
+        "stickslip.workflows.commands",
         "query",
         str(dataset),
         endless,
@@ -492,7 +492,7 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
 
 def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    monkeypatch.setattr("stickslip.pipeline.live.time", SimpleNamespace(time=lambda: 1010.0))
+    monkeypatch.setattr("stickslip.pipeline.monitor.time", SimpleNamespace(time=lambda: 1010.0))
     costs = {batch.name: batch.cost for batch, _ in read_tasks(copy, read_manifest(copy))}
     follower = Follower(copy)
     follower._costs |= {"one more": 3.0 * sum(costs.values())}  # of four parts one is done, half of it before
@@ -585,7 +585,7 @@ def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
     """Cold start: nobody waits for dask, pandas or matplotlib to be told what there is."""
     heavy |= {"dask", "distributed", "pandas", "pyarrow", "matplotlib"}
     code = (
-        "import sys\nfrom stickslip.workflows.cli import main\n"
+        "import sys\nfrom stickslip.workflows.commands import main\n"
         f"try:\n    main({argv})\nexcept SystemExit:\n    pass\n"
         f"sys.exit(', '.join({heavy} & set(sys.modules)) or 0)"
     )
@@ -594,7 +594,7 @@ def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
     assert words in done.stdout
 
 
-@pytest.mark.parametrize("module", ["stickslip", "stickslip.workflows.cli"])
+@pytest.mark.parametrize("module", ["stickslip", "stickslip.workflows.commands"])
 def test_as_a_module(module):
     done = subprocess.run([sys.executable, "-m", module, "status", "nowhere"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")

@@ -8,9 +8,9 @@ import socket
 import time
 from dataclasses import dataclass
 
-from stickslip.pipeline.audit import Status, status
-from stickslip.pipeline.manifest import read_manifest, read_tasks
-from stickslip.pipeline.place import LOCK, Lock, Where, place_of
+from stickslip.pipeline.integrity import Status, status
+from stickslip.pipeline.ledger import read_manifest, read_tasks
+from stickslip.pipeline.storage import LOCK, Lock, Where, place_of
 
 
 @dataclass(frozen=True)

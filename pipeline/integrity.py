@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset import rows_that_failed
 from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.manifest import dataset_scene, read_manifest, read_tasks
-from stickslip.pipeline.place import DATA, TEMPORARY, Place, Where, place_of
-from stickslip.pipeline.shards import SCHEMA_VERSION
+from stickslip.pipeline.ledger import dataset_scene, read_manifest, read_tasks
+from stickslip.pipeline.schema import SCHEMA_VERSION
+from stickslip.pipeline.storage import DATA, TEMPORARY, Place, Where, place_of
 
 
 @dataclass(frozen=True)

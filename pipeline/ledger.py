@@ -8,7 +8,7 @@ OUT/timings.jsonl      the record, a line a commit: what the manifest is to say 
                        process, apart from the data, which ignore them. A lost manifest is made again from it
 OUT/.lock              held by the process that writes; a crash releases it
 
-OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.place`).
+OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.storage`).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from stickslip.pipeline.errors import SceneError, StoreError
-from stickslip.pipeline.place import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
 from stickslip.pipeline.plan import PlanError, Task, tasks
 from stickslip.pipeline.scene import Scene, parse_scene
-from stickslip.pipeline.shards import SCHEMA_VERSION
+from stickslip.pipeline.schema import SCHEMA_VERSION
+from stickslip.pipeline.storage import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
 
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 

@@ -19,7 +19,7 @@ from stickslip.pipeline.interrupt import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
-    from stickslip.pipeline.place import Place, Where
+    from stickslip.pipeline.storage import Place, Where
     from stickslip.workflows.drawing import Drawing
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
@@ -28,7 +28,7 @@ _DONE, _UNFINISHED, _WRONG = 0, 1, 2
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from stickslip.pipeline.place import Directory, place_of
+    from stickslip.pipeline.storage import Directory, place_of
     from stickslip.workflows.drawing import Drawing
     from stickslip.workflows.scenes import chart_of, find, shipped
 
@@ -65,8 +65,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing | None) -> int:
     from stickslip.pipeline import parse_scene, run_scene
     from stickslip.pipeline.interrupt import last_act
-    from stickslip.pipeline.place import DATA, SCENE, Directory
-    from stickslip.pipeline.tables import read_source
+    from stickslip.pipeline.storage import DATA, SCENE, Directory
+    from stickslip.pipeline.toml import read_source
     from stickslip.workflows.progress import Watch, clock
 
     source = read_source(file)
@@ -114,8 +114,8 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline import parse_scene
     from stickslip.pipeline.cluster import check_memory
     from stickslip.pipeline.estimate import estimate
-    from stickslip.pipeline.store import Store
-    from stickslip.pipeline.tables import read_source
+    from stickslip.pipeline.toml import read_source
+    from stickslip.pipeline.writer import Store
     from stickslip.workflows.progress import in_words
 
     source = read_source(file)
@@ -152,7 +152,7 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _check_directory(out: Path, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
-    from stickslip.pipeline.place import MANIFEST
+    from stickslip.pipeline.storage import MANIFEST
 
     place, here = out.resolve(), Path(__file__).resolve().parents[1]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
@@ -164,14 +164,14 @@ def _check_directory(out: Path, file: Path) -> None:
 
 
 def _check_no_ensemble(out: Place) -> None:
-    from stickslip.pipeline.place import MANIFEST
+    from stickslip.pipeline.storage import MANIFEST
 
     if MANIFEST in out.names():
         raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from stickslip.pipeline.place import Directory
+    from stickslip.pipeline.storage import Directory
     from stickslip.workflows.charts import ChartError, load_chart
     from stickslip.workflows.charts.alone import measure_alone
     from stickslip.workflows.reporting import write
@@ -229,7 +229,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
-    from stickslip.pipeline.place import place_of
+    from stickslip.pipeline.storage import place_of
     from stickslip.workflows.reporting import compared, name_of, write
 
     place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
@@ -263,7 +263,7 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 def _query(arguments: argparse.Namespace) -> int:
     from stickslip.pipeline.query import answer
-    from stickslip.workflows.answers import form_of, write
+    from stickslip.workflows.export import form_of, write
 
     form = form_of(arguments.format, arguments.out)
     try:
@@ -276,14 +276,14 @@ def _query(arguments: argparse.Namespace) -> int:
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.starting import listing
+    from stickslip.workflows.scaffold import listing
 
     print("\n".join(listing()))
     return _DONE
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.starting import NotWritten, new_scene
+    from stickslip.workflows.scaffold import NotWritten, new_scene
 
     try:
         print("\n".join(new_scene(arguments.file)))
@@ -294,7 +294,7 @@ def _init(arguments: argparse.Namespace) -> int:
 
 def _schema(arguments: argparse.Namespace) -> int:
     from stickslip.workflows.keys import lines
-    from stickslip.workflows.starting import schema_text
+    from stickslip.workflows.scaffold import schema_text
 
     if arguments.chart is not None:
         from stickslip.workflows.charts import KINDS
@@ -308,7 +308,7 @@ def _schema(arguments: argparse.Namespace) -> int:
 
 
 def _completion(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.starting import completion
+    from stickslip.workflows.scaffold import completion
 
     print(completion(parser(), arguments.shell))
     return _DONE
@@ -327,7 +327,7 @@ _ON_DATA = {"run": _run, "status": _status, "verify": _verify, "report": _report
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = parser().parse_args(argv)
-    from stickslip.pipeline.child import one_thread
+    from stickslip.pipeline.processes import one_thread
 
     try:
         with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's

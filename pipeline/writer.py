@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
 
+from stickslip.pipeline.design import expand
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.interrupt import last_act, unbroken
-from stickslip.pipeline.manifest import (
+from stickslip.pipeline.ledger import (
     DamagedManifest,
     Manifest,
     Shard,
@@ -22,8 +23,10 @@ from stickslip.pipeline.manifest import (
     read_manifest,
     stored_scene,
 )
-from stickslip.pipeline.members import expand
-from stickslip.pipeline.place import (
+from stickslip.pipeline.plan import Task, grows, pack, tasks
+from stickslip.pipeline.scene import Scene, parse_scene
+from stickslip.pipeline.schema import Result, program
+from stickslip.pipeline.storage import (
     DATA,
     LOCK,
     MANIFEST,
@@ -35,10 +38,7 @@ from stickslip.pipeline.place import (
     Where,
     place_of,
 )
-from stickslip.pipeline.plan import Task, grows, pack, tasks
-from stickslip.pipeline.scene import Scene, parse_scene
-from stickslip.pipeline.shards import Result, program
-from stickslip.pipeline.tables import parse_toml
+from stickslip.pipeline.toml import parse_toml
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class Store:
     Parameters
     ----------
     path : str, Path or Place
-        A directory or an address; see `stickslip.pipeline.place`.
+        A directory or an address; see `stickslip.pipeline.storage`.
     scene : Scene
     source : bytes
         The scene file.

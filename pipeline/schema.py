@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stickslip import sim
-from stickslip.pipeline.members import Batch, Member
+from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.scene import Scene
 from stickslip.sim.compile import source_digest
 
@@ -186,7 +186,7 @@ class Result:
 
 
 #: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("members", "plan", "scene", "shards")]
+_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("design", "plan", "scene", "schema")]
 
 
 def program() -> str:

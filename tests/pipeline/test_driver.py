@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from stickslip.pipeline import Progress, ScheduleError, cluster, expand, run_scene, schedule, status, verify
-from stickslip.pipeline.store import Store
+from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_scene, status, verify
+from stickslip.pipeline.writer import Store
 from tests.pipeline.conftest import SOURCE
 
 
@@ -95,14 +95,14 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
 
 
 def test_batches_whose_workers_died_are_run_again(scene, source, finished, content, tmp_path, monkeypatch):
-    compute = schedule._compute
+    compute = driver._compute
 
     def dies(task):
         if pickle.loads(task)[0].name.startswith(("shard-00000", "shard-00002")):
             os._exit(1)
         return compute(task)
 
-    monkeypatch.setattr(schedule, "_compute", dies)
+    monkeypatch.setattr(driver, "_compute", dies)
     with cluster.local(1) as client:
         result = run_scene(scene, source, tmp_path / "out", workers=0, scheduler=client)
     assert result.is_complete
@@ -127,18 +127,18 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
 
 
 def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.schedule.program", lambda: "9.9.9-0123")
+    monkeypatch.setattr("stickslip.pipeline.driver.program", lambda: "9.9.9-0123")
     with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
         run_scene(scene, source, tmp_path / "out", workers=0)
     assert status(tmp_path / "out").n_done == 0
 
 
 def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.schedule.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr("stickslip.pipeline.driver.LOST_TIMEOUT", 0.5)
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            schedule._until(lambda: False, schedule._Watch(client, None))
+            driver._until(lambda: False, driver._Watch(client, None))
 
 
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
@@ -173,9 +173,9 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
         most.append(len(in_flight))
         return future
 
-    monkeypatch.setattr(schedule, "as_completed", lambda loop: Running())
+    monkeypatch.setattr(driver, "as_completed", lambda loop: Running())
     client = SimpleNamespace(loop=None, submit=submit)
-    assert list(schedule._submit(client, list(range(10)), None, lambda: 3, None)) == list(range(10))
+    assert list(driver._submit(client, list(range(10)), None, lambda: 3, None)) == list(range(10))
     assert max(most) == 3
 
 

@@ -8,10 +8,10 @@ import subprocess
 import sys
 
 from stickslip.pipeline import expand
-from stickslip.pipeline.alone import compute_alone
-from stickslip.pipeline.child import environment, environment_kept, python
-from stickslip.pipeline.members import Batch
-from stickslip.pipeline.shards import Recording, compute
+from stickslip.pipeline.design import Batch
+from stickslip.pipeline.processes import environment, environment_kept, python
+from stickslip.pipeline.schema import Recording, compute
+from stickslip.pipeline.worker import compute_alone
 from tests.processes import is_running, until
 
 
@@ -28,10 +28,10 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
 def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
     pid = tmp_path / "pid"
     hanging = (
-        "import os, time; from pathlib import Path; from stickslip.pipeline.child import end_with_the_parent\n"
+        "import os, time; from pathlib import Path; from stickslip.pipeline.processes import end_with_the_parent\n"
         f"end_with_the_parent(); Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(99)"
     )
-    code = f"from stickslip.pipeline.child import Child; Child({hanging!r}).wait()"
+    code = f"from stickslip.pipeline.processes import Child; Child({hanging!r}).wait()"
     with subprocess.Popen([*python(), "-c", code], env=environment()) as parent:
         until(lambda: pid.exists() and pid.read_text() != "")
         os.kill(parent.pid, signal.SIGKILL)

@@ -23,19 +23,19 @@ from stickslip.pipeline import (
     Progress,
     StoreError,
     expand,
-    objects,
+    object_store,
     parse_scene,
-    place,
     query,
     run_member,
     run_scene,
     status,
+    storage,
     verify,
 )
-from stickslip.pipeline.manifest import read_manifest
-from stickslip.pipeline.place import Directory
-from stickslip.pipeline.shards import SCHEMA, Recording, compute, scalars
-from stickslip.pipeline.store import Store
+from stickslip.pipeline.ledger import read_manifest
+from stickslip.pipeline.schema import SCHEMA, Recording, compute, scalars
+from stickslip.pipeline.storage import Directory
+from stickslip.pipeline.writer import Store
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -147,8 +147,8 @@ def python(script, *arguments):
 DRIVER = """
 import os, sys
 from pathlib import Path
-from stickslip.pipeline import members, parse_scene, run_scene
-members.TARGET_COST = 3.5e-3
+from stickslip.pipeline import design, parse_scene, run_scene
+design.TARGET_COST = 3.5e-3
 source = Path(sys.argv[1]).read_bytes()
 scene = parse_scene(source)
 def half_way(progress):
@@ -190,7 +190,7 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
     with pytest.raises(StoreError, match=r"No space left on device.*run the same scene again"):
         run_scene(scene, source, out, workers=0)
     monkeypatch.undo()
-    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 3.5e-3)
+    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 3.5e-3)
     assert list(out.rglob(".tmp-*")) == []
     assert not (out / ".lock").exists()
     run_scene(scene, source, out, workers=0)
@@ -414,7 +414,7 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
 
 
 def test_a_dataset_keeps_the_packing_that_it_began_with(copy, scene, source, content, finished, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 7e-3)
+    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 7e-3)
     shards(copy)[2].unlink()
     run_scene(scene, source, copy, workers=0)
     assert content(copy) == content(finished)
@@ -496,7 +496,7 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
 
 @pytest.mark.parametrize("where", ["{tmp_path}/out", "memory://bucket/written"])
 def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.members.TARGET_COST", 1e-9)  # a member each
+    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 1e-9)  # a member each
     monkeypatch.setattr("stickslip.sim.simulate", None)  # a row that says so
     written = []
 
@@ -507,9 +507,9 @@ def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, 
 
         return counted
 
-    monkeypatch.setattr(place.Directory, "replace", counting(place.Directory.replace, 2))
-    monkeypatch.setattr(objects.Prefix, "replace", counting(objects.Prefix.replace, 2))
-    monkeypatch.setattr(place, "_append", counting(place._append, 1))
+    monkeypatch.setattr(storage.Directory, "replace", counting(storage.Directory.replace, 2))
+    monkeypatch.setattr(object_store.Prefix, "replace", counting(object_store.Prefix.replace, 2))
+    monkeypatch.setattr(storage, "_append", counting(storage._append, 1))
     overhead = {}
     for matrices in (3, 6, 12):
         written.clear()
@@ -552,7 +552,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
 
 
 def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
-    for room in ("store", "shards", "schedule"):
+    for room in ("writer", "schema", "driver"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
     assert run_scene(scene, source, copy, workers=0).is_complete  # nothing to compute: nothing to mix

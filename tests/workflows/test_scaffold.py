@@ -15,12 +15,12 @@ import stickslip
 from stickslip import analysis, pipeline, sim
 from stickslip.pipeline import Scene, load_scene
 from stickslip.pipeline.scene import TOLERANCES
-from stickslip.pipeline.tables import json_schema
+from stickslip.pipeline.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.charts import KINDS, kind
-from stickslip.workflows.cli import main
+from stickslip.workflows.commands import main
+from stickslip.workflows.scaffold import SCHEMA, schema_text
 from stickslip.workflows.scenes import chart_of, find, shipped
-from stickslip.workflows.starting import SCHEMA, schema_text
 
 
 def problems(schema, table):

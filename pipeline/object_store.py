@@ -24,7 +24,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.place import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
+from stickslip.pipeline.storage import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0

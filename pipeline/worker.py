@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from stickslip.pipeline.child import Child, answering, end_with_the_parent
-from stickslip.pipeline.members import Batch, Member
-from stickslip.pipeline.shards import Recording, Result, as_result, failed_row, row
+from stickslip.pipeline.design import Batch, Member
+from stickslip.pipeline.processes import Child, answering, end_with_the_parent
+from stickslip.pipeline.schema import Recording, Result, as_result, failed_row, row
 
 
 def compute_alone(batch: Batch, recording: Recording) -> Result:
@@ -35,7 +35,7 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
 
 def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple[list[dict[str, Any]], str]:
     """The rows of the members that were run before the process ended, and how it ended."""
-    with Child("from stickslip.pipeline.alone import serve; serve()") as process:
+    with Child("from stickslip.pipeline.worker import serve; serve()") as process:
         rows = []
         try:
             pickle.dump((tuple(members), recording), process.to_it)

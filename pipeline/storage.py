@@ -4,7 +4,7 @@ A directory: a file is replaced by writing beside it, syncing and renaming, and 
 crash releases at once.
 
 An object store, by any address that fsspec knows (``s3://bucket/dir``, ``gs://``, ``memory://``): see
-`stickslip.pipeline.objects`.
+`stickslip.pipeline.object_store`.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def place_of(where: Where) -> Place:
         raise StoreError(f"{where}: expected an address such as s3://bucket/dir, got no more than its beginning")
     import fsspec  # with what it loads, a tenth of a second
 
-    from stickslip.pipeline.objects import Prefix
+    from stickslip.pipeline.object_store import Prefix
 
     try:
         # listings are asked for anew: others write there
