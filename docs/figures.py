@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, svg
 from stickslip.sim import System, simulate
-from stickslip.sim.geometry import sticking_lambda, two_blocks
+from stickslip.sim.theory.folds import sticking_lambda, two_blocks
 
 _HERE = Path(__file__).parent
 _T_END = 8.0
@@ -79,7 +79,7 @@ def _reach(ax: matplotlib.axes.Axes, system: System) -> None:
 
 
 def _series(system: System, z: np.ndarray, w: np.ndarray, mode: np.ndarray, order: int) -> np.ndarray:
-    """c_k, shape (order + 1, n), of blocks that slip: the recurrence of `stickslip.sim.taylor`."""
+    """c_k, shape (order + 1, n), of blocks that slip: the recurrence of `stickslip.sim.engines.taylor`."""
     c = np.zeros((order + 1, system.n))
     c[0], c[1] = z, w
     for k in range(order - 1):

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from stickslip.pipeline.design import Member
 from stickslip.pipeline.schema import Recording, row
-from stickslip.sim.compile import cache_directory
+from stickslip.sim.engines.compile import cache_directory
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
 _PATIENCE = 180.0

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.scene import Scene
-from stickslip.sim.compile import source_digest
+from stickslip.sim.engines.compile import source_digest
 
 #: Version of the schema below; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3

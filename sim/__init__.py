@@ -1,8 +1,9 @@
 """The physics: a system in, an event series out. No files, no dask, no pandas."""
 
-from stickslip.sim.coupling import COUPLINGS, READINGS, draw_system, perturb_system
-from stickslip.sim.run import IntegrationError, Run, Samples, Stats, simulate
+from stickslip.sim.couplings import COUPLINGS, READINGS, draw_system, perturb_system
+from stickslip.sim.run import IntegrationError, Run, Samples, Stats
 from stickslip.sim.series import EventSeries
+from stickslip.sim.simulate import simulate
 from stickslip.sim.system import System
 
 __all__ = [

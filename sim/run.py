@@ -1,4 +1,4 @@
-"""One run: a system and a start in, an event series out. The contract that both engines keep.
+"""One run: what `simulate` returns, and the contract that every engine keeps.
 
 An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **settings) -> Run`` such that
 
@@ -6,9 +6,9 @@ An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **s
 2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
 3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
    renumbers the run;
-4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see `sim.fate`): its
-   motion from there is linear, and followed to t_end; `diverged` when it escapes for ever (proved, or beyond every
-   bound): then, and only then, the run ends early;
+4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see
+   `sim.engines.certificates`): its motion from there is linear, and followed to t_end; `diverged` when it escapes
+   for ever (proved, or beyond every bound): then, and only then, the run ends early;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
 6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else;
 7. an event has a length: what a block takes back sooner than the tolerance can tell from a touch is none.
@@ -16,25 +16,21 @@ An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from inspect import Parameter, signature
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim import show
-from stickslip.sim.arguments import Floats, did_you_mean, floats, number, per_block
+from stickslip.sim.arguments import Floats
 from stickslip.sim.series import EventSeries
-from stickslip.sim.system import System
 
 if TYPE_CHECKING:
     from stickslip.sim.show import Axes
 
 Outcome = Literal["finished", "collapsed", "diverged"]
-Engine = Literal["coulomb", "sigmoid"]
 
 
 class IntegrationError(RuntimeError):
@@ -140,83 +136,3 @@ class Run:
         rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
         rows["products"] = self.stats.n_products
         return show.table("run", rows)
-
-
-def simulate(
-    system: System,
-    z0: ArrayLike,
-    w0: ArrayLike,
-    t_end: float,
-    *,
-    t_start: float = 0.0,
-    t_eval: ArrayLike = (),
-    engine: Engine = "coulomb",
-    **settings: object,
-) -> Run:
-    """Follow a system of blocks from a start state to `t_end` (dimensionless).
-
-    Parameters
-    ----------
-    system : System
-    z0, w0 : float or array_like, shape (n,)
-        Displacements and velocities at `t_start`.
-    t_end, t_start : float
-    t_eval : array_like, shape (m,)
-        Times in [t_start, t_end], not decreasing, at which to keep the state: see `Run.samples`.
-    engine : "coulomb" or "sigmoid"
-        The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
-    **settings
-        both: ``stop_early`` (True: ask whether a collapse or an escape is certain; a run that collapsed then goes on
-        without steps, one that escapes ends); coulomb: ``tol`` (see
-        `stickslip.sim.coulomb.integrate`);
-        sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
-        `stickslip.sim.sigmoid.integrate`).
-
-    Returns
-    -------
-    Run
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is unknown, or of the wrong kind, shape or size; the message names it.
-    IntegrationError
-        If the engine cannot go on.
-    """
-    from stickslip.sim import coulomb, sigmoid  # the engines build on this contract
-
-    engines: dict[str, Callable[..., Run]] = {"coulomb": coulomb.integrate, "sigmoid": sigmoid.integrate}
-    if not isinstance(system, System):
-        raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine: expected one of {', '.join(get_args(Engine))}, got {engine!r}")
-    _check_names(settings, engine, engines)
-    t_start, t_end = number("t_start", t_start), number("t_end", t_end)
-    if t_end < t_start:
-        raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
-    z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
-    times = floats("t_eval", t_eval, "an array of times")
-    if times.ndim != 1 or not (np.diff(times) >= 0).all() or not ((times >= t_start) & (times <= t_end)).all():
-        raise ValueError(
-            f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
-            " and leave out what lies outside"
-        )
-    return engines[engine](system, z, w, t_start, t_end, Samples.blank(times, system.n), **settings)
-
-
-def _check_names(settings: Mapping[str, object], engine: str, engines: Mapping[str, Callable[..., Run]]) -> None:
-    """TypeError for a setting that the engine does not take; it says what does, or what may have been meant."""
-    takes = {name: _keywords(integrate) for name, integrate in engines.items()}
-    for name in settings:
-        if name not in takes[engine]:
-            other = next((other for other in engines if name in takes[other]), None)
-            remedy = did_you_mean(name, takes[engine] + _keywords(simulate))
-            remedy = remedy or (f'; write engine="{other}"' if other else "; leave it out")
-            known = ", ".join(takes[engine])
-            raise TypeError(f'{name}: unknown to the engine "{engine}", which takes {known}{remedy}')
-
-
-@cache  # small systems run in milliseconds
-def _keywords(function: Callable[..., Run]) -> tuple[str, ...]:
-    parameters = signature(function).parameters.values()
-    return tuple(parameter.name for parameter in parameters if parameter.kind is Parameter.KEYWORD_ONLY)

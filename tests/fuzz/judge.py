@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, eig
 from scipy.sparse import csc_array
 
 from stickslip.sim import IntegrationError, Run, System, simulate
-from stickslip.sim.run import Engine
+from stickslip.sim.simulate import Engine
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Undecided, follow

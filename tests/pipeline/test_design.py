@@ -162,7 +162,9 @@ def test_each_draw_is_numpys_own_under_its_key(source):
     assert w == pytest.approx(-0.4 + by[1], rel=1e-14)
 
 
-@pytest.mark.parametrize("room", ["sim/coupling.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/scene.py"])
+@pytest.mark.parametrize(
+    "room", ["sim/engines/loop.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/scene.py"]
+)
 def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
     """Data of two sets of draws are never mixed: a change of any of these sources is another program."""
     shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)

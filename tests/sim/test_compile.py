@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from stickslip.sim.compile import _KernelFiles, cache_directory, kernel
+from stickslip.sim.engines.compile import _KernelFiles, cache_directory, kernel
 
 
 @pytest.fixture

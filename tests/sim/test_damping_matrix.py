@@ -15,14 +15,11 @@ from stickslip.sim import (
     READINGS,
     System,
     draw_system,
-    geometry,
-    hidden,
-    hidden_runs,
     perturb_system,
     simulate,
-    strata,
 )
-from stickslip.sim.switching import Coulomb
+from stickslip.sim.theory import blowup, folds, slow_time, strata
+from stickslip.sim.theory.laws import Coulomb
 
 FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
 
@@ -105,20 +102,20 @@ def test_dampings_that_cannot_be_are_refused(damping, error, message):
     "call",
     [
         lambda s: simulate(s, 0.0, 0.0, 1.0),
-        lambda s: geometry.fold(s, 0, 1),
-        lambda s: list(geometry.folds(s)),
-        lambda s: geometry.sticking_lambda(s, [0.0, 0.0]),
-        lambda s: geometry.can_stick(s, [0.0, 0.0]),
-        lambda s: geometry.drift_exit(s, 0.0),
-        lambda s: geometry.visibility(s, 0.0, 0.0, 0),
+        lambda s: folds.fold(s, 0, 1),
+        lambda s: list(folds.folds(s)),
+        lambda s: folds.sticking_lambda(s, [0.0, 0.0]),
+        lambda s: folds.can_stick(s, [0.0, 0.0]),
+        lambda s: folds.drift_exit(s, 0.0),
+        lambda s: folds.visibility(s, 0.0, 0.0, 0),
         lambda s: strata.strata(s, 1),
         lambda s: strata.n_strata_by_kind(s, 1),
         lambda s: strata.corners(s),
         lambda s: strata.parallelogram(s),
         lambda s: strata.Stratum(s, (0, 1), (0,), (1,)),
-        lambda s: hidden.continuations(s, Coulomb(), 0.0, 0.0),
-        lambda s: hidden_runs.run_with_law(s, Coulomb(), 0.0, 0.0, 1.0),
-        lambda s: hidden_runs.follow(s, Coulomb(), 0.0, 0.0, 1.0),
+        lambda s: blowup.continuations(s, Coulomb(), 0.0, 0.0),
+        lambda s: slow_time.run_with_law(s, Coulomb(), 0.0, 0.0, 1.0),
+        lambda s: slow_time.follow(s, Coulomb(), 0.0, 0.0, 1.0),
     ],
 )
 def test_what_is_written_for_a_diagonal_says_so(call):

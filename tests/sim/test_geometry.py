@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.geometry import (
+from stickslip.sim.theory.folds import (
     can_stick,
     drift_exit,
     fold,
@@ -18,7 +18,7 @@ from stickslip.sim.geometry import (
     two_blocks,
     visibility,
 )
-from stickslip.sim.strata import corners, n_strata, n_strata_by_kind, parallelogram, strata
+from stickslip.sim.theory.strata import corners, n_strata, n_strata_by_kind, parallelogram, strata
 
 EXACT = {"tol": 1e-15, "stop_early": False}
 FIGURE_2 = {"kappa1": 1.1, "kappa2": 1.6, "kappa12": 0.5, "rho": 0.1, "mu": 1.0, "v": -1.0}

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from stickslip.sim import draw_system, simulate
-from stickslip.sim.geometry import can_stick, two_blocks
-from stickslip.sim.hidden import Blowup
-from stickslip.sim.switching import Modified
+from stickslip.sim.theory.blowup import Blowup
+from stickslip.sim.theory.folds import can_stick, two_blocks
+from stickslip.sim.theory.laws import Modified
 
 K1, K2, K12, RHO, MU, V = 1.1, 1.6, 0.5, 0.1, 1.0, -1.0
 START = (-0.7, -0.4)

@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.esdirk import EMBEDDED, NODES, TABLEAU
-from stickslip.sim.fate import Collapse
-from stickslip.sim.kernels import tanh_positive
+from stickslip.sim.engines.arithmetic import tanh_positive
+from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.esdirk import EMBEDDED, NODES, TABLEAU
 
 START = (-0.7, -0.4)
 

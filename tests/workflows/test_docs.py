@@ -26,7 +26,7 @@ from stickslip.analysis.change.survival import fate
 from stickslip.analysis.groups import OUTCOMES
 from stickslip.analysis.section import Data
 from stickslip.pipeline import parse_scene, query, run_scene
-from stickslip.sim import coupling, draw_system, perturb_system
+from stickslip.sim import couplings, draw_system, perturb_system
 from stickslip.workflows.commands import main
 
 ROOT = Path(__file__).parents[2]
@@ -193,8 +193,8 @@ def test_the_tolerances_are_those_that_are_picked():
 
 def test_a_coupling_is_one_line(monkeypatch):
     line = blocks(page("extending"), "python")[0]
-    rule = eval(f"{{{line}}}", vars(coupling))
-    monkeypatch.setattr(coupling, "_RULES", {**coupling._RULES, **rule})
+    rule = eval(f"{{{line}}}", vars(couplings))
+    monkeypatch.setattr(couplings, "_RULES", {**couplings._RULES, **rule})
     (name,) = rule
     system = draw_system(name, 9, 5)
     off = system.stiffness - np.diag(np.diag(system.stiffness))

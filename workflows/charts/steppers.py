@@ -17,8 +17,9 @@ from typing import Literal
 import numpy as np
 
 from stickslip import sim
-from stickslip.sim.compile import inner, kernel
-from stickslip.sim.kernels import largest, one_product
+from stickslip.sim.engines.arithmetic import largest
+from stickslip.sim.engines.compile import inner, kernel
+from stickslip.sim.engines.products import one_product
 
 #: |z| or |w| beyond which a run is not followed: far from any state of a scene, and from overflow.
 BEYOND = 1e12

@@ -14,7 +14,7 @@ from scipy.integrate import DOP853, RK45
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
-from stickslip.sim.esdirk import WEIGHTS
+from stickslip.sim.engines.esdirk import WEIGHTS
 from stickslip.workflows.charts.peers import Floats
 
 #: Where the search for the end of stability looks, and how finely.

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from stickslip import sim
-from stickslip.sim import geometry, strata
+from stickslip.sim.theory import folds, strata
 from stickslip.workflows.charts.peers import Floats
 
 #: Figure 1, of which the paper gives no constants: rho, kappa, mu, |v|.
@@ -67,7 +67,7 @@ def single(v: float) -> sim.System:
 def portrait(v: float) -> Portrait:
     """Paths from outside, and the one from the exit point."""
     system = single(v)
-    stick = geometry.stick_interval(system)
+    stick = folds.stick_interval(system)
     leaves = stick.low if v < 0.0 else stick.high
     turn = -np.sign(v)
     starts = [
@@ -86,7 +86,7 @@ def portrait(v: float) -> Portrait:
 
 def pair(sign: Literal[1, -1]) -> sim.System:
     """The system of figure 2; `sign` +1: the coupling of eq. (6) as printed, -1: the one that section 3 uses."""
-    return geometry.two_blocks(KAPPA_1, KAPPA_2, KAPPA_12, RHO, MU, V, sign)
+    return folds.two_blocks(KAPPA_1, KAPPA_2, KAPPA_12, RHO, MU, V, sign)
 
 
 def corner(system: sim.System, sides: tuple[int, int]) -> Floats:

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from stickslip import sim
-from stickslip.sim.hidden import Blowup, Mode, continuations
-from stickslip.sim.hidden_runs import LawRun, Segment, run_with_law
-from stickslip.sim.switching import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
+from stickslip.sim.theory.blowup import Blowup, Mode, continuations
+from stickslip.sim.theory.laws import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
+from stickslip.sim.theory.slow_time import LawRun, Segment, run_with_law
 from stickslip.workflows.charts.peers import Floats
 from stickslip.workflows.paper.blocks import ONE, V, pair, single
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.sim.esdirk import TABLEAU
+from stickslip.sim.engines.esdirk import TABLEAU
 from stickslip.workflows import charts
 from stickslip.workflows.charts import alone, stability
 from stickslip.workflows.charts import figures as chart_figures

@@ -16,7 +16,7 @@ a predicted w, and again with N times their own w until it stays. A sweep takes 
 depends on beta with slope below 1 / a, it multiplies the error of w, in the Euclidean norm, by at most
 h gamma |N| / (1 + h gamma min R) for every delta, and the step is kept so short that this is 1/2.
 
-The method is in `stickslip.sim.esdirk`, the search for entries and exits in `stickslip.sim.layer`.
+The method is in `stickslip.sim.engines.esdirk`, the search for entries and exits in `stickslip.sim.engines.layer`.
 
 When does a block stick?
 
@@ -36,21 +36,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.sim import drive, fate
 from stickslip.sim.arguments import Floats, flag, floats, number, per_block
-from stickslip.sim.compile import inner, kernel
-from stickslip.sim.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from stickslip.sim.kernels import (
-    ROUGH,
-    ROUNDING,
-    copy,
-    largest,
-    one_product,
-    rough_product,
-    tanh_positive,
-    two_products,
-)
-from stickslip.sim.layer import PASSES, UNRESOLVED, between, step_events
+from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest, tanh_positive
+from stickslip.sim.engines.compile import inner, kernel
+from stickslip.sim.engines.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
+from stickslip.sim.engines.layer import PASSES, UNRESOLVED, between, step_events
+from stickslip.sim.engines.products import ROUGH, one_product, rough_product, two_products
 from stickslip.sim.run import Run, Samples
 from stickslip.sim.system import System
 
@@ -78,7 +70,7 @@ _CONTRACTION = 0.5
 _SWEEPS_MAX = 60
 
 # behind the common clocks: the next step to try, and the error of the last one
-_STEP, _LAST_ERROR = drive.N_CLOCKS, drive.N_CLOCKS + 1
+_STEP, _LAST_ERROR = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
 @inner
@@ -175,7 +167,7 @@ def _step(  # type: ignore[no-untyped-def]
         for _ in range(_SWEEPS_MAX if is_coupled else 1):
             if is_coupled:  # N w at the start is in `force`; `change` is what w moves by, as guessed or last solved
                 one_product(cross, change, coupling, moving)
-                counters[drive.N_PRODUCTS] += 1
+                counters[loop.N_PRODUCTS] += 1
                 for i in range(n):
                     coupling[i] += fixed[i]
             if not _solve_stage(
@@ -242,7 +234,7 @@ def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t
 
     The quartic has the values and slopes of w at both ends, and what z moves by as its integral.
     """
-    k = counters[drive.N_SAMPLED]
+    k = counters[loop.N_SAMPLED]
     while k < len(sample_t) and sample_t[k] <= t_next:
         x = min((sample_t[k] - t) / h, 1.0)
         for i in range(len(z)):
@@ -251,7 +243,7 @@ def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t
             mean = (new_z[i] - z[i]) / h - 0.5 * (w[i] + new_w[i]) - (slope0[i] - slope1[i]) / 12.0
             sample_w[k, i] += 30.0 * (x * (1.0 - x)) ** 2 * mean
         k += 1
-    counters[drive.N_SAMPLED] = k
+    counters[loop.N_SAMPLED] = k
 
 
 @kernel
@@ -275,20 +267,20 @@ def _advance(  # type: ignore[no-untyped-def]
     single = np.empty((2, n), dtype=np.float32)
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     rejected = False
-    for _ in range(drive.STEPS_A_SLICE):
-        t = clock[drive.TIME]
+    for _ in range(loop.STEPS_A_SLICE):
+        t = clock[loop.TIME]
         remaining = t_end - t
         if remaining <= 0.0:
             _sample(1.0, z, w, z, w, rate, rate, t, t, counters, sample_t, sample_z, sample_w)  # a run of no length
-            return drive.DONE, n_recorded
+            return loop.DONE, n_recorded
         if n_recorded + PASSES * n * len(bands) > len(event_t):
-            return drive.BUFFER_FULL, n_recorded
-        if mode[0] != 0 and t > clock[drive.CHECK + (mode[0] > 0)]:
+            return loop.BUFFER_FULL, n_recorded
+        if mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
             same = True
             for i in range(n):
                 same = same and mode[i] == mode[0]
             if same:
-                return drive.ALL_SLIP, n_recorded
+                return loop.ALL_SLIP, n_recorded
         h = min(clock[_STEP], longest)
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
@@ -296,24 +288,24 @@ def _advance(  # type: ignore[no-untyped-def]
             law, springs, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low,
             new_z, new_w, guess, fixed, change, rtol, atol, moving, single, counters,
         )  # fmt: skip
-        counters[drive.N_PRODUCTS] += STAGES - 1
+        counters[loop.N_PRODUCTS] += STAGES - 1
         if not worst <= 1.0:
-            counters[drive.N_REJECTED] += 1
-            counters[drive.LAST_BLOCK] = block
+            counters[loop.N_REJECTED] += 1
+            counters[loop.LAST_BLOCK] = block
             factor = _SAFETY * worst**-_EXPONENT if worst < np.inf else _SHRINK
             clock[_STEP] = h * max(_SHRINK, factor)
             rejected = True
             if clock[_STEP] <= 1e-15 * max(1.0, abs(t)):
-                return drive.STALLED, n_recorded
+                return loop.STALLED, n_recorded
             continue
-        counters[drive.N_STEPS] += 1
+        counters[loop.N_STEPS] += 1
         two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
-        counters[drive.N_PRODUCTS] += 2
+        counters[loop.N_PRODUCTS] += 2
         if len(cross[0]) > 0:
             # two_products would save a pass over N, and cost a second of compilation in a second place
             one_product(cross, new_w, fixed, moving)
             one_product(cross, stage_rate[STAGES - 1], change, moving)
-            counters[drive.N_PRODUCTS] += 2
+            counters[loop.N_PRODUCTS] += 2
             for i in range(n):
                 new_force[i] += fixed[i]
                 new_force_rate[i] += change[i]
@@ -331,15 +323,15 @@ def _advance(  # type: ignore[no-untyped-def]
             rate[i] = stage_rate[STAGES - 1, i]
             force[i] = new_force[i]
             force_rate[i] = new_force_rate[i]
-        clock[drive.TIME] = t_next
+        clock[loop.TIME] = t_next
         worst = max(worst, 1e-4)
         factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
         clock[_LAST_ERROR] = worst
         clock[_STEP] = h * min(max(factor, _SHRINK), 1.0 if rejected else _GROW)
         rejected = False
         if not max(largest(z), largest(w)) <= bound:
-            return drive.DIVERGED, n_recorded
-    return drive.PAUSED, n_recorded
+            return loop.DIVERGED, n_recorded
+    return loop.PAUSED, n_recorded
 
 
 def integrate(
@@ -439,25 +431,25 @@ def integrate(
     side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
     modes = np.where(held, 0, side).astype(np.int8)
     initial_mode = modes.copy()
-    clock = np.zeros(drive.N_CLOCKS + 2)
-    clock[drive.TIME], clock[_LAST_ERROR] = t_start, 1.0
-    clock[drive.CHECK : drive.CHECK + 2] = -np.inf if stop_early else np.inf
+    clock = np.zeros(loop.N_CLOCKS + 2)
+    clock[loop.TIME], clock[_LAST_ERROR] = t_start, 1.0
+    clock[loop.CHECK : loop.CHECK + 2] = -np.inf if stop_early else np.inf
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
-    counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
-    counters[drive.N_PRODUCTS] = 2 if cross is None else 4
-    collapse = fate.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
+    counters = np.zeros(loop.N_COUNTERS, dtype=np.int64)
+    counters[loop.N_PRODUCTS] = 2 if cross is None else 4
+    collapse = certificates.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
     # NaN: a value used before it was computed would show
     work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (12, STAGES, STAGES))
 
-    def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
+    def advance(buffers: loop.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
             law, springs, system.cross_columns, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes,
             clock, counters, t_end, rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w,
             stage_rate,
         )  # fmt: skip
 
-    return drive.complete(
+    return loop.complete(
         system,
         advance,
         certify=lambda slip: collapse.certify(z, w, slip),

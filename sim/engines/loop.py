@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim import fate
 from stickslip.sim.arguments import Floats
+from stickslip.sim.engines import certificates
 from stickslip.sim.run import IntegrationError, Outcome, Run, Samples, Stats
 from stickslip.sim.series import EventSeries, without_returns
 from stickslip.sim.system import System
@@ -36,7 +36,7 @@ Buffers: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int8]]
 def complete(
     system: System,
     advance: Callable[[Buffers, float], tuple[int, int]],
-    certify: Callable[[int], fate.Certificate],
+    certify: Callable[[int], certificates.Certificate],
     stalled: str,
     events_a_step: int,
     t_start: float,
@@ -78,7 +78,7 @@ def complete(
     capacity = max(2 * events_a_step, 4096)
     buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
     recorded: list[Buffers] = []
-    bound, diverged_beyond = fate.escape_bounds(system, z, w)
+    bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse = "", None
     while True:
@@ -102,11 +102,13 @@ def complete(
             size = max(float(np.abs(z).max()), speed)
             if not np.isfinite(size):
                 pass  # said below
-            elif stop_early and (reason := fate.escape(system, z, w)):
+            elif stop_early and (reason := certificates.escape(system, z, w)):
                 outcome = "diverged"
                 break
-            elif size > fate.BEYOND_NUMBERS or (stop_early and speed > diverged_beyond and fate.grows(system)):
-                outcome, reason = "diverged", fate.divergence_reason(z, w, t, min(size, diverged_beyond))
+            elif size > certificates.BEYOND_NUMBERS or (
+                stop_early and speed > diverged_beyond and certificates.grows(system)
+            ):
+                outcome, reason = "diverged", certificates.divergence_reason(z, w, t, min(size, diverged_beyond))
                 break
             else:
                 bound = 2.0 * size
@@ -141,7 +143,9 @@ def complete(
     )
 
 
-def _follow(flow: fate.Flow, t: float, t_end: float, z: Floats, w: Floats, samples: Samples, n_sampled: int) -> None:
+def _follow(
+    flow: certificates.Flow, t: float, t_end: float, z: Floats, w: Floats, samples: Samples, n_sampled: int
+) -> None:
     """Put the state at t_end, and the samples from number `n_sampled` on, in their places."""
     at_end, sampled = (flow.at(times - t) for times in (np.array([t_end]), samples.t[n_sampled:]))
     z[:], w[:] = at_end[0][0], at_end[1][0]  # apart: a product of other shape rounds otherwise

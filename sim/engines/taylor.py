@@ -12,8 +12,9 @@ coefficients of block i's event function (on that side of its stick interval) va
 
 from __future__ import annotations
 
-from stickslip.sim.compile import inner
-from stickslip.sim.kernels import ROUNDING, copy, largest, two_products
+from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.products import two_products
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.

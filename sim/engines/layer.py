@@ -1,14 +1,14 @@
 """Who sticks under the smoothed law, and when that changes: events in a step, by the layer |w - v| < band around v.
 
-`stickslip.sim.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
+`stickslip.sim.engines.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from stickslip.sim.compile import inner
-from stickslip.sim.kernels import roots
+from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.roots import roots
 
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
 UNRESOLVED = 2.0

@@ -1,7 +1,7 @@
 """Strata: where the folds of several sticking blocks meet, how many there are, and which are exits.
 
 With r of n blocks stuck, folds of k of them meet in C(r, k) 2^k strata of dimension 2n - r - k (section 4, counts
-corrected); they are points, corners of the sticking region, only for r = k = n. See `sim.geometry` for one fold.
+corrected); they are points, corners of the sticking region, only for r = k = n. See `sim.theory.folds` for one fold.
 
 The damping is diagonal throughout; another is refused (ValueError). Blocks are numbered from 0. Everything is
 dimensionless.
@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats, integer, per_block
-from stickslip.sim.geometry import Visibility, require_blocks, stiffness_rows, visibility_of
-from stickslip.sim.kernels import ROUNDING
+from stickslip.sim.engines.arithmetic import ROUNDING
 from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.theory.folds import Visibility, require_blocks, stiffness_rows, visibility_of
 
 #: Of a stratum: all its folds are visible, all invisible, some of each; or one is degenerate.
 Kind: TypeAlias = Literal["exit", "entry", "mixed", "degenerate"]
@@ -57,7 +57,7 @@ class Stratum:
     sides: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        require_diagonal_damping(self.system, "`stickslip.sim.strata`")
+        require_diagonal_damping(self.system, "`stickslip.sim.theory.strata`")
 
     @cached_property
     def normals(self) -> Floats:
@@ -291,7 +291,7 @@ def _rank(sizes: NDArray[np.floating[Any]], n: int) -> int:
 
 
 def _stuck(system: System, stuck: Sequence[int] | None) -> tuple[int, ...]:
-    require_diagonal_damping(system, "`stickslip.sim.strata`")
+    require_diagonal_damping(system, "`stickslip.sim.theory.strata`")
     if stuck is None:
         return tuple(range(system.n))
     held = sorted(integer("stuck", i, 0, system.n - 1) for i in stuck)

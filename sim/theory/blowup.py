@@ -1,8 +1,8 @@
-"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (`stickslip.sim.hidden_runs`: slow time).
+"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (`sim.theory.slow_time`: slow time).
 
 Inside the layer lambda_j = phi((w_j - v) / eps_j), and on the fast time of eq. (13), positive factors kept,
 
-    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `stickslip.sim.switching`)
+    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `stickslip.sim.theory.laws`)
 
 Sticking modes are its equilibria, eq. (14). The factors move neither modes nor saddles, but they shape basins and,
 where eigenvalues are complex or there are more than two switches, can decide stability. Dimensionless.
@@ -21,8 +21,8 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim.arguments import Floats, per_block
 from stickslip.sim.run import IntegrationError
-from stickslip.sim.switching import Slips, SwitchingLaw
 from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]
 
@@ -318,5 +318,5 @@ def continuations(
 
 def total_force(system: System, z: Floats, w: Floats) -> Floats:
     """F_i = R_i w_i + (K z)_i; ValueError if the damping is not diagonal."""
-    require_diagonal_damping(system, "`stickslip.sim.hidden`")
+    require_diagonal_damping(system, "`stickslip.sim.theory.blowup`")
     return np.asarray(system.damping * w + system.stiffness @ z, dtype=np.float64)

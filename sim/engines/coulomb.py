@@ -1,20 +1,20 @@
 """The exact engine: set-valued Coulomb friction, event by event, Taylor series between events.
 
 Between events a sticking block moves with the belt (z linear in t: nothing to integrate) and a slipping one obeys
-a linear law: `stickslip.sim.taylor` expands them all. The next event is the first root of
+a linear law: `stickslip.sim.engines.taylor` expands them all. The next event is the first root of
 
     sigma (w - v)     of a slipping block,
     mu + sigma F      of a sticking one, F = R v + K z = -mu lambda, for either sigma.
 
-A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.kernels.roots`, which misses no
+A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.engines.roots`, which misses no
 root. At an event every block with w = v is decided anew from |F| against mu; when they are equal (every exit
 starts there) the first coefficient of F that does not vanish decides, order by order, while the series is
 being built: until a block is decided its motion is the same under either mode, so simultaneous events, folds,
 cusps and tangencies of any order need no case of their own.
 
 An event changes the law of one block. That block's own series changes from the second order on, those of the
-others from the fourth, by a column of K: `sim.taylor.correct` carries most events over in O(n), without a product,
-and one expansion serves a window of several events.
+others from the fourth, by a column of K: `sim.engines.taylor.correct` carries most events over in O(n), without a
+product, and one expansion serves a window of several events.
 
 The series are explicit: a damping far above the other rates (R h about 5 limits the step) calls for engine="sigmoid".
 """
@@ -25,13 +25,14 @@ import math
 
 import numpy as np
 
-from stickslip.sim import drive, fate
 from stickslip.sim.arguments import Floats, flag, number
-from stickslip.sim.compile import inner, kernel
-from stickslip.sim.kernels import ROUNDING, copy, largest, roots
+from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.engines.compile import inner, kernel
+from stickslip.sim.engines.roots import roots
+from stickslip.sim.engines.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 from stickslip.sim.run import Run, Samples
 from stickslip.sim.system import System, require_diagonal_damping
-from stickslip.sim.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
 _REACH = 1.2
@@ -53,7 +54,7 @@ _TOUCH = 4.0
 _FOLLOWED = 1e-10
 
 # behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
-_EXPOSURE, _CUTS = drive.N_CLOCKS, drive.N_CLOCKS + 1
+_EXPOSURE, _CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
 @inner
@@ -147,11 +148,11 @@ def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
 @inner
 def _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
     """Keep the state at all sample times up to t_next, from the series about t."""
-    k = counters[drive.N_SAMPLED]
+    k = counters[loop.N_SAMPLED]
     while k < len(sample_t) and sample_t[k] <= t_next:
         _evaluate(series, order, sample_t[k] - t, sample_z[k], sample_w[k])
         k += 1
-    counters[drive.N_SAMPLED] = k
+    counters[loop.N_SAMPLED] = k
 
 
 @inner
@@ -193,10 +194,10 @@ def _advance(  # type: ignore[no-untyped-def]
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     is_open, is_cut = False, False
     order, h, span, allowed = 0, 0.0, 0.0, 0.0
-    for _ in range(drive.STEPS_A_SLICE):
+    for _ in range(loop.STEPS_A_SLICE):
         if n_recorded + n > len(event_t):
-            return drive.BUFFER_FULL, n_recorded
-        t = clock[drive.TIME]
+            return loop.BUFFER_FULL, n_recorded
+        t = clock[loop.TIME]
         remaining = t_end - t
         if not is_open:
             target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
@@ -204,24 +205,24 @@ def _advance(  # type: ignore[no-untyped-def]
             order, h, allowed, n_products = expand(
                 law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
             )  # fmt: skip
-            counters[drive.N_PRODUCTS] += n_products
+            counters[loop.N_PRODUCTS] += n_products
             span = h
             is_open, is_cut = True, False
-        if counters[drive.N_STEPS] == 0:
+        if counters[loop.N_STEPS] == 0:
             copy(mode, initial_mode)
             copy(mode, known_mode)
         before = n_recorded
         n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
         if remaining <= 0.0:
             _sample(series, order, t, t, counters, sample_t, sample_z, sample_w)  # of a run that has no length
-            return drive.DONE, n_recorded
-        if same and mode[0] != 0 and t > clock[drive.CHECK + (mode[0] > 0)]:
-            return drive.ALL_SLIP, n_recorded
+            return loop.DONE, n_recorded
+        if same and mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
+            return loop.ALL_SLIP, n_recorded
 
         step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
-        counters[drive.N_STEPS] += 1
+        counters[loop.N_STEPS] += 1
         if block >= 0:
-            counters[drive.LAST_BLOCK] = block
+            counters[loop.LAST_BLOCK] = block
         for i in range(n):  # what rounding does to w - v in this step
             near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
         t_next = t_end if step == remaining else min(t + step, t_end)
@@ -247,23 +248,23 @@ def _advance(  # type: ignore[no-untyped-def]
             _on_the_edge(law, mode, 0.0, w, forces, block, is_inside, near, touching)
             is_open = False
             is_cut = is_cut or block >= 0
-        clock[drive.TIME] = t_next
+        clock[loop.TIME] = t_next
         clock[_EXPOSURE] += step
         if not is_open:
             clock[_EXPOSURE] *= _DECAY
             clock[_CUTS] = _DECAY * (clock[_CUTS] + (1.0 if is_cut else 0.0))
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         unseen = _CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-        crawls = clock[drive.TIME] - t <= max(ROUNDING * max(1.0, abs(t)), unseen)
+        crawls = clock[loop.TIME] - t <= max(ROUNDING * max(1.0, abs(t)), unseen)
         if crawls:
-            counters[drive.N_STALLED] += 1
-            if counters[drive.N_STALLED] > _STALL:
-                return drive.STALLED, n_recorded
+            counters[loop.N_STALLED] += 1
+            if counters[loop.N_STALLED] > _STALL:
+                return loop.STALLED, n_recorded
         else:
-            counters[drive.N_STALLED] = 0
+            counters[loop.N_STALLED] = 0
         if not max(largest(z), largest(w)) <= bound:
-            return drive.DIVERGED, n_recorded
-    return drive.PAUSED, n_recorded
+            return loop.DIVERGED, n_recorded
+    return loop.PAUSED, n_recorded
 
 
 def integrate(
@@ -311,22 +312,22 @@ def integrate(
     known_mode, initial_mode = mode.copy(), mode.copy()
     rate = float(system.rates.max())  # bounds |eigenvalues|
     shortest = np.divide(_TOUCH * math.sqrt(tol), system.rates, out=np.zeros(n), where=system.rates > 0)
-    clock = np.zeros(drive.N_CLOCKS + 2)
-    clock[drive.TIME] = t_start
-    clock[drive.CHECK : drive.CHECK + 2] = -np.inf if stop_early else np.inf
+    clock = np.zeros(loop.N_CLOCKS + 2)
+    clock[loop.TIME] = t_start
+    clock[loop.CHECK : loop.CHECK + 2] = -np.inf if stop_early else np.inf
     clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
-    counters = np.zeros(drive.N_COUNTERS, dtype=np.int64)
-    collapse = fate.Collapse(system, max(tol * abs(v), _FOLLOWED))
+    counters = np.zeros(loop.N_COUNTERS, dtype=np.int64)
+    collapse = certificates.Collapse(system, max(tol * abs(v), _FOLLOWED))
     # NaN: a coefficient used before it was computed would show
     series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
 
-    def advance(buffers: drive.Buffers, bound: float) -> tuple[int, int]:
+    def advance(buffers: loop.Buffers, bound: float) -> tuple[int, int]:
         return _advance(
             law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
             samples.t, samples.z, samples.w, *buffers, series, forces,
         )  # fmt: skip
 
-    return drive.complete(
+    return loop.complete(
         system,
         advance,
         certify=lambda slip: collapse.certify(z, w, slip),

@@ -32,7 +32,7 @@ from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
 _config: Any = numba.config
-_SOURCES = Path(__file__).parent
+_SOURCES = Path(__file__).parent.parent
 
 
 @cache

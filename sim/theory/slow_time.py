@@ -1,7 +1,7 @@
 """Hidden dynamics in slow time: modes followed to jumps and exits, and runs of one and two blocks under any law.
 
 Between events z and w move with lambda on its mode, f(F; lambda) = 0, eq. (14); at an event the fast system of
-`stickslip.sim.hidden` decides which mode comes next. Dimensionless.
+`stickslip.sim.theory.blowup` decides which mode comes next. Dimensionless.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from stickslip.sim.arguments import Floats, number, per_block
-from stickslip.sim.hidden import TANH, Blowup, Sigmoid, total_force
 from stickslip.sim.run import IntegrationError
-from stickslip.sim.switching import Slips, SwitchingLaw
 from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.theory.blowup import TANH, Blowup, Sigmoid, total_force
+from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 EventKind = Literal["exit", "entry", "crossing", "jump"]
 #: what ended a phase: a slipping block reached the belt, a mode met a face, a saddle, or a Hopf point, or time was up
@@ -125,7 +125,7 @@ def run_with_law(
         lambda from which blocks with w0_i = v settle. Blocks that come from slip enter at their face; if two
         come at one instant, at equal depth.
     eps, sigmoid
-        See `stickslip.sim.hidden.Blowup`.
+        See `stickslip.sim.theory.blowup.Blowup`.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def run_with_law(
     IntegrationError
         If the fast system cannot decide: it cycles, or ends in an unstable mode.
     """
-    require_diagonal_damping(system, "`stickslip.sim.hidden_runs`")
+    require_diagonal_damping(system, "`stickslip.sim.theory.slow_time`")
     if system.n > 2:
         raise ValueError(
             f"system: expected one or two blocks, got {system.n}; `stickslip.sim.simulate` runs more, by Coulomb"
@@ -180,7 +180,7 @@ def follow(
     ValueError, IntegrationError
         As `run_with_law`.
     """
-    require_diagonal_damping(system, "`stickslip.sim.hidden_runs`")
+    require_diagonal_damping(system, "`stickslip.sim.theory.slow_time`")
     start, belt = per_block("z", z, system.n), np.full(system.n, system.belt_speed)
     blowup = Blowup(law, system.friction, eps, sigmoid)
     marching = _march(system, blowup, start, belt, per_block("lam", lam, system.n), number("t_end", t_end, 0.0))
