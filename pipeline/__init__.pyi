@@ -14,9 +14,9 @@ from .errors import StoreError as StoreError
 from .integrity import Status as Status
 from .integrity import status as status
 from .integrity import verify as verify
-from .interrupt import Interrupted as Interrupted
-from .interrupt import interruptible as interruptible
 from .ledger import dataset_scene as dataset_scene
+from .processes import Interrupted as Interrupted
+from .processes import interruptible as interruptible
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import parse_scene as parse_scene

@@ -16,17 +16,24 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
 
-from stickslip.pipeline import kernels
 from stickslip.pipeline.cluster import check_address, check_memory, connect
-from stickslip.pipeline.design import Member, expand
+from stickslip.pipeline.design import Member, Task, expand
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.integrity import Status, status
 from stickslip.pipeline.monitor import Began
-from stickslip.pipeline.plan import Task
 from stickslip.pipeline.scene import Scene
-from stickslip.pipeline.schema import Recording, Result, compute, program, row
+from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.storage import Where
-from stickslip.pipeline.worker import compute_alone
+from stickslip.pipeline.worker import (
+    Result,
+    compute,
+    compute_alone,
+    is_cold,
+    load_kernels,
+    one_an_engine,
+    program,
+    row,
+)
 from stickslip.pipeline.writer import Store
 
 log = logging.getLogger(__name__)
@@ -138,8 +145,8 @@ def run_scene(
         before = done = sum(cost for name, cost in costs.items() if name not in todo)
         whole = sum(costs.values())
 
-        firsts = kernels.one_an_engine(member for batch, _ in store.todo for member in batch.members)
-        cold = {engine: one for engine, one in firsts.items() if scheduler is None and kernels.is_cold(engine)}
+        firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)
+        cold = {engine: one for engine, one in firsts.items() if scheduler is None and is_cold(engine)}
 
         link: str | None = None
 
@@ -228,7 +235,7 @@ def _results(
     with connect(n_workers, scheduler, dashboard) as client:
         # side by side, where one batch would have them compiled one after the other; nobody waits for it
         for member in cold.values():
-            fire_and_forget(client.submit(kernels.load, [member], pure=False))
+            fire_and_forget(client.submit(load_kernels, [member], pure=False))
         connected(client)
         try:
             lost = yield from _submit(
@@ -333,7 +340,7 @@ def _fetch(future: Future[Any], watch: _Watch) -> Result:
 def _compute(task: bytes) -> Result:
     """A worker's task."""
     batch, recording = pickle.loads(task)
-    kernels.load(batch.members)
+    load_kernels(batch.members)
     return compute(batch, recording)
 
 

@@ -31,12 +31,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy import special
 
-from stickslip.pipeline import kernels
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.processes import one_thread
 from stickslip.pipeline.scene import Scene
-from stickslip.pipeline.schema import Recording, encode, row
+from stickslip.pipeline.schema import Recording, encode
+from stickslip.pipeline.worker import is_cold, load_kernels, row
 
 #: Seconds that the members of a pilot may take; less where the estimate itself is short.
 PILOT = (1.0, 5.0)
@@ -245,15 +245,15 @@ def _start(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind]) -> tuple[f
     """Start the processes; seconds until they are ready, and of these, seconds that went into compiling."""
     begun = time.perf_counter()
     members = [kind.members[0] for kind in kinds]
-    is_cold = any(kernels.is_cold(member.engine) for member in members)
+    cold = any(is_cold(member.engine) for member in members)
     loading = max(future.result() for future in [pool.submit(_load, members) for _ in range(count)])
     started = time.perf_counter() - begun
-    return (started - loading, loading) if is_cold else (started, 0.0)
+    return (started - loading, loading) if cold else (started, 0.0)
 
 
 def _load(members: list[Member]) -> float:
     begun = time.perf_counter()
-    kernels.load(members)
+    load_kernels(members)
     took = time.perf_counter() - begun
     time.sleep(0.2)  # the next of these to a process of its own
     return took
@@ -293,7 +293,7 @@ def _try(member: Member, share: float, recording: Recording) -> _Seen:
     """Run a member, or as much of it as a share of its expected seconds."""
     whole = replace(member, shared_cost=0.0)
     part = whole if share > 0.7 else replace(whole, t_end=max(share * whole.t_end, min(10.0, whole.t_end)))
-    kernels.load([member])
+    load_kernels([member])
     begun, cores = time.perf_counter(), time.process_time()
     found = row(part, recording)
     took, cores = time.perf_counter() - begun, time.process_time() - cores

@@ -22,8 +22,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from stickslip.pipeline.design import PlanError, Task, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
-from stickslip.pipeline.plan import PlanError, Task, tasks
 from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import SCHEMA_VERSION
 from stickslip.pipeline.storage import MANIFEST, SCENE, TIMINGS, Directory, Place, Where, place_of
@@ -65,9 +65,9 @@ class Manifest(BaseModel):
     """The shards that are done, by name, the scene that they belong to, and how its members are packed.
 
     `earlier` holds the sources of the scenes that this one grew from; `packing`, for each of these and for the scene
-    itself, the number of members of each shard that it added (see `pipeline.plan`). `programs` are the versions of
-    the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was killed, is the
-    byte of the record at which its own commits begin.
+    itself, the number of members of each shard that it added (see `pipeline.design.tasks`). `programs` are the
+    versions of the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was
+    killed, is the byte of the record at which its own commits begin.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")

@@ -1,14 +1,23 @@
-"""Processes of this program beside this one, which import what it does."""
+"""Processes: how others are started beside this one, and how this one ends when it is told to.
+
+The first SIGINT or SIGTERM ends a run in order, between two commits; the second ends it at once.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
+import pickle
+import queue
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from typing import IO, Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
 
 # One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
 # it differently. Libraries read these when they are loaded, so they must be set before.
@@ -22,7 +31,7 @@ def python() -> list[str]:
 
 def environment() -> dict[str, str]:
     """This process's environment, by which Python finds the modules that it has found here."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(place or os.getcwd() for place in sys.path)}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
 
 
 @contextlib.contextmanager
@@ -47,49 +56,186 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-class Child(subprocess.Popen[bytes]):
-    """A Python process that runs `code`, which ignores Ctrl-C; the parent handles it.
+# ---------------------------------------------------------------------------------------------- a child
 
-    It reads from `to_it` and writes to `from_it`. One that ends when it finds nothing more to read, or that calls
-    `end_with_the_parent`, outlives nobody.
+
+#: Seconds that a child takes to end once it has closed its pipe.
+_LAST_SECONDS = 10.0
+
+
+class ChildDied(RuntimeError):
+    """A child ended instead of answering; the message says how: an exit code or a signal."""
+
+
+class Child:
+    """A function that is called in a process of its own, with one thread; a context manager.
+
+    The process ignores Ctrl-C, which its parent handles, and outlives neither the with-block nor the parent. Whatever
+    else it prints goes to its standard error.
+
+    Parameters
+    ----------
+    function : callable
+        Named at the top of a module. It is called with one argument at a time, which is pickled, as is its result.
+    shows_errors : bool
+        Whether what the process writes to its standard error is seen here.
     """
 
-    def __init__(self, code: str) -> None:
-        super().__init__(
-            [*python(), "-c", code],
+    def __init__(self, function: Callable[[Any], Any], shows_errors: bool = False) -> None:
+        self._process = subprocess.Popen(
+            [*python(), "-c", _SERVE, function.__module__, function.__qualname__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment(),
+            stderr=None if shows_errors else subprocess.DEVNULL,
+            env=environment() | ONE_THREAD,
             start_new_session=True,
         )
+        self.pid = self._process.pid
 
-    @property
-    def to_it(self) -> IO[bytes]:
-        """What it reads."""
-        assert self.stdin is not None
-        return self.stdin
+    def __enter__(self) -> Child:
+        return self
 
-    @property
-    def from_it(self) -> IO[bytes]:
-        """What it writes."""
-        assert self.stdout is not None
-        return self.stdout
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(BrokenPipeError):  # of what it no longer reads
+                assert pipe is not None
+                pipe.close()
+
+    def __call__(self, argument: object) -> Any:
+        """The function's result for an argument.
+
+        Raises
+        ------
+        ChildDied
+            If the process ends first, as it does when the function raises.
+        """
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            pickle.dump(argument, self._process.stdin)
+            self._process.stdin.flush()
+            return pickle.load(self._process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:  # perhaps in the middle of an answer
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LAST_SECONDS)
+            self.kill()
+            code = self._process.returncode
+            raise ChildDied(f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}") from error
+
+    def kill(self) -> None:
+        """End the process, whatever it is at."""
+        self._process.kill()
+        self._process.wait()
 
 
-def answering() -> IO[Any]:
-    """In a child: where its answers go; whatever a library prints is none."""
-    answers = os.fdopen(os.dup(1), "wb")
+_SERVE = "import sys; from stickslip.pipeline.processes import serve; serve(*sys.argv[1:])"
+
+
+def serve(module: str, name: str) -> None:
+    """Be a child: call a function with each argument that comes in, until no more can come."""
+    arguments, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    return answers
+    asked: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    function = getattr(importlib.import_module(module), name)
 
-
-def end_with_the_parent() -> None:
-    """In a child that has read all it was to read: end, whatever it is at, when nobody can write to it any more."""
-
-    def wait() -> None:
-        while os.read(0, 1):
+    def listen() -> None:
+        try:
+            while True:
+                asked.put(pickle.load(arguments))
+        except EOFError:  # the parent is dead, or has no more use for this process
             pass
-        os._exit(1)
+        finally:
+            os._exit(1)
 
-    threading.Thread(target=wait, daemon=True).start()
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        pickle.dump(function(asked.get()), answers)
+        answers.flush()
+
+
+# ---------------------------------------------------------------------------------------------- signals
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked the program to end; `exit_code` is what a shell expects then."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.exit_code = 128 + number
+
+
+@dataclass
+class _State:
+    asked: int | None = None  #: the first signal
+    raised: bool = False  #: whether it has been
+    held: int = 0  #: how many `unbroken` blocks we are in
+
+
+_state = _State()
+_last_acts: list[Callable[[], None]] = []
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Within: the first SIGINT or SIGTERM raises `Interrupted`; the second does the last acts and ends the process.
+
+    To be entered once, by the program's main thread; elsewhere it does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _state.asked, _state.raised, _state.held = None, False, 0
+    previous = {number: signal.signal(number, _answer) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        if _state.asked is None:  # else the program is ending, and a second signal may still come
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+
+def _answer(number: int, frame: FrameType | None) -> None:
+    if _state.asked is not None:
+        end_at_once(number)
+    _state.asked = number
+    if not _state.held:
+        _raise()
+
+
+def _raise() -> None:
+    if _state.asked is not None and not _state.raised:
+        _state.raised = True
+        raise Interrupted(_state.asked)
+
+
+def end_at_once(number: int) -> None:
+    """Do the last acts, the newest first, and end the process without any other ceremony."""
+    for act in reversed(_last_acts):
+        with contextlib.suppress(Exception):
+            act()
+    os._exit(128 + number)
+
+
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Within: the first signal waits until the block is left."""
+    _state.held += 1
+    try:
+        yield
+    finally:
+        _state.held -= 1
+    if not _state.held:
+        _raise()
+
+
+@contextlib.contextmanager
+def last_act(act: Callable[[], None]) -> Iterator[None]:
+    """Within: a second signal calls `act` before the process ends."""
+    _last_acts.append(act)
+    try:
+        yield
+    finally:
+        _last_acts.remove(act)

@@ -1,26 +1,14 @@
-"""What a shard holds: the schema, the rows of a batch, and their bytes."""
+"""What a shard holds: its columns, and how rows become its bytes."""
 
 from __future__ import annotations
 
-import math
-import os
-import socket
-import time
-from collections import Counter
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
-from importlib.metadata import version
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stickslip import sim
-from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.scene import Scene
-from stickslip.sim.engines.compile import source_digest
 
 #: Version of the schema below; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
@@ -149,9 +137,6 @@ def scalars(schema: pa.Schema) -> tuple[str, ...]:
     return tuple(field.name for field in schema if not pa.types.is_list(field.type))
 
 
-_PARAMETERS = tuple(field.name for field in fields(Member) if field.name in SCHEMA.names)
-
-
 @dataclass(frozen=True)
 class Recording:
     """What a scene keeps of its members: `parts` beside n_stick, and every how long the distance from a twin."""
@@ -169,139 +154,6 @@ class Recording:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
         schema = pa.schema([*SCHEMA, *(column for name in self.parts for column in _RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
-
-
-@dataclass(frozen=True)
-class Result:
-    """A computed batch: the shard's bytes, and beside them what is not data."""
-
-    name: str
-    shard: bytes
-    member_ids: tuple[str, ...]
-    outcomes: dict[str, int]
-    program: str
-    seconds: float
-    host: str
-    pid: int
-
-
-#: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("design", "plan", "scene", "schema")]
-
-
-def program() -> str:
-    """What the numbers come from: the version of stickslip, and a digest of the sources that determine them."""
-    return f"{version('stickslip')}-{source_digest(*_DETERMINING)}"
-
-
-def compute(batch: Batch, recording: Recording) -> Result:
-    """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
-    start = time.perf_counter()
-    return as_result(batch, recording, [row(member, recording) for member in batch.members], start)
-
-
-def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], start: float) -> Result:
-    """The rows of a batch, encoded; `start` is when they were begun, by `time.perf_counter`."""
-    return Result(
-        name=batch.name,
-        shard=encode(rows, recording.schema),
-        member_ids=tuple(member.member_id for member in batch.members),
-        outcomes=dict(Counter(row["outcome"] for row in rows)),
-        program=program(),
-        seconds=time.perf_counter() - start,
-        host=socket.gethostname(),
-        pid=os.getpid(),
-    )
-
-
-def row(member: Member, recording: Recording) -> dict[str, Any]:
-    """Run a member: its row, by column; one that raised has a row that says so."""
-    try:
-        return _parameters(member) | _results(member, recording)
-    except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
-        message = " ".join(str(error).split())
-        return failed_row(member, f"{type(error).__name__}: {message}")
-
-
-def failed_row(member: Member, reason: str) -> dict[str, Any]:
-    """The row of a member that could not be run."""
-    # words of an exception may hold what Parquet's text cannot
-    reason = reason.encode(errors="replace").decode()
-    command = f"stickslip run scene.toml --only {member.member_id}"
-    return _parameters(member) | {"outcome": "failed", "reason": reason, "reproduce": command}
-
-
-def _parameters(member: Member) -> dict[str, Any]:
-    return {name: getattr(member, name) for name in _PARAMETERS}
-
-
-def _results(member: Member, recording: Recording) -> dict[str, Any]:
-    times, base = np.empty(0), None
-    if recording.separation is not None:
-        times, base = _multiples(recording.separation, member.t_end), member.base
-    run = member.simulate(times if base is not None else ())
-    found = _measured(run)
-    if "growth_rate" in recording.parts:
-        found["growth_rate"] = _growth_rate(member.of_system)
-    if "events" in recording.parts:
-        found |= _events(run.events)
-    if base is not None:
-        found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
-    if member.thresholds:
-        changes = {c: series.change_points() for c, series in run.by_threshold.items()}
-        found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
-    return found
-
-
-@lru_cache(maxsize=64)
-def _growth_rate(member: Member) -> float:
-    return float(np.linalg.eigvals(member.system().slip_matrix()).real.max())
-
-
-def _multiples(step: float, t_end: float) -> np.ndarray:
-    """0, step, 2 step ... to t_end, which rounding does not lose."""
-    times = step * np.arange(math.floor(t_end / step * (1 + 1e-12)) + 1)
-    return np.minimum(times, t_end)
-
-
-@lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it
-def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
-    return member.simulate(times).samples
-
-
-def _distance(one: sim.Samples, other: sim.Samples) -> np.ndarray:
-    """Distance of two runs at the times that both reached."""
-    m = min(len(one), len(other))
-    squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
-    return np.sqrt(squares.mean(axis=1))
-
-
-def _events(series: sim.EventSeries) -> dict[str, Any]:
-    return {
-        "event_t": series.t,
-        "event_block": series.block,
-        "event_mode": series.mode,
-        "initial_mode": series.initial_mode,
-    }
-
-
-def _measured(run: sim.Run) -> dict[str, Any]:
-    t, n_stick = run.events.change_points()
-    if not np.isfinite(t).all():
-        raise FloatingPointError("the engine returned an event at a time that is not finite")
-    return {
-        "outcome": run.outcome,
-        "reason": run.reason or None,
-        "t_stop": run.t_end if run.t_collapse is None else run.t_collapse,
-        "n_stick_end": n_stick[-1],
-        **run.events.counts(),
-        "n_events": run.stats.n_events,
-        "n_steps": run.stats.n_steps,
-        "n_rejected": run.stats.n_rejected,
-        "n_products": run.stats.n_products,
-        "t": t,
-        "n_stick": n_stick,
-    }
 
 
 def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:

@@ -320,15 +320,13 @@ def _acquire(file: Path) -> int:
     """An exclusive lock on a file, as a descriptor that holds it until it is closed."""
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not is_locked(descriptor):
             owner = os.read(descriptor, 200).decode(errors="replace").partition("\n")[0]
             os.close(descriptor)
             raise StoreError(
                 f"{file.parent}: expected to be its only writer, got a lock held by "
                 f"{owner or 'another process'}; wait for it to end, or choose another directory"
-            ) from None
+            )
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), os.stat(file)):
                 os.truncate(descriptor, 0)
@@ -336,6 +334,15 @@ def _acquire(file: Path) -> int:
                     os.write(descriptor, f"{this_process()}\n".encode())
                 return descriptor
         os.close(descriptor)  # its last owner removed it between our opening and our locking
+
+
+def is_locked(descriptor: int) -> bool:
+    """Lock an open file for this process alone, unless another has; whether it is this one's until it is closed."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def this_process() -> str:

@@ -1,58 +1,231 @@
-"""Members that may kill their process, run where that hurts nobody: in a process of their own."""
+"""What a worker does: run a batch's members, with compiled kernels, and alone those that may kill their process."""
 
 from __future__ import annotations
 
-import pickle
-import signal
-import sys
+import contextlib
+import math
+import os
+import socket
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
-from stickslip.pipeline.processes import Child, answering, end_with_the_parent
-from stickslip.pipeline.schema import Recording, Result, as_result, failed_row, row
+from stickslip.pipeline.processes import Child, ChildDied
+from stickslip.pipeline.schema import SCHEMA, Recording, encode
+from stickslip.pipeline.storage import is_locked
+from stickslip.sim.engines.compile import cache_directory, source_digest
+
+#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
+_PATIENCE = 180.0
+
+#: Engines whose kernels this process has.
+_loaded: set[str] = set()
+
+#: What a row takes over from its member.
+_PARAMETERS = tuple(field.name for field in fields(Member) if field.name in SCHEMA.names)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A computed batch: the shard's bytes, and beside them what is not data."""
+
+    name: str
+    shard: bytes
+    member_ids: tuple[str, ...]
+    outcomes: dict[str, int]
+    program: str
+    seconds: float
+    host: str
+    pid: int
+
+
+#: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
+_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("design", "scene", "schema", "worker")]
+
+
+def program() -> str:
+    """What the numbers come from: the version of stickslip, and a digest of the sources that determine them."""
+    return f"{version('stickslip')}-{source_digest(*_DETERMINING)}"
+
+
+def compute(batch: Batch, recording: Recording) -> Result:
+    """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
+    start = time.perf_counter()
+    return as_result(batch, recording, [row(member, recording) for member in batch.members], start)
+
+
+def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], start: float) -> Result:
+    """The rows of a batch, encoded; `start` is when they were begun, by `time.perf_counter`."""
+    return Result(
+        name=batch.name,
+        shard=encode(rows, recording.schema),
+        member_ids=tuple(member.member_id for member in batch.members),
+        outcomes=dict(Counter(row["outcome"] for row in rows)),
+        program=program(),
+        seconds=time.perf_counter() - start,
+        host=socket.gethostname(),
+        pid=os.getpid(),
+    )
+
+
+def row(member: Member, recording: Recording) -> dict[str, Any]:
+    """Run a member: its row, by column; one that raised has a row that says so."""
+    try:
+        return _parameters(member) | _results(member, recording)
+    except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
+        message = " ".join(str(error).split())
+        return failed_row(member, f"{type(error).__name__}: {message}")
+
+
+def failed_row(member: Member, reason: str) -> dict[str, Any]:
+    """The row of a member that could not be run."""
+    # words of an exception may hold what Parquet's text cannot
+    reason = reason.encode(errors="replace").decode()
+    command = f"stickslip run scene.toml --only {member.member_id}"
+    return _parameters(member) | {"outcome": "failed", "reason": reason, "reproduce": command}
+
+
+def _parameters(member: Member) -> dict[str, Any]:
+    return {name: getattr(member, name) for name in _PARAMETERS}
+
+
+def _results(member: Member, recording: Recording) -> dict[str, Any]:
+    times, base = np.empty(0), None
+    if recording.separation is not None:
+        times, base = _multiples(recording.separation, member.t_end), member.base
+    run = member.simulate(times if base is not None else ())
+    found = _measured(run)
+    if "growth_rate" in recording.parts:
+        found["growth_rate"] = _growth_rate(member.of_system)
+    if "events" in recording.parts:
+        found |= _events(run.events)
+    if base is not None:
+        found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
+    if member.thresholds:
+        changes = {c: series.change_points() for c, series in run.by_threshold.items()}
+        found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
+    return found
+
+
+@lru_cache(maxsize=64)
+def _growth_rate(member: Member) -> float:
+    return float(np.linalg.eigvals(member.system().slip_matrix()).real.max())
+
+
+def _multiples(step: float, t_end: float) -> np.ndarray:
+    """0, step, 2 step ... to t_end, which rounding does not lose."""
+    times = step * np.arange(math.floor(t_end / step * (1 + 1e-12)) + 1)
+    return np.minimum(times, t_end)
+
+
+@lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it
+def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
+    return member.simulate(times).samples
+
+
+def _distance(one: sim.Samples, other: sim.Samples) -> np.ndarray:
+    """Distance of two runs at the times that both reached."""
+    m = min(len(one), len(other))
+    squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
+    return np.sqrt(squares.mean(axis=1))
+
+
+def _events(series: sim.EventSeries) -> dict[str, Any]:
+    return {
+        "event_t": series.t,
+        "event_block": series.block,
+        "event_mode": series.mode,
+        "initial_mode": series.initial_mode,
+    }
+
+
+def _measured(run: sim.Run) -> dict[str, Any]:
+    t, n_stick = run.events.change_points()
+    if not np.isfinite(t).all():
+        raise FloatingPointError("the engine returned an event at a time that is not finite")
+    return {
+        "outcome": run.outcome,
+        "reason": run.reason or None,
+        "t_stop": run.t_end if run.t_collapse is None else run.t_collapse,
+        "n_stick_end": n_stick[-1],
+        **run.events.counts(),
+        "n_events": run.stats.n_events,
+        "n_steps": run.stats.n_steps,
+        "n_rejected": run.stats.n_rejected,
+        "n_products": run.stats.n_products,
+        "t": t,
+        "n_stick": n_stick,
+    }
+
+
+# ---------------------------------------------------------------------------------------------- in a process apart
 
 
 def compute_alone(batch: Batch, recording: Recording) -> Result:
-    """As `shards.compute`, in a process that tells of each member as it ends.
+    """As `compute`, in a process of its own.
 
-    When it dies, the member it was at is run again, alone; if that process dies too, the member's row says so.
+    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
     """
     start = time.perf_counter()
     rows: list[dict[str, Any]] = []
-    is_suspected = False
-    while len(rows) < len(batch.members):
-        rest = batch.members[len(rows) :]
-        group = rest[:1] if is_suspected else rest
-        found, end = _rows_of_a_process(group, recording)
-        rows += found
-        if is_suspected and not found:
-            rows.append(failed_row(group[0], f"its worker died ({end})"))
-        is_suspected = not is_suspected and len(found) < len(group)
+    process: Child | None = None
+    with contextlib.ExitStack() as started:
+        for member in batch.members:
+            for is_second in (False, True):
+                process = process or started.enter_context(Child(_row))
+                try:
+                    rows.append(process((member, recording)))
+                    break
+                except ChildDied as death:
+                    process = None
+                    if is_second:
+                        rows.append(failed_row(member, f"its worker died ({death})"))
     return as_result(batch, recording, rows, start)
 
 
-def _rows_of_a_process(members: Sequence[Member], recording: Recording) -> tuple[list[dict[str, Any]], str]:
-    """The rows of the members that were run before the process ended, and how it ended."""
-    with Child("from stickslip.pipeline.worker import serve; serve()") as process:
-        rows = []
-        try:
-            pickle.dump((tuple(members), recording), process.to_it)
-            process.to_it.flush()  # and left open: closed, it says that nobody waits any more
-            for _ in members:
-                rows.append(pickle.load(process.from_it))
-        except (BrokenPipeError, EOFError, pickle.UnpicklingError):  # it is dead, perhaps in the middle of a row
-            pass
-    code = process.returncode
-    return rows, f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+def _row(task: tuple[Member, Recording]) -> dict[str, Any]:
+    return row(*task)
 
 
-def serve() -> None:
-    """Run the members that come in, and write the row of each at once."""
-    answer = answering()
-    members, recording = pickle.load(sys.stdin.buffer)
-    end_with_the_parent()
-    for member in members:
-        pickle.dump(row(member, recording), answer)
-        answer.flush()
+# ---------------------------------------------------------------------------------------------- kernels
+
+
+def is_cold(engine: str) -> bool:
+    """Whether an engine's kernels are still to be compiled here: some ten seconds, once a version of `sim`."""
+    return next(cache_directory().glob(f"{engine}.*.nbc"), None) is None
+
+
+def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:
+    """A member of each engine."""
+    return {member.engine: member for member in reversed(list(members))}
+
+
+def load_kernels(members: Iterable[Member]) -> None:
+    """Load the kernels that members need, or compile them; if another process does so now, wait and load its own."""
+    for engine, member in one_an_engine(members).items():
+        if engine not in _loaded:
+            with _alone(engine) if is_cold(engine) else contextlib.nullcontext():
+                row(replace(member, member_id="", n=min(member.n, 3), t_end=1e-6), Recording("", (), None))
+            _loaded.add(engine)
+
+
+@contextlib.contextmanager
+def _alone(engine: str) -> Iterator[None]:
+    """Be the only process of this machine in here, unless nothing can be locked, or another takes too long."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):
+            lock = os.open(cache_directory() / f"{engine}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
+            held.callback(os.close, lock)
+            end = time.monotonic() + _PATIENCE
+            while not is_locked(lock) and time.monotonic() < end:
+                time.sleep(0.05)
+        yield

@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
 
-from stickslip.pipeline.design import expand
+from stickslip.pipeline.design import Task, expand, grows, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
-from stickslip.pipeline.interrupt import last_act, unbroken
 from stickslip.pipeline.ledger import (
     DamagedManifest,
     Manifest,
@@ -23,9 +22,8 @@ from stickslip.pipeline.ledger import (
     read_manifest,
     stored_scene,
 )
-from stickslip.pipeline.plan import Task, grows, pack, tasks
+from stickslip.pipeline.processes import last_act, unbroken
 from stickslip.pipeline.scene import Scene, parse_scene
-from stickslip.pipeline.schema import Result, program
 from stickslip.pipeline.storage import (
     DATA,
     LOCK,
@@ -39,6 +37,7 @@ from stickslip.pipeline.storage import (
     place_of,
 )
 from stickslip.pipeline.toml import parse_toml
+from stickslip.pipeline.worker import Result, program
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.interrupt import Interrupted, interruptible
+from stickslip.pipeline.processes import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing | None) -> int:
     from stickslip.pipeline import parse_scene, run_scene
-    from stickslip.pipeline.interrupt import last_act
+    from stickslip.pipeline.processes import last_act
     from stickslip.pipeline.storage import DATA, SCENE, Directory
     from stickslip.pipeline.toml import read_source
     from stickslip.workflows.progress import Watch, clock

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import pickle
-import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.processes import Child, answering
+from stickslip.pipeline.processes import Child, ChildDied
 
 if TYPE_CHECKING:
     from stickslip.analysis.report import Image
@@ -24,8 +21,9 @@ class Drawing:
     """
 
     def __init__(self) -> None:
-        self._process = Child("from stickslip.workflows.drawing import serve; serve()")
+        self._child = Child(_drawn)
         self._asking = ThreadPoolExecutor(1)
+        self._asking.submit(self._ask, None)  # what it needs is loaded before the first figure comes
         self._asked: list[tuple[Future[str | None], Recipe]] = []
         self._drawn_here: dict[Future[str | None], str] = {}
 
@@ -35,10 +33,9 @@ class Drawing:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._process.kill()
+        self._child.kill()
         self._asking.shutdown(cancel_futures=True)
-        with contextlib.suppress(BrokenPipeError):  # of what it no longer reads
-            self._process.__exit__(kind, error, trace)
+        self._child.__exit__()
 
     def __call__(self, recipe: Recipe) -> Image:
         """Have a figure drawn; what is returned gives its image."""
@@ -67,28 +64,18 @@ class Drawing:
             if asked.cancel():
                 self._drawn_here[asked] = embedded(recipe())
 
-    def _ask(self, recipe: Recipe) -> str | None:
+    def _ask(self, recipe: Recipe | None) -> str | None:
         try:
-            pickle.dump(recipe, self._process.to_it)
-            self._process.to_it.flush()
-            return str(pickle.load(self._process.from_it))
-        except (OSError, EOFError, pickle.UnpicklingError):  # it is dead, or was killed half-way through an answer
+            return str(self._child(recipe))
+        except ChildDied:
             return None
 
 
-def serve() -> None:
-    """Draw the figures whose recipes come in, until no more can come."""
-    answers = answering()
+def _drawn(recipe: Recipe | None) -> str:
+    """In the child: a figure's image; of no recipe, one that has the fonts found."""
     from matplotlib.figure import Figure
 
     from stickslip.analysis.figures import embedded
 
     gc.disable()  # figures are full of cycles, which are looked for again and again; of one report all find room
-    embedded(Figure())  # meanwhile: the first figure has to find the fonts
-    while True:
-        try:
-            recipe = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        pickle.dump(embedded(recipe()), answers)
-        answers.flush()
+    return embedded(Figure() if recipe is None else recipe())

@@ -21,13 +21,18 @@ from pathlib import Path
 
 from stickslip.pipeline import design, expand, parse_scene, run_scene, verify
 from stickslip.pipeline.ledger import read_manifest
-from stickslip.pipeline.schema import program
+from stickslip.pipeline.worker import program
 
 ROOT = Path(__file__).parents[2]
 INJECT = Path(__file__).parent / "inject"
 
 #: The command without its report, which takes longer than the small scene.
-COMMAND = "import sys; from workflows import cli; cli._write_report = lambda *_: None; sys.exit(cli.main())"
+COMMAND = """
+import sys
+from stickslip.workflows import commands
+commands._write_report = lambda *_: None
+sys.exit(commands.main())
+"""
 
 #: Small batches: a small scene then has many shards.
 TARGET_COST = 3.5e-3

@@ -172,7 +172,7 @@ def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
 
     def program():
-        asked = [sys.executable, "-c", "from stickslip.pipeline.schema import program; print(program())"]
+        asked = [sys.executable, "-c", "from stickslip.pipeline.worker import program; print(program())"]
         found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
         return found.stdout
 

@@ -83,7 +83,7 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "from pathlib import Path\n"
-        "from pipeline import load_scene, run_scene\n"
+        "from stickslip.pipeline import load_scene, run_scene\n"
         "file = Path('small.toml')\n"
         "run_scene(load_scene(file), file.read_bytes(), 'out')\n"
     )
@@ -184,12 +184,12 @@ def test_each_kernel_is_compiled_once(tmp_path):
     command = [sys.executable, "-c", f"""
 import sys
 from numba.core import event
-from stickslip.pipeline import expand, kernels, parse_scene
+from stickslip.pipeline import expand, parse_scene, worker
 members = [member for member in expand(parse_scene({SOURCE!r})) if member.engine == "coulomb"]
 with event.install_recorder("numba:compile") as compiled:
-    kernels.load(members)
-kernels.load(members)
-print(any("_advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), kernels.is_cold("coulomb"))
+    worker.load_kernels(members)
+worker.load_kernels(members)
+print(any("_advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.is_cold("coulomb"))
 """]  # fmt: skip
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]

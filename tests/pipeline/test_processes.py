@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
+
+import pytest
 
 from stickslip.pipeline import expand
 from stickslip.pipeline.design import Batch
-from stickslip.pipeline.processes import environment, environment_kept, python
-from stickslip.pipeline.schema import Recording, compute
-from stickslip.pipeline.worker import compute_alone
+from stickslip.pipeline.processes import Child, ChildDied, environment, environment_kept, python
+from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.worker import compute, compute_alone
 from tests.processes import is_running, until
 
 
@@ -25,17 +30,40 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
     assert there.shard == here.shard
 
 
+def hang(file):
+    """In a child: say who it is, and never answer."""
+    Path(file).write_text(str(os.getpid()))
+    time.sleep(99)
+
+
+def leave(code):
+    os._exit(code)
+
+
 def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
     pid = tmp_path / "pid"
-    hanging = (
-        "import os, time; from pathlib import Path; from stickslip.pipeline.processes import end_with_the_parent\n"
-        f"end_with_the_parent(); Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(99)"
+    code = (
+        "from stickslip.pipeline.processes import Child; from tests.pipeline.test_processes import hang\n"
+        f"Child(hang)({str(pid)!r})"
     )
-    code = f"from stickslip.pipeline.processes import Child; Child({hanging!r}).wait()"
     with subprocess.Popen([*python(), "-c", code], env=environment()) as parent:
         until(lambda: pid.exists() and pid.read_text() != "")
         os.kill(parent.pid, signal.SIGKILL)
     until(lambda: not is_running(int(pid.read_text())))
+
+
+def test_it_answers_one_question_after_the_other_and_says_how_it_died():
+    with Child(math.factorial) as child:
+        assert [child(n) for n in range(5)] == [1, 1, 2, 6, 24]
+        with pytest.raises(ChildDied, match="exit code 1"):  # it raised
+            child("five")
+        with pytest.raises(ChildDied, match="exit code 1"):
+            child(5)
+    with Child(leave) as child, pytest.raises(ChildDied, match="exit code 3"):
+        child(3)
+    with Child(hang) as child:
+        pass
+    assert not is_running(child.pid)
 
 
 def test_the_environment_is_as_it_was(monkeypatch):

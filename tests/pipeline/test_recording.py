@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_scene, schema, verify
+from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_scene, verify, worker
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
+from stickslip.pipeline.schema import Recording
 
 SOURCE = b"""\
 [system]
@@ -125,13 +126,13 @@ def test_a_scene_that_grows_keeps_its_step(kept):
 
 def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
     """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
-    schema._states.cache_clear()
+    worker._states.cache_clear()
     simulate, made = sim.simulate, []
     monkeypatch.setattr(
         "stickslip.sim.simulate", lambda *args, **settings: made.append(args) or simulate(*args, **settings)
     )
     for member in expand(scene):
-        schema.row(member, schema.Recording.of(scene))
+        worker.row(member, Recording.of(scene))
     assert len(made) == scene.n_members + 2 * 3
 
 

@@ -33,8 +33,9 @@ from stickslip.pipeline import (
     verify,
 )
 from stickslip.pipeline.ledger import read_manifest
-from stickslip.pipeline.schema import SCHEMA, Recording, compute, scalars
+from stickslip.pipeline.schema import SCHEMA, Recording, scalars
 from stickslip.pipeline.storage import Directory
+from stickslip.pipeline.worker import compute
 from stickslip.pipeline.writer import Store
 
 ROOT = Path(pipeline.__file__).parents[1]
@@ -552,7 +553,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
 
 
 def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
-    for room in ("writer", "schema", "driver"):
+    for room in ("writer", "worker", "driver"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
     assert run_scene(scene, source, copy, workers=0).is_complete  # nothing to compute: nothing to mix

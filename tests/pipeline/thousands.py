@@ -18,8 +18,9 @@ from pathlib import Path
 from stickslip import pipeline
 from stickslip.pipeline import Progress, batches, expand, parse_scene, run_scene
 from stickslip.pipeline.ledger import read_commits
-from stickslip.pipeline.schema import Recording, compute
+from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.storage import DATA
+from stickslip.pipeline.worker import compute
 
 SOURCE = b"""\
 title = "Ten thousand members"
