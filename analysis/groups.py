@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis import words
-from stickslip.analysis.cascades import Law, Window, laws, sizes_of_path, window
-from stickslip.analysis.chance.nulls import NullTally, draws_each, random_order
-from stickslip.analysis.fits import Estimate, add_histograms, correlation_time
-from stickslip.analysis.section import Series
+from stickslip.analysis.report import words
+from stickslip.analysis.report.section import Series
 from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.stats.cascades import Law, Window, laws, sizes_of_path, window
+from stickslip.analysis.stats.estimates import Estimate, add_histograms, correlation_time
+from stickslip.analysis.stats.nulls import NullTally, draws_each, random_order
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it

@@ -19,7 +19,7 @@ class AnalysisSettings:
         Sampling steps of the sampled definitions (dimensionless); the first is the one drawn in figures.
     resamples : int
         Random orders drawn for each member by the null model; fewer in large groups, see
-        `stickslip.analysis.chance.nulls.draws_each`.
+        `stickslip.analysis.stats.nulls.draws_each`.
     confidence : float
         Level of every interval, in (0, 1).
     seed : int
@@ -31,7 +31,7 @@ class AnalysisSettings:
     smallest : int
         Least size of a cascade that the law is fitted to.
     margins : mapping of str to float
-        By name of `QUANTITIES` in `analysis.change.robustness`: how much two runs may differ and count as equivalent.
+        By name of `QUANTITIES` in `analysis.stats.robustness`: how much two runs may differ and count as equivalent.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-from .analysis.fits import gamma as gamma
+from .analysis.stats.estimates import gamma as gamma
 from .pipeline.driver import run_scene as run_scene
 from .pipeline.query import members as members
 from .pipeline.query import n_stick as n_stick

@@ -3,6 +3,10 @@
 import signal
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("any machine", deadline=None, print_blob=True)  # none looks at the clock
+settings.load_profile("any machine")
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from stickslip.pipeline.processes import Child, ChildDied
 
 if TYPE_CHECKING:
-    from stickslip.analysis.report import Image
-    from stickslip.analysis.section import Recipe
+    from stickslip.analysis.report.page import Image
+    from stickslip.analysis.report.section import Recipe
 
 
 class Drawing:
@@ -39,7 +39,7 @@ class Drawing:
 
     def __call__(self, recipe: Recipe) -> Image:
         """Have a figure drawn; what is returned gives its image."""
-        from stickslip.analysis.figures import embedded
+        from stickslip.analysis.report.figures import embedded
 
         asked = self._asking.submit(self._ask, recipe)
         self._asked.append((asked, recipe))
@@ -57,7 +57,7 @@ class Drawing:
         Done when the first image is asked for, as all that is missing then is images. An error of any recipe is
         raised there.
         """
-        from stickslip.analysis.figures import embedded
+        from stickslip.analysis.report.figures import embedded
 
         while self._asked:
             asked, recipe = self._asked.pop()
@@ -75,7 +75,7 @@ def _drawn(recipe: Recipe | None) -> str:
     """In the child: a figure's image; of no recipe, one that has the fonts found."""
     from matplotlib.figure import Figure
 
-    from stickslip.analysis.figures import embedded
+    from stickslip.analysis.report.figures import embedded
 
     gc.disable()  # figures are full of cycles, which are looked for again and again; of one report all find room
     return embedded(Figure() if recipe is None else recipe())

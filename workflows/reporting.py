@@ -8,9 +8,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 from stickslip.analysis import AnalysisSettings, Report, build
-from stickslip.analysis.comparison import Ensemble, compare
-from stickslip.analysis.report import Image, on_demand
-from stickslip.analysis.section import Data, Recipe
+from stickslip.analysis.report.comparison import Ensemble, compare
+from stickslip.analysis.report.page import Image, on_demand
+from stickslip.analysis.report.section import Data, Recipe
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of

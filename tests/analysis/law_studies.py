@@ -6,9 +6,17 @@
 import numpy as np
 from scipy import optimize, signal, stats
 
-from stickslip.analysis.law.families import EXPONENTIAL, LOGNORMAL, POWER_LAW, RIVALS, log_shares, maximise, truncate
-from stickslip.analysis.law.goodness import between_share, goodness, rate
-from stickslip.analysis.law.rivals import rivals
+from stickslip.analysis.stats.families import (
+    EXPONENTIAL,
+    LOGNORMAL,
+    POWER_LAW,
+    RIVALS,
+    log_shares,
+    maximise,
+    truncate,
+)
+from stickslip.analysis.stats.goodness import between_share, goodness, rate
+from stickslip.analysis.stats.rivals import rivals
 
 GAMMA, N_CASCADES = 0.7, 1100  # as observed: 200 blocks, t = 600 to 1000, by events
 

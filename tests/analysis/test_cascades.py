@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stickslip.analysis import Law, laws, sample, sizes, window
-from stickslip.analysis.cascades import cluster_sizes, spans
+from stickslip.analysis.stats.cascades import cluster_sizes, spans
 
 EVENTS = Law("events")
 # Change points counted by hand. Steps: -1 -1 | +1 | -1 0 -1 | +2 | -3 | +1 | -1 (cut)

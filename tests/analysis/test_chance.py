@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import Law, over_matrices, random_order, sizes, window
-from stickslip.analysis.cascades import SAMPLED, Window, laws
-from stickslip.analysis.chance.nulls import (
+from stickslip.analysis.stats.cascades import SAMPLED, Window, laws
+from stickslip.analysis.stats.estimates import LN2, gamma, gamma_difference
+from stickslip.analysis.stats.nulls import (
     BlockSteps,
     block_steps,
     draws_each,
@@ -17,7 +18,6 @@ from stickslip.analysis.chance.nulls import (
     rotations,
     triggered,
 )
-from stickslip.analysis.fits import LN2, gamma, gamma_difference
 
 EVENTS = Law("events")
 

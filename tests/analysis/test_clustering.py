@@ -7,8 +7,13 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings
-from stickslip.analysis.cascades import Window, spans
-from stickslip.analysis.chance.clustering import (
+from stickslip.analysis.groups import fill, groups
+from stickslip.analysis.questions.clustering_section import clustering_section, verdict
+from stickslip.analysis.questions.map_section import crossings, map_section
+from stickslip.analysis.report.section import Data
+from stickslip.analysis.report.tables import records
+from stickslip.analysis.stats.cascades import Window, spans
+from stickslip.analysis.stats.clustering import (
     chance_within,
     excess,
     fano,
@@ -25,13 +30,8 @@ from stickslip.analysis.chance.clustering import (
     variation,
     variation_difference,
 )
-from stickslip.analysis.chance.clustering_section import clustering_section, verdict
-from stickslip.analysis.chance.gamma_map import crossings, map_section
-from stickslip.analysis.chance.nulls import BlockSteps, rotated, triggered
-from stickslip.analysis.fits import gamma_difference, over_matrices, ratio
-from stickslip.analysis.groups import fill, groups
-from stickslip.analysis.section import Data
-from stickslip.analysis.tables import records
+from stickslip.analysis.stats.estimates import gamma_difference, over_matrices, ratio
+from stickslip.analysis.stats.nulls import BlockSteps, rotated, triggered
 
 T = 200.0
 TAUS = (0.05, 0.2, 1.0, 3.0)

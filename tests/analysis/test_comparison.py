@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data
-from stickslip.analysis.comparison import Ensemble, compare, matched
-from stickslip.analysis.fits import LN2
+from stickslip.analysis.report.comparison import Ensemble, compare, matched
+from stickslip.analysis.stats.estimates import LN2
 
 MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05}
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=20, confidence=0.95, seed=0, margins=MARGINS)
@@ -17,7 +17,9 @@ SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=20, confidence=0.
 @pytest.fixture(autouse=True)
 def undrawn(request, monkeypatch):
     if "drawn" not in request.node.name:
-        monkeypatch.setattr("stickslip.analysis.comparison.embedded", lambda figure: "data:image/svg+xml;base64,")
+        monkeypatch.setattr(
+            "stickslip.analysis.report.comparison.embedded", lambda figure: "data:image/svg+xml;base64,"
+        )
 
 
 def ensemble(planted, name, rate=LN2, draw=0, seed=0, n_matrices=20, level=100, engines=("coulomb",), **changes):

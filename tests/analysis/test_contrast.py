@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis.change.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
-from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
-from stickslip.analysis.fits import gamma, ratio
-from stickslip.analysis.section import Data
+from stickslip.analysis.questions.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
+from stickslip.analysis.report.section import Data
+from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
+from stickslip.analysis.stats.estimates import gamma, ratio
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Statistic("share", ratio, 0.2, is_share=True)

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, build
-from stickslip.analysis.change.engines_section import engines_section
 from stickslip.analysis.groups import groups
-from stickslip.analysis.section import Data
+from stickslip.analysis.questions.engines_section import engines_section
+from stickslip.analysis.report.section import Data
 
 MARGINS = {"mean": 0.1, "rate": 0.1, "gamma": 0.05}
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-from stickslip.analysis import figures
-from stickslip.analysis.change import figures as change_figures
-from stickslip.analysis.change.equivalence import DIFFERENT, OPEN
+from stickslip.analysis.report import change_figures, figures
+from stickslip.analysis.stats.compare import DIFFERENT, OPEN
 
 SIZES = [
     {

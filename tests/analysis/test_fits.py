@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from stickslip.analysis import correlation_time, gamma, over_matrices, student, window
-from stickslip.analysis.fits import LN2, Undefined, gamma_difference, jackknife, ratio
+from stickslip.analysis import correlation_time, gamma, over_matrices, window
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import LN2, Undefined, gamma_difference, jackknife, ratio
 
 
 @pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])

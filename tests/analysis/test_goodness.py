@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis.fits import Undefined, gamma, jackknife
-from stickslip.analysis.law.families import truncate
-from stickslip.analysis.law.goodness import (
+from stickslip.analysis.stats.estimates import Undefined, gamma, jackknife
+from stickslip.analysis.stats.families import truncate
+from stickslip.analysis.stats.goodness import (
     between_share,
     goodness,
     least_squares,

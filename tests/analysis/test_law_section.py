@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import groups
-from stickslip.analysis.cascades import Law
-from stickslip.analysis.law.goodness import Goodness
-from stickslip.analysis.law.section import EVENTS, judge, law_section
-from stickslip.analysis.tables import records
+from stickslip.analysis.questions.law_section import EVENTS, judge, law_section
+from stickslip.analysis.report.tables import records
+from stickslip.analysis.stats.cascades import Law
+from stickslip.analysis.stats.goodness import Goodness
 
 
 def filled(members, series, settings):
@@ -78,7 +78,7 @@ def test_a_test_that_hangs_on_the_cut_of_the_tail_is_undecided(exponential, monk
     assert found.verdict(0.05) == "undecided"
     assert found.verdict(0.06) == "rejected"
     assert found.verdict(0.03) == "not rejected"
-    monkeypatch.setattr("stickslip.analysis.law.section.goodness", lambda *_: found)
+    monkeypatch.setattr("stickslip.analysis.questions.law_section.goodness", lambda *_: found)
     section = law_section(exponential)
     assert "depends on where the tail is cut (p = 0.036 to 0.055, 20 matrices)" in section.statements[0]
     assert "1 undecided" in section.assumptions[1]

@@ -11,16 +11,16 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, build
-from stickslip.analysis.chance.clustering_section import clustering_section
-from stickslip.analysis.fits import LN2
-from stickslip.analysis.report import on_demand
+from stickslip.analysis.questions.clustering_section import clustering_section
+from stickslip.analysis.report.page import on_demand
+from stickslip.analysis.stats.estimates import LN2
 
 
 @pytest.fixture(autouse=True)
 def few_controls(monkeypatch):
     """Positive controls of clustering, most of a report's time, have tests of their own: here two each will do."""
     few = partial(clustering_section, resamples=5, repeats=2)
-    monkeypatch.setattr("stickslip.analysis.report.clustering_section", few)
+    monkeypatch.setattr("stickslip.analysis.report.page.clustering_section", few)
 
 
 def undrawn(recipe):

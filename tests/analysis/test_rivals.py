@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis.fits import Undefined
-from stickslip.analysis.law.families import (
+from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.stats.families import (
     CUT_OFF,
     EXPONENTIAL,
     LOGNORMAL,
@@ -21,7 +21,7 @@ from stickslip.analysis.law.families import (
     maximise,
     truncate,
 )
-from stickslip.analysis.law.rivals import rivals
+from stickslip.analysis.stats.rivals import rivals
 
 spec = importlib.util.spec_from_file_location("law_studies", Path(__file__).with_name("law_studies.py"))
 studies = importlib.util.module_from_spec(spec)

@@ -8,8 +8,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis.cascades import window
-from stickslip.analysis.change.equivalence import (
+from stickslip.analysis.questions.robustness_section import robustness_section
+from stickslip.analysis.report.section import Data
+from stickslip.analysis.stats.cascades import window
+from stickslip.analysis.stats.compare import (
     DIFFERENT,
     EQUIVALENT,
     OPEN,
@@ -21,9 +23,7 @@ from stickslip.analysis.change.equivalence import (
     unpaired,
     wilson,
 )
-from stickslip.analysis.change.robustness import band_share, summary, time_shares, wasserstein
-from stickslip.analysis.change.robustness_section import robustness_section
-from stickslip.analysis.section import Data
+from stickslip.analysis.stats.robustness import band_share, summary, time_shares, wasserstein
 
 _spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
 studies = importlib.util.module_from_spec(_spec)

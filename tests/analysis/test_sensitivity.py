@@ -8,8 +8,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis.change.pairs import CONSTANTS, RATIOS, START, settings
-from stickslip.analysis.change.sensitivity import (
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, settings
+from stickslip.analysis.questions.sensitivity_section import sensitivity_section
+from stickslip.analysis.report.section import Data
+from stickslip.analysis.stats.sensitivity import (
     BLOCKS,
     amplification_gap,
     horizon,
@@ -20,8 +22,6 @@ from stickslip.analysis.change.sensitivity import (
     slope,
     slope_error,
 )
-from stickslip.analysis.change.sensitivity_section import sensitivity_section
-from stickslip.analysis.section import Data
 
 _spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
 studies = importlib.util.module_from_spec(_spec)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.change.survival import (
+from stickslip.analysis.questions.survival_section import (
     COLLAPSED,
     DIVERGED,
     ENDS,
@@ -17,8 +17,8 @@ from stickslip.analysis.change.survival import (
     survival,
     survival_section,
 )
-from stickslip.analysis.report import _leading
-from stickslip.analysis.section import Data, Section
+from stickslip.analysis.report.page import _leading
+from stickslip.analysis.report.section import Data, Section
 
 
 def test_survival_against_the_textbook():

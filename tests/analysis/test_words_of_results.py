@@ -3,7 +3,7 @@
 import numpy as np
 
 from stickslip.analysis import Estimate, window
-from stickslip.analysis.law import families
+from stickslip.analysis.stats import families
 
 
 def test_estimate():

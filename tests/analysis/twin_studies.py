@@ -1,4 +1,4 @@
-"""Planted studies behind the figures that `stickslip.analysis.change` quotes in its docstrings.
+"""Planted studies behind the figures that `stickslip.analysis.stats` quotes in its docstrings.
 
 cd tests/analysis && python -c "import twin_studies; twin_studies.main()"    # a few minutes
 """
@@ -6,12 +6,12 @@ cd tests/analysis && python -c "import twin_studies; twin_studies.main()"    # a
 import numpy as np
 from scipy import stats
 
-from stickslip.analysis.cascades import window
-from stickslip.analysis.change.equivalence import DIFFERENT, EQUIVALENT, compare, power, share_over_matrices, verdict
-from stickslip.analysis.change.pairs import Change, Comparison, Pair
-from stickslip.analysis.change.robustness import distribution_test, time_shares
-from stickslip.analysis.change.sensitivity import growth
-from stickslip.analysis.fits import jackknife
+from stickslip.analysis.pairs import Change, Comparison, Pair
+from stickslip.analysis.stats.cascades import window
+from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, compare, power, share_over_matrices, verdict
+from stickslip.analysis.stats.estimates import jackknife
+from stickslip.analysis.stats.robustness import distribution_test, time_shares
+from stickslip.analysis.stats.sensitivity import growth
 
 #: n = 200, exact law, t = 600 to 1000, 20 matrices, constants changed by 1 to 10%: spread over matrices of the base,
 #: and of the paired difference, both relative to the base; and a margin.

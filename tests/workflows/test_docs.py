@@ -22,9 +22,9 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from stickslip.analysis.change.survival import fate
 from stickslip.analysis.groups import OUTCOMES
-from stickslip.analysis.section import Data
+from stickslip.analysis.questions.survival_section import fate
+from stickslip.analysis.report.section import Data
 from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.sim import couplings, draw_system, perturb_system
 from stickslip.workflows.commands import main

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from stickslip.analysis import figures
-from stickslip.analysis.report import on_demand
+from stickslip.analysis.report import figures
+from stickslip.analysis.report.page import on_demand
 from stickslip.workflows.drawing import Drawing
 from tests.processes import is_running, until
 

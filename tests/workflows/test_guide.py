@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.cascades import spans, window
+from stickslip.analysis.stats.cascades import spans, window
 from stickslip.pipeline import parse_scene, query, run_scene
 
 GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()

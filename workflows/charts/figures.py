@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from stickslip.analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, subplots
+from stickslip.analysis.report.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, subplots
 
 Row = Mapping[str, Any]
 

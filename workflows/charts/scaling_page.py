@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from scipy.stats import linregress, t
 
 from stickslip.analysis import Report
-from stickslip.analysis.figures import embedded
-from stickslip.analysis.report import page_environment
+from stickslip.analysis.report.figures import embedded
+from stickslip.analysis.report.page import page_environment
 from stickslip.workflows.charts import Kind
 from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.scaling import Cost, Lockstep, Measured, ScalingScene, Throughput, measure

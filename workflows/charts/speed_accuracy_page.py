@@ -11,8 +11,8 @@ import pandas as pd
 from jinja2 import Environment
 
 from stickslip.analysis import Report
-from stickslip.analysis.figures import embedded
-from stickslip.analysis.report import page_environment
+from stickslip.analysis.report.figures import embedded
+from stickslip.analysis.report.page import page_environment
 from stickslip.workflows.charts import Kind
 from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.peers import METHODS, Model

@@ -20,8 +20,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from scipy import stats
 
 from stickslip import sim
-from stickslip.analysis.cascades import Law, sizes, window
-from stickslip.analysis.fits import Estimate, gamma, gamma_difference, over_matrices, ratio
+from stickslip.analysis.stats.cascades import Law, sizes, window
+from stickslip.analysis.stats.estimates import Estimate, gamma, gamma_difference, over_matrices, ratio
 from stickslip.pipeline.toml import Blocks, Natural, Positive, as_tuple, distinct
 from stickslip.workflows.charts import ChartScene, Say
 from stickslip.workflows.charts.alone import Product, versions

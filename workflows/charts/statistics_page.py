@@ -12,10 +12,10 @@ import pandas as pd
 from jinja2 import Environment
 
 from stickslip.analysis import Report
-from stickslip.analysis.figures import embedded
-from stickslip.analysis.fits import Estimate
-from stickslip.analysis.report import page_environment
-from stickslip.analysis.words import count, number, percent, sentence, signed
+from stickslip.analysis.report.figures import embedded
+from stickslip.analysis.report.page import page_environment
+from stickslip.analysis.report.words import count, number, percent, sentence, signed
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.workflows.charts import Kind
 from stickslip.workflows.charts import figures as chart_figures
 from stickslip.workflows.charts.peers import Model

@@ -1,4 +1,4 @@
-"""The paper's figures, drawn from plain numbers in the style of `analysis.figures`. All axes are dimensionless."""
+"""The paper's figures, drawn from plain numbers in the style of `report.figures`. All axes are dimensionless."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from stickslip.analysis.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, subplots
-from stickslip.analysis.words import PAPER_GAMMA
+from stickslip.analysis.report.figures import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, subplots
+from stickslip.analysis.report.words import PAPER_GAMMA
 
 #: Line styles beside the colours, so that grey print tells curves apart.
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))

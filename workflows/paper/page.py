@@ -9,9 +9,9 @@ import pandas as pd
 from jinja2 import Environment
 
 from stickslip.analysis import Report
-from stickslip.analysis.figures import embedded
-from stickslip.analysis.report import page_environment
-from stickslip.analysis.words import capital
+from stickslip.analysis.report.figures import embedded
+from stickslip.analysis.report.page import page_environment
+from stickslip.analysis.report.words import capital
 from stickslip.workflows.charts import Kind
 from stickslip.workflows.paper import claim_words, words
 from stickslip.workflows.paper import figures as paper_figures

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from stickslip import sim
-from stickslip.analysis import cascades, fits
-from stickslip.analysis.chance.nulls import NullTally, random_order
+from stickslip.analysis.stats import cascades, estimates
+from stickslip.analysis.stats.nulls import NullTally, random_order
 from stickslip.pipeline.design import MATRIX
 from stickslip.workflows.paper.scene import LAWS, Law, PaperScene
 
@@ -223,13 +223,13 @@ def laws_by_samples(scene: PaperScene) -> cascades.Law:
 
 
 def _law(law: Law, one: cascades.Law, sums: np.ndarray, chance: NullTally | None) -> Cascades:
-    found = fits.over_matrices(fits.gamma, sums, 0.95)
+    found = estimates.over_matrices(estimates.gamma, sums, 0.95)
     gamma0 = None
     reason = found.reason
     if chance is not None:
         try:
             gamma0, _ = chance.rate()
-        except fits.Undefined as undefined:
+        except estimates.Undefined as undefined:
             reason = reason or f"chance: {undefined}"
     return Cascades(
         law, one.definition, one.dt, len(sums), int(sums[:, 1].sum()) if len(sums) else 0, found.value, found.low,

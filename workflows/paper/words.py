@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from stickslip.analysis.words import PAPER_GAMMA, capital
+from stickslip.analysis.report.words import PAPER_GAMMA, capital
 from stickslip.workflows.paper import figures as paper_figures
 from stickslip.workflows.paper.blocks import KAPPA_1, KAPPA_2, KAPPA_12, MU, ONE, RHO, V
 from stickslip.workflows.paper.hidden import FORCE, SlowRun, Undetermined

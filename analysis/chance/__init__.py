@@ -1,1 +1,0 @@
-"""What chance alone gives: null models, the map of gamma, and whether exits cluster beyond them."""

@@ -1,1 +1,0 @@
-"""Runs beside changed copies of themselves: how fast they part, whether their statistics agree, and their fates."""

@@ -1,0 +1,178 @@
+"""Which members are changed copies of which: a displaced start, moved constants, redrawn stiffness ratios.
+
+A changed run is compared with the run of the same matrix, under the same engine and settings, that was not changed,
+its base. The pairs of one setting, kind and size of change make a `Comparison`; its matrices are the independent
+units, and several draws of one matrix are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis.report import words
+
+START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
+#: what a perturbation moves, if the members do not say: every constant by up to a share of its scale
+DEFAULT_READING = "scale"
+_CHANGING = ("perturbation_size", "ratio")  # settings in which a changed member differs from its base
+_SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in _CHANGING)
+
+
+@dataclass(frozen=True, order=True)
+class Change:
+    """What was done to the base: a kind, for constants how `size` is read, and the size (0 for redrawn ratios)."""
+
+    kind: str
+    reading: str | None = None
+    size: float = 0.0
+
+    def __str__(self) -> str:
+        if self.kind == START:
+            return f"start displaced by {self.size:g}"
+        if self.kind == RATIOS:
+            return "stiffness ratios redrawn"
+        return f"constants changed by {words.percent(self.size)} ({self.reading})"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A changed member and its base, by member_id; both of one matrix."""
+
+    matrix: int
+    base: str
+    changed: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All pairs of one setting and one change, sorted by matrix."""
+
+    setting: str
+    change: Change
+    pairs: tuple[Pair, ...]
+
+    @property
+    def n_matrices(self) -> int:
+        return len({pair.matrix for pair in self.pairs})
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Members alike in everything but matrix and change: `bases` (one a matrix) and what was made of them."""
+
+    label: str
+    key: dict[str, Any]
+    bases: dict[int, str]
+    comparisons: tuple[Comparison, ...]
+
+
+def unchanged(members: pd.DataFrame) -> pd.DataFrame:
+    """Members that are no changed copy of another; all of them where each is one."""
+    changed = is_changed(members)
+    return members if changed.all() else members[~changed]
+
+
+def is_changed(members: pd.DataFrame) -> pd.Series:
+    """Which members have other constants or another start than the original of their matrix."""
+    changed = members["perturbation_size"] > 0
+    return changed | members["twin_size"].notna() if "twin_size" in members else changed
+
+
+def settings(members: pd.DataFrame) -> list[Setting]:
+    """Sort members into settings and, in each, changed members into comparisons with their base.
+
+    A base has no change at all. For the sigmoid it has equal stiffness ratios; if no member has, the first draw of
+    the ratios is the base. Constants and start are compared under the same ratios. A member changed in two ways
+    at once, or without base, is in no comparison.
+
+    Parameters
+    ----------
+    members : DataFrame
+        Columns of `analysis.groups.REQUIRED`; `ratio_draw`, `perturbation_reading` and `twin_size` may be missing
+        and then count as null.
+
+    Returns
+    -------
+    list of Setting
+        Sorted by n and engine; settings without an unchanged member are left out.
+    """
+    rows = _rows(members)
+    distinct: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        distinct.setdefault(tuple(row[name] for name in _SETTING), []).append(row)
+    keys = [_key(some[0]) for some in distinct.values()]
+    found = []
+    for key, some in zip(keys, distinct.values(), strict=True):
+        bases = _bases(some)
+        if bases:
+            label = words.group_label(key, keys)
+            found.append(Setting(label, key, bases, _comparisons(label, some, bases)))
+    return sorted(found, key=lambda s: (s.key["n"], s.key["engine"], s.label))
+
+
+def _rows(members: pd.DataFrame) -> list[dict[str, Any]]:
+    """Members as plain values, null as None, optional columns filled in."""
+    names = [*_SETTING, *_CHANGING, "member_id", "matrix"]
+    optional = [name for name in ("ratio_draw", "perturbation_reading", "twin_size") if name in members]
+    table = members[[*names, *optional]].astype(object)
+    rows = table.where(table.notna(), None).to_dict(orient="records")
+    empty = {"ratio_draw": None, "perturbation_reading": None, "twin_size": None}
+    return [empty | {str(name): value for name, value in row.items()} for row in rows]
+
+
+def _key(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: row[name] for name in _SETTING} | {"perturbation_size": 0.0}
+
+
+def _change(row: dict[str, Any]) -> Change | None:
+    """The change of start or constants; None for neither."""
+    if row["twin_size"]:
+        return Change(START, None, float(row["twin_size"]))
+    if row["perturbation_size"]:
+        return Change(CONSTANTS, row["perturbation_reading"] or DEFAULT_READING, float(row["perturbation_size"]))
+    return None
+
+
+def _ratios(row: dict[str, Any]) -> tuple[str | None, int | None]:
+    """Which stiffness ratios a member has; the exact law has none."""
+    draw = row["ratio_draw"]
+    if row["ratio"] in (None, "one"):
+        return None, None
+    return str(row["ratio"]), 0 if draw is None else int(draw)
+
+
+def _bases(rows: Sequence[dict[str, Any]]) -> dict[int, str]:
+    """The unchanged member of each matrix: equal ratios if there are such members, else the first draw."""
+    unchanged = [row for row in rows if _change(row) is None]
+    if not unchanged:
+        return {}
+    first = min({_ratios(row) for row in unchanged}, key=lambda r: (r[0] is not None, r[1] or 0))
+    chosen = sorted((row for row in unchanged if _ratios(row) == first), key=lambda row: str(row["member_id"]))
+    return {
+        int(row["matrix"]): str(row["member_id"]) for row in sorted(reversed(chosen), key=lambda row: row["matrix"])
+    }
+
+
+def _comparisons(label: str, rows: Sequence[dict[str, Any]], bases: dict[int, str]) -> tuple[Comparison, ...]:
+    unchanged = {(int(row["matrix"]), _ratios(row)): str(row["member_id"]) for row in rows if _change(row) is None}
+    pairs: dict[Change, list[Pair]] = {}
+    for row in rows:
+        matrix, member_id, change = int(row["matrix"]), str(row["member_id"]), _change(row)
+        if row["twin_size"] and row["perturbation_size"]:
+            continue
+        if change is not None:
+            base = unchanged.get((matrix, _ratios(row)))
+        else:
+            change, base = Change(RATIOS), bases.get(matrix)
+        if base is not None and base != member_id:
+            pairs.setdefault(change, []).append(Pair(matrix, base, member_id))
+    order = {START: 0, RATIOS: 1, CONSTANTS: 2}
+    return tuple(
+        Comparison(label, change, tuple(sorted(pairs[change], key=lambda pair: (pair.matrix, pair.changed))))
+        for change in sorted(pairs, key=lambda c: (order[c.kind], c.reading or "", c.size))
+    )

@@ -1,0 +1,179 @@
+"""Estimates and their intervals.
+
+Matrices are the independent units: the cascades of one run, and the runs of one matrix, depend on each other.
+Every estimate here is a function of sums over matrices, and every interval comes from leaving out one matrix
+at a time; resampling cascades or time samples would give intervals far too short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.cascades import Window
+
+LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
+
+
+class Undefined(ArithmeticError):
+    """A statistic has no value on these data; the message is the reason, in words for a reader."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its interval, or the reason why either is missing (then None, never NaN)."""
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+
+    def __repr__(self) -> str:
+        value = "no value" if self.value is None else f"{self.value:.6g}"
+        interval = "" if self.low is None or self.high is None else f" ({self.low:.6g} to {self.high:.6g})"
+        return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
+
+
+Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, shape (m,); may raise Undefined
+
+
+def ratio(sums: np.ndarray) -> np.ndarray:
+    """First column over the second: a mean where the second counts."""
+    if (sums[:, 1] == 0).any():
+        raise Undefined("nothing was counted")
+    return sums[:, 0] / sums[:, 1]
+
+
+def gamma(sums: np.ndarray) -> np.ndarray:
+    """Maximum-likelihood rate of the discrete exponential P(k) = (1 - q) q^(k-1), k >= 1, q = exp(-gamma).
+
+    gamma = -log(1 - 1/mean): the likelihood depends on the sizes through their mean alone.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (m, 2)
+        Total of the sizes, and number of cascades.
+
+    Raises
+    ------
+    Undefined
+        If there are no cascades, or all sizes are 1 (the likelihood then grows without end with gamma).
+    """
+    total, count = sums[:, 0], sums[:, 1]
+    if (count == 0).any():
+        raise Undefined("no complete cascade")
+    if (total <= count).any():
+        raise Undefined("every cascade has size 1, so gamma has no finite value")
+    return -np.log1p(-count / total)
+
+
+def gamma_difference(sums: np.ndarray) -> np.ndarray:
+    """gamma of columns 0 and 1 minus gamma of columns 2 and 3, paired matrix by matrix."""
+    return gamma(sums[:, 0:2]) - gamma(sums[:, 2:4])
+
+
+def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
+    """Value of a statistic of the summed rows, and its standard error from leaving out one row at a time.
+
+    Parameters
+    ----------
+    statistic : callable
+    sums : ndarray, shape (rows, c)
+        At least two rows, independent of each other.
+    """
+    whole = sums.sum(axis=0, keepdims=True)
+    return float(statistic(whole)[0]), jackknife_error(statistic(whole - sums))
+
+
+def jackknife_error(left_out: np.ndarray) -> float:
+    """Standard error from the values with one of G matrices left out, shape (G,): sqrt((G-1)/G sum (x - mean)^2)."""
+    n_rows = len(left_out)
+    return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
+
+
+def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:
+    """A statistic of the whole ensemble with a jackknife-t interval over matrices.
+
+    value +- t(G - 1) * jackknife standard error, G the number of rows. For a mean this is the t interval
+    itself.
+
+    Coverage of nominal 95% intervals of `gamma`, measured on planted data (about 200 cascades a matrix, rates
+    that switch inside each matrix, standard deviation 0, 0.03 and 0.08 between matrices; 1000 to 2000
+    ensembles each): 94 to 95% with 4 matrices, 95% with 20, 94 to 96% with 100. The studentised bootstrap
+    over matrices covered 93 to 94, 94 to 95 and 95 to 96% at the same width, the plain percentile bootstrap
+    79 to 80, 91 to 92 and 94 to 96%.
+
+    Parameters
+    ----------
+    statistic : callable
+        Maps sums, shape (m, c), to values, shape (m,); raises `Undefined` with a reason.
+    sums : ndarray, shape (G, c)
+        One row a matrix; rows add.
+    confidence : float
+
+    Returns
+    -------
+    Estimate
+        Without interval, but with a reason, for a single matrix.
+    """
+    if len(sums) == 0:
+        return Estimate(reason="no matrix has data")
+    try:
+        value = float(statistic(sums.sum(axis=0, keepdims=True))[0])
+    except Undefined as undefined:
+        return Estimate(reason=str(undefined))
+    if len(sums) == 1:
+        return Estimate(value, reason="one matrix only, so no interval")
+    try:
+        _, error = jackknife(statistic, sums)
+    except Undefined as undefined:
+        return Estimate(value, reason=f"no interval: with one of the matrices left out, {undefined}")
+    half = student.half_width(confidence, len(sums) - 1) * error
+    return Estimate(value, value - half, value + half)
+
+
+def add_histograms(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of two counts by size, the shorter padded with zeros."""
+    out = np.zeros(max(len(a), len(b)), dtype=np.int64)
+    out[: len(a)] += a
+    out[: len(b)] += b
+    return out
+
+
+CORRELATION_SAMPLES = 8192  # samples of a window: far finer than the correlation time, cheap by FFT
+SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
+SHORT_WINDOW = 20.0  # below so many correlation times in a window, tau itself is estimated too low
+
+
+def correlation_time(win: Window) -> Estimate:
+    """Integrated autocorrelation time of n_stick, tau = int_0^inf rho(s) ds, with Sokal's automatic window.
+
+    A window of length T holds T / (2 tau) effectively independent samples.
+
+    Returns
+    -------
+    Estimate
+        tau (dimensionless); without a value if n_stick does not change; with a reason beside the value if the
+        window is too short for it.
+    """
+    span = win.t_stop - win.t_start
+    dt = span / CORRELATION_SAMPLES
+    samples = win.path()[win.grid_index(dt)].astype(np.float64)
+    samples -= samples.mean()
+    if not samples.any():
+        return Estimate(reason="n_stick does not change")
+    n = len(samples)
+    spectrum = fft.rfft(samples, fft.next_fast_len(2 * n, real=True))
+    products = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[:n]
+    rho = products / products[0]
+    taus = np.cumsum(rho) - 0.5  # in samples; the trapezoidal rule halves the first
+    wide_enough = np.flatnonzero(np.arange(n) >= SOKAL_WINDOW * taus)
+    # An oscillating series can sum to less than nothing; it never holds more than its own samples.
+    tau = max(float(taus[wide_enough[0]]), 0.5) * dt
+    if span < SHORT_WINDOW * tau:
+        return Estimate(tau, reason=f"the window holds fewer than {SHORT_WINDOW:g} correlation times")
+    return Estimate(tau)

@@ -1,0 +1,156 @@
+"""Rival laws against the exponential: by how much they describe the sizes better, and whether that is shown.
+
+A rival that holds the exponential is judged by its extra parameter, one that does not by Vuong's difference of
+log-likelihoods; the standard error of either comes from the matrices, never from single cascades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error, over_matrices, ratio
+from stickslip.analysis.stats.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A rival beside the exponential on the same sizes.
+
+    Attributes
+    ----------
+    fit : Fit or None
+    gain : float or None
+        Mean log-likelihood of a cascade under the rival minus under the exponential, in nats. A rival that holds the
+        exponential gains something on any data: about 1 / (2 N) on N independent cascades.
+    gain_low, gain_high : float or None
+        Interval over matrices; null for a rival that holds the exponential, where it has none that holds at zero.
+    likelihood_ratio : float or None
+        Twice the gain of the whole histogram, for a rival that holds the exponential.
+    extra : Estimate
+        Of the extra internal parameter (alpha, ln beta or ln r; 0 is the exponential).
+    p_value : float or None
+    p_adjusted : float or None
+        For having asked all the rivals together (Holm).
+    verdict : str
+        "better", "worse", "not distinguishable" or "not enough data".
+    reason : str
+    """
+
+    family: Family
+    fit: Fit | None = None
+    gain: float | None = None
+    gain_low: float | None = None
+    gain_high: float | None = None
+    likelihood_ratio: float | None = None
+    extra: Estimate = field(default_factory=Estimate)
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    verdict: str = "not enough data"
+    reason: str = ""
+
+
+def rivals(
+    sizes: np.ndarray, counts: np.ndarray, confidence: float, families: Sequence[Family] = RIVALS
+) -> list[Rival]:
+    """Each rival against the exponential.
+
+    - One that holds the exponential: a jackknife-t interval over matrices of its extra parameter, each matrix left
+      out by one Newton step from the fit. The likelihood ratio is given for its size; its chi-square distribution
+      would take cascades as independent.
+    - One that does not: Vuong's statistic (1989, Econometrica 57, 307) with the differences of log-likelihood summed
+      by matrix.
+
+    Measured at a nominal 5%, unadjusted, on the planted ensembles of `goodness`: a rival that holds the exponential
+    alarmed in 5.0 to 5.8% with 5 matrices and 5.8 to 6.8% with 10 (500 ensembles each), 4.4 to 5.7% with 20 (1000
+    each); one of the three was called "better" in 1.4 to 2.4% with 20. Vuong's test, halfway between two laws: 5.6 to
+    6.5% with 5 matrices, 5.2 to 6.2% with 20. With 20 matrices some rival was called "better" in 81% where the truth
+    was an equal mixture of rates 0.6 and 0.85, in 56% where it was k^-0.1 exp(-0.66 k).
+
+    Parameters
+    ----------
+    sizes : ndarray, shape (K,)
+    counts : ndarray, shape (G, K)
+        As `families.truncate` gives them; matrices without a cascade are left out.
+    confidence : float
+    families : sequence of Family
+    """
+    seen = counts[counts.sum(axis=1) > 0]
+    try:
+        base = maximise(EXPONENTIAL, sizes, seen.sum(axis=0))
+    except Undefined as undefined:
+        return [Rival(family, reason=str(undefined)) for family in families]
+    judged = [_against(base, maximise(family, sizes, seen.sum(axis=0)), seen, confidence) for family in families]
+    return _holm(judged, 1 - confidence)
+
+
+def _against(base: Fit, fit: Fit, counts: np.ndarray, confidence: float) -> Rival:
+    n = counts.sum()
+    gain = (fit.log_likelihood - base.log_likelihood) / n
+    found = Rival(fit.family, fit, float(gain))
+    if fit.family.null is None:
+        return _vuong(found, base, counts, confidence)
+    found = replace(found, likelihood_ratio=float(2 * n * gain))
+    try:
+        extra = _extra(fit, fit.family.null, counts, confidence)
+    except Undefined as undefined:
+        return replace(found, reason=str(undefined))
+    return replace(found, extra=extra, p_value=_p_value(extra, len(counts), confidence))
+
+
+def _vuong(found: Rival, base: Fit, counts: np.ndarray, confidence: float) -> Rival:
+    assert found.fit is not None
+    difference = found.fit.log_shares() - base.log_shares()
+    sums = np.column_stack([counts @ difference, counts.sum(axis=1)])
+    gain = over_matrices(ratio, sums, confidence)
+    if gain.low is None:
+        return replace(found, reason=gain.reason)
+    return replace(found, gain_low=gain.low, gain_high=gain.high, p_value=_p_value(gain, len(counts), confidence))
+
+
+def _p_value(estimate: Estimate, n_matrices: int, confidence: float) -> float:
+    """Two-sided p-value of zero, from the t interval that it belongs to."""
+    assert estimate.value is not None
+    assert estimate.high is not None
+    half = estimate.high - estimate.value
+    error = half / student.half_width(confidence, n_matrices - 1)
+    return student.two_sided(estimate.value / error, n_matrices - 1) if error else float(estimate.value == 0)
+
+
+def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
+    """The extra parameter with its jackknife-t interval; parameters on a bound stay there."""
+    if which not in fit.free:
+        raise Undefined(f"the likelihood runs to a border: {fit.border}")
+    n = len(counts)
+    if n < 2:
+        raise Undefined("one matrix only, so no interval")
+    score, information = derivatives(fit.family, fit.sizes, fit.theta, fit.free)
+    scores = counts @ score
+    informations = np.tensordot(counts, information, 1)
+    rest = informations.sum(axis=0) - informations
+    try:
+        moved = -np.linalg.solve(rest, scores[:, :, None])[:, fit.free.index(which), 0]
+    except np.linalg.LinAlgError:
+        raise Undefined("the likelihood is flat at its maximum") from None
+    half = student.half_width(confidence, n - 1) * jackknife_error(moved)
+    value = float(fit.theta[which])
+    return Estimate(value, value - half, value + half)
+
+
+def _holm(found: list[Rival], level: float) -> list[Rival]:
+    """p-values adjusted for the number of rivals (Holm 1979), and the verdicts that follow."""
+    tested = sorted(
+        (k for k, one in enumerate(found) if one.p_value is not None), key=lambda k: found[k].p_value or 0
+    )
+    out, running = list(found), 0.0
+    for rank, k in enumerate(tested):
+        one = found[k]
+        assert one.p_value is not None
+        assert one.gain is not None
+        running = max(running, min(1.0, (len(tested) - rank) * one.p_value))
+        verdict = "not distinguishable" if running > level else "better" if one.gain > 0 else "worse"
+        out[k] = replace(one, p_adjusted=running, verdict=verdict)
+    return out
