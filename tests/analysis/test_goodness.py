@@ -59,6 +59,7 @@ def test_interval_of_the_truncated_rate_covers(k_min):
     assert width == pytest.approx(1, abs=0.13)  # a standard deviation of 300 is known to 4%
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["serial 0.3", "spread 0.03"])
 def test_false_alarms_of_the_fit_with_dependent_sizes(name):
     share = studies.rejections(studies.TRUE[name], 20, 300, seed=1)

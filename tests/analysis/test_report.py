@@ -14,12 +14,15 @@ from stickslip.analysis import AnalysisSettings, Data, build
 from stickslip.analysis.questions.clustering_section import clustering_section
 from stickslip.analysis.report.page import on_demand
 from stickslip.analysis.stats.estimates import LN2
+from stickslip.analysis.stats.families import RIVALS
+from stickslip.analysis.stats.rivals import rivals
 
 
 @pytest.fixture(autouse=True)
 def few_controls(monkeypatch):
-    """Positive controls of clustering, most of a report's time, have tests of their own: here two each will do."""
+    """Positive controls of clustering and rival laws, most of a report's time, have tests of their own."""
     few = partial(clustering_section, resamples=5, repeats=2)
+    monkeypatch.setattr("stickslip.analysis.questions.law_section.rivals", partial(rivals, families=RIVALS[:1]))
     monkeypatch.setattr("stickslip.analysis.report.page.clustering_section", few)
 
 

@@ -161,11 +161,13 @@ def test_holm_is_applied_over_the_rivals():
         assert one.p_adjusted == pytest.approx(running)
 
 
+@pytest.mark.long
 def test_false_alarms_of_nested_rivals_with_dependent_sizes():
     share = studies.rival_rejections(studies.TRUE["spread 0.03"], 20, 150, seed=3, families=[CUT_OFF])[0]
     assert share <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 150)
 
 
+@pytest.mark.long
 def test_false_alarms_of_vuong_halfway_between_two_laws():
     share = studies.rival_rejections(studies.halfway(POWER_LAW), 20, 300, seed=3, families=[POWER_LAW])[0]
     assert abs(share - 0.05) <= 3 * np.sqrt(0.05 * 0.95 / 300)

@@ -84,6 +84,7 @@ def test_matrices_needed_is_the_first_with_the_power():
     assert matrices_needed(30.0, 0.01, 0.05) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("quantity", ["mean", "variance", "gamma"])
 def test_alarms_and_power_on_planted_differences(quantity):
     _, spread, margin = studies.OBSERVED[quantity]
@@ -95,6 +96,7 @@ def test_alarms_and_power_on_planted_differences(quantity):
     assert none[EQUIVALENT] == pytest.approx(power(20, spread, margin, 0.05), abs=0.045)
 
 
+@pytest.mark.long
 def test_alarms_and_power_of_the_test_of_distributions():
     none, _ = studies.distance_verdicts(0.0, ensembles=300, pool=300, seed=1)
     assert none == pytest.approx(0.05, abs=0.045)  # three binomial errors of 300, and the pool's

@@ -6,7 +6,7 @@ from tests.faults.__main__ import _UNSHOWN, attempt
 from tests.faults.registry import FAULTS
 
 
-@pytest.mark.faults
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.quick])
 def test_fault(name):
     code, words = attempt(name, FAULTS[name].quick, seed=0, timeout=400.0)

@@ -29,6 +29,7 @@ def by_dop853(system, eps, ratio, t_end, tol):
     return y[:n], y[n:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stiffness", ["equal", "uniform"])
 def test_error_against_an_explicit_method(stiffness):
     """n = 200, T = 25, eps = 0.03: at rtol = atol = 1e-6 the state is right to 1e-4 (and to 1e-5)."""

@@ -28,7 +28,7 @@ def test_a_newcomer_needs_two_commands():
     setup = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("python3 -m venv")]
     assert len(setup) == 2
     assert "stickslip run cascades" in setup[0]
-    assert setup[1].endswith("python -m pytest")
+    assert setup[1].endswith("python -m pytest -n 2")
 
 
 def test_commands(dataset, small_scene, tmp_path, monkeypatch, capsys):
