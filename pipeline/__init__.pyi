@@ -11,10 +11,10 @@ from .errors import QueryError as QueryError
 from .errors import SceneError as SceneError
 from .errors import ScheduleError as ScheduleError
 from .errors import StoreError as StoreError
-from .integrity import Status as Status
-from .integrity import status as status
 from .integrity import verify as verify
 from .ledger import dataset_scene as dataset_scene
+from .monitor import Status as Status
+from .monitor import status as status
 from .processes import Interrupted as Interrupted
 from .processes import interruptible as interruptible
 from .scene import Scene as Scene

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from stickslip.pipeline.errors import QueryError, StoreError
-from stickslip.pipeline.ledger import Shard, dataset_scene, read_manifest
+from stickslip.pipeline.ledger import Shard, open_dataset
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.storage import DATA, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
@@ -46,16 +46,15 @@ def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
     StoreError
         If there is no readable dataset at `path`, or a shard is not what was written.
     """
-    place = place_of(path)
-    schema = Recording.of(dataset_scene(place)).schema
-    known = read_manifest(place).shards
+    found = open_dataset(path)
+    place, known = found.place, found.manifest.shards
     names = sorted(known) if shards is None else list(shards)
     _check(place, {name: known.get(name) for name in names})
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     with reading(place):
         return ds.dataset(
             [place.key(f"{DATA}/{name}") for name in names],
-            schema=schema,
+            schema=Recording.of(found.scene).schema,
             filesystem=place.arrow,
             format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
         )

@@ -19,8 +19,7 @@ from distributed.comm import CommClosedError
 from stickslip.pipeline.cluster import check_address, check_memory, connect
 from stickslip.pipeline.design import Member, Task, expand
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.pipeline.integrity import Status, status
-from stickslip.pipeline.monitor import Began
+from stickslip.pipeline.monitor import Began, Status, Tally, status
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.storage import Where
@@ -52,27 +51,25 @@ _ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a run is; costs in the units of `Member.cost`."""
+class Progress(Tally):
+    """How far a run is."""
 
-    n_members: int
-    n_done: int
-    n_failed: int
-    n_shards: int
-    n_shards_done: int
-    cost: float
-    cost_done: float
-    cost_resumed: float  #: part of `cost_done` that was there at the start
+    n_resumed: int  #: members that were there at the start, and their part of `cost_done`
+    cost_resumed: float
     elapsed: float  #: seconds since the start
     last_shard: str | None
     dashboard: str | None = None  #: address of dask's, if there is one
     compiling: tuple[str, ...] = ()  #: engines whose kernels are compiled first, on this machine
 
     @property
+    def rate(self) -> float | None:
+        """Members a second; None before the first batch of this run."""
+        return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[0]
+
+    @property
     def eta(self) -> float | None:
         """Seconds to go, at the rate so far; None before the first batch of this run."""
-        computed = self.cost_done - self.cost_resumed
-        return self.elapsed * (self.cost - self.cost_done) / computed if computed > 0 else None
+        return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[1]
 
 
 def run_scene(
@@ -138,16 +135,10 @@ def run_scene(
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, source, retry_failed, accept_version) as store:
-        members = {batch.name: len(batch.members) for batch, _ in store.tasks}
-        costs = {batch.name: batch.cost for batch, _ in store.tasks}
-        todo = {batch.name for batch, _ in store.todo}
-        n_before = n_done = sum(count for name, count in members.items() if name not in todo)
-        before = done = sum(cost for name, cost in costs.items() if name not in todo)
-        whole = sum(costs.values())
-
+        todo = {batch.name: batch.cost for batch, _ in store.todo}
+        tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
         firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)
         cold = {engine: one for engine, one in firsts.items() if scheduler is None and is_cold(engine)}
-
         link: str | None = None
 
         def connected(client: Client) -> None:
@@ -161,14 +152,9 @@ def run_scene(
             if on_progress is not None:
                 on_progress(
                     Progress(
-                        n_members=scene.n_members,
-                        n_done=n_done,
-                        n_failed=store.n_failed,
-                        n_shards=len(members),
-                        n_shards_done=len(members) - len(todo),
-                        cost=whole,
-                        cost_done=done,
-                        cost_resumed=before,
+                        **vars(tally),
+                        n_resumed=before.n_done,
+                        cost_resumed=before.cost_done,
                         elapsed=time.monotonic() - start,
                         last_shard=last_shard,
                         dashboard=link,
@@ -177,7 +163,7 @@ def run_scene(
                 )
 
         report()
-        store.note(Began(time.time(), n_before, before).line)
+        store.note(Began(time.time(), before.n_done, before.cost_done).line)
         # closed at once if a commit fails or the user interrupts, and the workers with it
         with contextlib.closing(_results(store.todo, cold, workers, scheduler, dashboard, connected)) as results:
             for result in results:
@@ -186,10 +172,7 @@ def run_scene(
                         f"expected workers with this version of the program ({program()}), got {result.program} on "
                         f"{result.host}; install the same there, then run the same scene again"
                     )
-                store.commit(result)
-                todo.discard(result.name)
-                n_done += members[result.name]
-                done += costs[result.name]
+                tally = tally.plus(store.commit(result), todo[result.name])
                 report(result.name)
     return status(out)
 

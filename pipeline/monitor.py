@@ -1,4 +1,4 @@
-"""Following a run from outside: who writes the dataset, how fast, how long it will take."""
+"""How far a dataset is: what is done and what failed, who writes it, how fast, and how long that will take."""
 
 from __future__ import annotations
 
@@ -6,11 +6,66 @@ import os
 import re
 import socket
 import time
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from stickslip.pipeline.integrity import Status, status
-from stickslip.pipeline.ledger import read_manifest, read_tasks
-from stickslip.pipeline.storage import LOCK, Lock, Where, place_of
+from stickslip.pipeline.dataset import rows_that_failed
+from stickslip.pipeline.design import Task
+from stickslip.pipeline.ledger import Shard, open_dataset
+from stickslip.pipeline.storage import DATA, LOCK, Lock, Where, place_of
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How much of a dataset is done; costs are in the units of `Member.cost`."""
+
+    n_members: int
+    n_done: int  #: sum of `outcomes`
+    outcomes: dict[str, int]
+    n_shards: int
+    n_shards_done: int
+    n_bytes: int  #: of the shards that are done
+    cost: float
+    cost_done: float
+
+    @classmethod
+    def of(cls, tasks: Sequence[Task], done: Mapping[str, Shard]) -> Tally:
+        """Count those of the shards to be that are done."""
+        costs = {batch.name: batch.cost for batch, _ in tasks}
+        n_members = sum(len(batch.members) for batch, _ in tasks)
+        tally = cls(n_members, 0, {}, len(costs), 0, 0, sum(costs.values()), 0.0)
+        for name, shard in done.items():
+            tally = tally.plus(shard, costs.get(name, 0.0))
+        return tally
+
+    def plus(self, shard: Shard, cost: float) -> Tally:
+        """Count one shard more."""
+        return replace(
+            self,
+            n_done=self.n_done + shard.rows,
+            outcomes=dict(sorted((Counter(self.outcomes) + Counter(shard.outcomes)).items())),
+            n_shards_done=self.n_shards_done + 1,
+            n_bytes=self.n_bytes + shard.bytes,
+            cost_done=self.cost_done + cost,
+        )
+
+    @property
+    def n_failed(self) -> int:
+        """Members that failed."""
+        return self.outcomes.get("failed", 0)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every member has its row, whatever its outcome."""
+        return self.n_done == self.n_members
+
+    def pace(self, n_before: int, cost_before: float, elapsed: float) -> tuple[float | None, float | None]:
+        """Members a second since so much was there, and seconds to go; None as long as nothing was added."""
+        n_new, new = self.n_done - n_before, self.cost_done - cost_before
+        if elapsed <= 0 or n_new <= 0 or new <= 0:
+            return None, None
+        return n_new / elapsed, max(0.0, elapsed * (self.cost - self.cost_done) / new)
 
 
 @dataclass(frozen=True)
@@ -37,14 +92,27 @@ class Running:
 
 
 @dataclass(frozen=True)
-class View:
+class Status(Tally):
     """A dataset at one moment; `rate`, in members a second, and `eta`, in seconds, are None as long as unknown."""
 
-    status: Status
-    n_planned: int  #: shards
+    path: str  #: the directory, or the address
+    failures: dict[str, int]  #: failed members by reason
+    first_failed: str | None  #: a failed member, to be run alone
+    n_damaged: int  #: of the shards that are done, those whose files are gone or have another size
     running: Running | None
     rate: float | None
     eta: float | None
+
+
+def status(path: Where) -> Status:
+    """Count what is done; good to call while the dataset is being written.
+
+    Raises
+    ------
+    StoreError
+        If there is no readable dataset, or a shard with failed members is not what was written.
+    """
+    return Follower(path).look()
 
 
 class Follower:
@@ -53,28 +121,36 @@ class Follower:
     Raises
     ------
     StoreError
-        Here and on looking, if there is no readable dataset.
+        Here and on looking, as `status`.
     """
 
     def __init__(self, path: Where) -> None:
-        self._path = place_of(path)
-        tasks = read_tasks(self._path, read_manifest(self._path))
-        self._costs = {batch.name: batch.cost for batch, _ in tasks}
+        self._place = place_of(path)
+        self._tasks = open_dataset(self._place).tasks
 
-    def look(self) -> View:
+    def look(self) -> Status:
         """How far it is now."""
-        found = status(self._path)
-        done = read_manifest(self._path).shards
-        current = running(self._path)
+        shards = open_dataset(self._place).manifest.shards
+        tally = Tally.of(self._tasks, shards)
+        # after the manifest: a shard is there before it is listed
+        marks = dict(zip(shards, self._place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
+        there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
+        failed = rows_that_failed(self._place, there) if there else []
+        current = running(self._place)
         rate = eta = None
         if current is not None:
-            elapsed = time.time() - current.began.at
-            cost = sum(self._costs.get(name, 0.0) for name in done)
-            n_new, new = found.n_done - current.began.n_members, cost - current.began.cost
-            if elapsed > 0 and n_new > 0 and new > 0:
-                rate = n_new / elapsed
-                eta = elapsed * (sum(self._costs.values()) - cost) / new
-        return View(found, len(self._costs), current, rate, eta)
+            began = current.began
+            rate, eta = tally.pace(began.n_members, began.cost, time.time() - began.at)
+        return Status(
+            **vars(tally),
+            path=str(self._place),
+            failures=dict(Counter(reason for _, reason in failed).most_common()),
+            first_failed=failed[0][0] if failed else None,
+            n_damaged=sum(mark is None or mark.size != shards[name].bytes for name, mark in marks.items()),
+            running=current,
+            rate=rate,
+            eta=eta,
+        )
 
 
 def running(path: Where) -> Running | None:

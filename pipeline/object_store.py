@@ -24,7 +24,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.storage import DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
+from stickslip.pipeline.storage import DATA, LOCK, TEMPORARY, Hold, Lock, Mark, Place, part, this_process
 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0
@@ -79,11 +79,11 @@ class Prefix(Place):
             for first in range(0, len(names), _AT_ONCE):
                 yield from pool.map(self._read_if_there, names[first : first + _AT_ONCE])
 
-    def marks(self, names: Sequence[str]) -> list[object]:
+    def marks(self, names: Sequence[str]) -> list[Mark | None]:
         found = {}
         with contextlib.suppress(FileNotFoundError):
-            listed = self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True))
-            found = {entry["name"].strip("/"): sorted(map(str, entry.items())) for entry in listed}
+            for entry in self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True)):
+                found[entry["name"].strip("/")] = Mark(int(entry["size"] or 0), sorted(map(str, entry.items())))
         return [found.get(self.key(name).strip("/")) for name in names]
 
     def replace(self, name: str, content: bytes) -> None:

@@ -79,6 +79,14 @@ class Lock:
         return self.until is None or self.remaining > 0.0
 
 
+@dataclass(frozen=True)
+class Mark:
+    """What differs once a file has changed."""
+
+    size: int
+    version: object
+
+
 class Place(ABC):
     """A directory or a prefix; names are relative to it and have ``/`` between their parts.
 
@@ -100,8 +108,8 @@ class Place(ABC):
         """The content of a file."""
 
     @abstractmethod
-    def marks(self, names: Sequence[str]) -> list[object]:
-        """For each file something that differs once it has changed, to be had without reading it; None: no file."""
+    def marks(self, names: Sequence[str]) -> list[Mark | None]:
+        """The mark of each file, which is had without reading it; None: no file."""
 
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         """The content of each file, in order; None for one that is not there."""
@@ -232,13 +240,13 @@ class Directory(Place):
     def read(self, name: str) -> bytes:
         return (self.path / name).read_bytes()
 
-    def marks(self, names: Sequence[str]) -> list[object]:
+    def marks(self, names: Sequence[str]) -> list[Mark | None]:
         return [self._mark(name) for name in names]
 
-    def _mark(self, name: str) -> object:
+    def _mark(self, name: str) -> Mark | None:
         with contextlib.suppress(OSError):
             found = (self.path / name).stat()
-            return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+            return Mark(found.st_size, (found.st_ino, found.st_mtime_ns, found.st_ctime_ns))
         return None
 
     def replace(self, name: str, content: bytes) -> None:

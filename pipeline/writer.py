@@ -92,14 +92,9 @@ class Store:
         self._record: Callable[[bytes], None] | None = None
 
     @property
-    def done(self) -> frozenset[str]:
-        """Names of the shards that are committed."""
-        return frozenset(self._manifest.shards)
-
-    @property
-    def n_failed(self) -> int:
-        """Members that failed, so far."""
-        return sum(shard.n_failed for shard in self._manifest.shards.values())
+    def done(self) -> dict[str, Shard]:
+        """The shards that are committed."""
+        return dict(self._manifest.shards)
 
     def __enter__(self) -> Store:
         with _explained(self.place):
@@ -287,7 +282,7 @@ class Store:
         """Leave a word in the lock, for those who look who is writing."""
         self._hold.note(line)
 
-    def commit(self, result: Result) -> None:
+    def commit(self, result: Result) -> Shard:
         """Make a shard part of the dataset: its bytes, its name, its line of the record, each in one step.
 
         Raises
@@ -322,6 +317,7 @@ class Store:
                 if result.name not in self._manifest.shards:
                     self._remove(f"{DATA}/{result.name}")
                 raise
+        return shard
 
 
 def _flat(values: object, key: str = "") -> dict[str, object]:

@@ -247,7 +247,7 @@ def _status(arguments: argparse.Namespace) -> int:
     from stickslip.workflows.progress import say, watch
 
     try:
-        (watch if arguments.watch else say)(arguments.directory, arguments.plot)
+        (watch if arguments.watch else say)(arguments.directory)
     except Interrupted as interrupt:  # of the looking: the run goes on
         return interrupt.exit_code
     return _DONE

@@ -72,11 +72,10 @@ def parser() -> argparse.ArgumentParser:
         "status",
         "how far a run is, how fast it goes, and what failed",
         ("stickslip status runs/quick", ""),
-        ("stickslip status runs/quick --watch --plot", "until it ends"),
+        ("stickslip status runs/quick --watch", "until it ends"),
     )
     status.add_argument("directory", metavar="DIR")
     status.add_argument("--watch", action="store_true", help="go on saying so until the run ends")
-    status.add_argument("--plot", action="store_true", help="draw n_stick(t) of the newest member, on a terminal")
 
     verify = command("verify", "check every byte of a dataset", ("stickslip verify runs/quick", ""))
     verify.add_argument("directory", metavar="DIR")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 from tqdm import tqdm
 
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.monitor import Follower, View
+from stickslip.pipeline.monitor import Follower, Status, status
 from stickslip.pipeline.storage import Where
 
 if TYPE_CHECKING:
@@ -76,64 +76,48 @@ def _failures_in_words(found: Estimate) -> list[str]:
     ]
 
 
-def say(directory: Where, plot: bool = False) -> None:
-    """Print the status of a dataset; and draw its newest member, on a terminal."""
-    _say_unseen(plot)
-    print("\n".join(_status_lines(Follower(directory).look()) + _drawn(directory, plot)))
+def say(directory: Where) -> None:
+    """Print the status of a dataset."""
+    print("\n".join(_status_lines(status(directory))))
 
 
-def watch(directory: Where, plot: bool = False) -> None:
+def watch(directory: Where) -> None:
     """Print the status of a dataset, again and again until nobody writes it any more."""
     follower = Follower(directory)
-    _say_unseen(plot)
     last: list[str] = []
     while True:
-        view = follower.look()
-        lines = _status_lines(view) + _drawn(directory, plot)
+        found = follower.look()
+        lines = _status_lines(found)
         if sys.stdout.isatty() and last:
             print(f"\x1b[{len(last)}F\x1b[J", end="")  # over the last ones
         if lines != last or sys.stdout.isatty():
             print("\n".join(lines), flush=True)
         last = lines
-        if view.running is None:
+        if found.running is None:
             return
         time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
 
 
-def _say_unseen(plot: bool) -> None:
-    if plot:
-        from stickslip.workflows.sparkline import obstacle
-
-        if why := obstacle():
-            print(f"plot    not drawn: {why}", file=sys.stderr)
-
-
-def _drawn(directory: Where, plot: bool) -> list[str]:
-    if not plot:
-        return []
-    from stickslip.workflows.sparkline import newest
-
-    return newest(directory)
-
-
-def _status_lines(view: View) -> list[str]:
-    found = view.status
+def _status_lines(found: Status) -> list[str]:
     outcomes = ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()) or "none yet"
     lines = [
         f"members {found.n_done} of {found.n_members} done: {outcomes}",
-        f"shards  {found.n_shards} of {view.n_planned}, {found.n_bytes / 1e6:.2f} MB",
+        f"shards  {found.n_shards_done} of {found.n_shards}, {found.n_bytes / 1e6:.2f} MB",
     ]
-    if found.n_missing:
+    if found.n_damaged:
         where = shlex.quote(found.path)
-        lines.append(f"missing {found.n_missing} of the shards: `stickslip verify {where}` says which")
-    if view.running is not None:
-        pace = "" if view.rate is None else f", {view.rate:.3g} members/s"
-        eta = "" if view.eta is None else f", {clock(view.eta)} to go"
-        lines.append(f"running {view.running.owner}, {clock(time.time() - view.running.began.at)}{pace}{eta}")
-        lines += [f"dask    {view.running.dashboard}"] * (view.running.dashboard is not None)
+        lines.append(f"damaged {found.n_damaged} of the shards, or missing: `stickslip verify {where}` says which")
+    if found.running is not None:
+        elapsed = clock(time.time() - found.running.began.at)
+        lines.append(f"running {found.running.owner}, {elapsed}{_pace(found.rate, found.eta)}")
+        lines += [f"dask    {found.running.dashboard}"] * (found.running.dashboard is not None)
     elif not found.is_complete:
         lines.append("running nothing: run the scene again to go on")
     return lines + [f"failed  {count}: {printable(reason)}" for reason, count in found.failures.items()]
+
+
+def _pace(rate: float | None, eta: float | None) -> str:
+    return "" if rate is None or eta is None else f", {rate:.3g} members/s, {clock(eta)} to go"
 
 
 class Watch:
@@ -142,7 +126,6 @@ class Watch:
     def __init__(self, directory: Where, stream: TextIO | None = None) -> None:
         self._directory = directory
         self._stream = sys.stderr if stream is None else stream
-        self._start: Progress | None = None
         self._bar: tqdm | None = None
         self._said = -_EVERY
         self._last: Progress | None = None
@@ -159,11 +142,9 @@ class Watch:
     def __call__(self, progress: Progress) -> None:
         if self._last is None and progress.n_done and progress.n_done < progress.n_members:
             self._print(f"{progress.n_done} of {progress.n_members} members are there already")
-        if self._last is None:
-            self._start = progress
-            if progress.compiling:
-                self._print(f"compiling {' and '.join(progress.compiling)}, once: some ten seconds")
-        elif progress.dashboard is not None and self._last.dashboard is None:
+        if self._last is None and progress.compiling:
+            self._print(f"compiling {' and '.join(progress.compiling)}, once: some ten seconds")
+        if self._last is not None and progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
             from stickslip.pipeline.query import reasons
@@ -183,13 +164,9 @@ class Watch:
 
     def _words(self, progress: Progress) -> str:
         failed = f", {progress.n_failed} failed" if progress.n_failed else ""
-        eta = "" if progress.eta is None else f", {clock(progress.eta)} to go"
-        n_new = progress.n_done - (self._start.n_done if self._start is not None else 0)
-        pace = f", {n_new / progress.elapsed:.3g}/s" if n_new > 0 and progress.elapsed > 0 else ""
         shards = f"{progress.n_shards_done}/{progress.n_shards} shards"
-        return (
-            f"{progress.n_done}/{progress.n_members} members, {shards}{failed}{pace}, {clock(progress.elapsed)}{eta}"
-        )
+        elapsed = f"{clock(progress.elapsed)}{_pace(progress.rate, progress.eta)}"
+        return f"{progress.n_done}/{progress.n_members} members, {shards}{failed}, {elapsed}"
 
     def _print(self, line: str) -> None:
         tqdm.write(line, file=self._stream)  # above the bar, if there is one

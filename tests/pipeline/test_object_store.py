@@ -189,7 +189,7 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
     with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*run the same scene again when"):
         run_scene(scene, source, OUT, workers=0, on_progress=stopped_for_a_while)
     assert memory["/bucket/out/.lock"].getvalue().startswith(b"process 77")
-    assert status(OUT).n_shards == 2
+    assert status(OUT).n_shards_done == 2
     leave_lock(-0.1)
     run_scene(scene, source, OUT, workers=0)
     assert objects_of(memory) == content(finished)
@@ -250,7 +250,7 @@ def test_what_goes_on_failing_is_one_clear_error_and_resumes(
     with pytest.raises(StoreError, match=r"shard-00003-.* cannot be written \(no answer\).*run the same scene again"):
         run_scene(scene, source, OUT, workers=0, on_progress=lost)
     requests.clear()
-    assert status(OUT).n_shards == 3
+    assert status(OUT).n_shards_done == 3
     run_scene(scene, source, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 

@@ -24,8 +24,8 @@ import pytest
 
 from stickslip import workflows
 from stickslip.pipeline import Progress, load_scene, query, status
-from stickslip.pipeline.ledger import read_manifest, read_tasks
-from stickslip.pipeline.monitor import Began, Follower
+from stickslip.pipeline.ledger import open_dataset
+from stickslip.pipeline.monitor import Began, Follower, Tally
 from stickslip.workflows import export
 from stickslip.workflows.commands import _BEFORE, main
 from stickslip.workflows.progress import Watch
@@ -472,7 +472,7 @@ def test_a_run_without_a_report(small_scene, dataset, tmp_path, monkeypatch, cap
 def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     """A lock file as a driver leaves it: this process."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    cost = sum(batch.cost for batch, _ in read_tasks(copy, read_manifest(copy)))
+    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
     began = Began(time.time() - 10.0, 2, cost / 3)
     lines = [f"process {os.getpid()} on {socket.gethostname()}", began.line, "dashboard http://there:1/status", ""]
     (copy / ".lock").write_text("\n".join(lines))
@@ -493,33 +493,38 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
 def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
     copy = shutil.copytree(dataset, tmp_path / "copy")
     monkeypatch.setattr("stickslip.pipeline.monitor.time", SimpleNamespace(time=lambda: 1010.0))
-    costs = {batch.name: batch.cost for batch, _ in read_tasks(copy, read_manifest(copy))}
+    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
     follower = Follower(copy)
-    follower._costs |= {"one more": 3.0 * sum(costs.values())}  # of four parts one is done, half of it before
-    began = Began(1000.0, 2, 0.5 * sum(costs.values()))
+    # of four parts one is done, half of it before
+    follower._tasks += [(SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None)]
+    began = Began(1000.0, 2, 0.5 * cost)
     (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\n{began.line}\n")
-    view = follower.look()
-    assert (view.eta, view.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
+    found = follower.look()
+    assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
 
 
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
     copy = shutil.copytree(dataset, tmp_path / "a copy")
-    next((copy / "data").iterdir()).unlink()
-    assert main(["status", str(copy)]) == 0
-    assert f"missing 1 of the shards: `stickslip verify '{copy}'` says which" in capsys.readouterr().out
+    shard = next((copy / "data").iterdir())
+    for damage in (lambda: shard.write_bytes(shard.read_bytes()[:-1]), shard.unlink):
+        damage()
+        assert main(["status", str(copy)]) == 0
+        said = capsys.readouterr().out
+        assert f"damaged 1 of the shards, or missing: `stickslip verify '{copy}'` says which" in said
     assert main(["status", str(dataset)]) == 0
-    assert "missing" not in capsys.readouterr().out
+    assert "damaged" not in capsys.readouterr().out
 
 
 def test_progress_in_words(dataset, tmp_path):
     stream = io.StringIO()
     with Watch(tmp_path, stream) as watch:
         for n_done, shards in ((4, 1), (10, 2)):
-            watch(Progress(10, n_done, 0, 2, shards, 5.0, n_done / 2, 2.0, 3.0 * (n_done > 4), None))
+            tally = Tally(10, n_done, {"finished": n_done}, 2, shards, 1000, 5.0, n_done / 2)
+            watch(Progress(**vars(tally), n_resumed=4, cost_resumed=2.0, elapsed=3.0 * (n_done > 4), last_shard=None))
     assert stream.getvalue().splitlines() == [
         "4 of 10 members are there already",
         "4/10 members, 1/2 shards, 00:00",
-        "10/10 members, 2/2 shards, 2/s, 00:03, 00:00 to go",
+        "10/10 members, 2/2 shards, 00:03, 2 members/s, 00:00 to go",
     ]
 
 
