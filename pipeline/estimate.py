@@ -1,10 +1,10 @@
 """What a run will take, before it is made: members, shards, bytes and time, the last two as intervals.
 
 `Member.cost` says how work grows within one kind of members (one n, one setting of an engine), up to a factor that
-the machine and the scene's physics set. A pilot finds that factor: as many processes as the run will have workers run
-members of each kind, of several matrices, at the same time, cut short where they are long. So it sees what the run
-will: how long a worker takes to start, how much it slows when its neighbours work too, and how busy the machine is.
-The interval then holds
+the machine and the scene's physics set. A pilot finds that factor: the workers that the run will have run members of
+each kind, of several matrices, at the same time, cut short where they are long. So it sees what the run will: how
+long a worker takes to start, how much it slows when its neighbours work too, and how busy the machine is. The
+interval then holds
 
 - how much the factor differs between members of a kind, by the number of members seen and to come,
 - how far the runs seen had to be stretched to the end of the whole ones,
@@ -17,23 +17,22 @@ from __future__ import annotations
 
 import contextlib
 import math
-import multiprocessing
 import os
-import signal
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
+from distributed import KilledWorker
 from scipy import special
 
+from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.pipeline.processes import one_thread
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording, encode
 from stickslip.pipeline.worker import is_cold, load_kernels, row
@@ -54,15 +53,17 @@ _PER_DOUBLING = 0.1
 # when the pilot had to share its cores with them half and half.
 _MACHINE, _OTHERS = 0.08, 0.3
 
-# The start of a worker of dask's, which loads more, beside that of a process of the pilot, and its spread on its own;
-# seconds of a batch beside its members.
-_DASK, _START_SPREAD, _PER_BATCH = 1.0, 0.3, 0.02
+# The spread of the start of a worker on its own; seconds of a batch beside its members.
+_START_SPREAD, _PER_BATCH = 0.3, 0.02
 
 #: The part of the runs that lies between the bounds of an interval.
 _LEVEL = 0.9
 
-#: What members of a kind share beside n.
-_SETTINGS = ("engine", "tol", "eps", "ratio", "rtol", "atol", "stick", "threshold", "thresholds")
+#: What members of one kind differ by.
+_DRAWS: dict[str, Any] = {
+    **{"member_id": "", "matrix": 0, "ratio_draw": None, "twin_size": None, "shared_cost": 0.0},
+    **{"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None},
+}
 
 #: Bytes of a row's scalars, most of which are those of the row before.
 _SCALARS = 20.0
@@ -150,7 +151,7 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     Raises
     ------
     ScheduleError
-        If a process of the pilot dies.
+        If a worker of the pilot dies.
     """
     start = time.perf_counter()
     kinds = _kinds([member for batch in packed for member in batch.members])
@@ -161,11 +162,11 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         separation=None,
     )
     n_workers = max(1, min(workers, len(packed), _n_cores()))
-    with _processes(n_workers) as pool:
-        started, compiled = _start(pool, n_workers, kinds)
+    with _workers(n_workers) as pool:
+        compiled = _load(pool, n_workers, kinds)
+        begin = time.perf_counter() - start - compiled
         seen = _pilot(pool, n_workers, kinds, recording)
     busy = max(1.0, sum(one.seconds for one in seen) / sum(one.core_seconds for one in seen))
-    begin = _DASK * started
     failures = Counter(one.failure for one in seen if one.failure is not None)
     return Estimate(
         n_members=sum(len(kind.members) for kind in kinds),
@@ -214,9 +215,8 @@ def _interval(middle: float, error: float, freedom: int) -> Interval:
 def _kinds(members: list[Member]) -> list[_Kind]:
     kinds: dict[tuple[Any, ...], _Kind] = {}
     for member in members:
-        coupled = member.perturbation_reading == "damping matrix"
-        key = (member.n, coupled, *(getattr(member, name) for name in _SETTINGS))
-        kinds.setdefault(key, _Kind([])).members.append(member)
+        is_coupled = member.perturbation_reading == "damping matrix"
+        kinds.setdefault((is_coupled, replace(member, **_DRAWS)), _Kind([])).members.append(member)
     return sorted(kinds.values(), key=lambda kind: -kind.cost)
 
 
@@ -224,66 +224,61 @@ def _kinds(members: list[Member]) -> list[_Kind]:
 
 
 @contextlib.contextmanager
-def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes like a run's workers."""
-    with one_thread():
-        pool = ProcessPoolExecutor(
-            count, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
-        )
+def _workers(count: int) -> Iterator[Executor]:
+    with local(count) as client:
         try:
-            yield pool
-        except BrokenProcessPool as error:
+            yield client.get_executor(pure=False)
+        except KilledWorker as error:
             raise ScheduleError(
                 "expected the members of the pilot to end, got one whose process died; see what kills it (memory?): "
                 "a run gives each member that kills its process a row that says so"
             ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
-def _start(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind]) -> tuple[float, float]:
-    """Start the processes; seconds until they are ready, and of these, seconds that went into compiling."""
-    begun = time.perf_counter()
+def _load(pool: Executor, count: int, kinds: list[_Kind]) -> float:
+    """Have each worker load what it needs; the seconds that went into compiling."""
     members = [kind.members[0] for kind in kinds]
     cold = any(is_cold(member.engine) for member in members)
-    loading = max(future.result() for future in [pool.submit(_load, members) for _ in range(count)])
-    started = time.perf_counter() - begun
-    return (started - loading, loading) if cold else (started, 0.0)
+    loading = max(future.result() for future in [pool.submit(_load_one, members) for _ in range(count)])
+    return loading if cold else 0.0
 
 
-def _load(members: list[Member]) -> float:
+def _load_one(members: list[Member]) -> float:
     begun = time.perf_counter()
     load_kernels(members)
     took = time.perf_counter() - begun
-    time.sleep(0.2)  # the next of these to a process of its own
+    time.sleep(0.2)  # the next of these to a worker of its own
     return took
 
 
-def _pilot(pool: ProcessPoolExecutor, count: int, kinds: list[_Kind], recording: Recording) -> list[_Seen]:
+def _pilot(pool: Executor, count: int, kinds: list[_Kind], recording: Recording) -> list[_Seen]:
     """Run a member of each kind, then more of those of most work, as long as the time lasts."""
     expected = sum(kind.cost for kind in kinds)
     seconds = count * min(max(_SHARE * expected / count, PILOT[0]), PILOT[1])
     seen: list[_Seen] = []
     for is_first in (True, False):
         left = seconds - sum(one.seconds for one in seen)
-        running: dict[Future[_Seen], tuple[_Kind, Member]] = {}
-        for kind in kinds:
-            part = 0.4 * seconds / len(kinds) if is_first else left * kind.cost / expected
-            each = (1.0 if is_first else kind.factor) * kind.members[0].cost
-            for member in kind.next_members(1 if is_first else int(part / each)):
-                running[pool.submit(_try, member, part / each, recording)] = (kind, member)
-        for future in as_completed(running):
-            if future.cancelled():
-                continue
-            (kind, member), one = running[future], future.result()
-            kind.factors.append(one.whole / replace(member, shared_cost=0.0).cost)
-            kind.stretched.append(one.stretched)
-            kind.bytes.append(one.bytes)
-            seen.append(one)
-            left -= one.seconds
-            if left < 0 and not is_first:
-                for other in running:
-                    other.cancel()
+
+        def asked(is_first: bool = is_first, left: float = left) -> Iterator[tuple[_Kind, Member, float]]:
+            for kind in kinds:
+                part = 0.4 * seconds / len(kinds) if is_first else left * kind.cost / expected
+                each = (1.0 if is_first else kind.factor) * kind.members[0].cost
+                for member in kind.next_members(1 if is_first else int(part / each)):
+                    yield kind, member, part / each
+
+        waiting, running = asked(), dict[Future[_Seen], tuple[_Kind, Member]]()
+        while True:
+            for kind, member, share in islice(waiting, 2 * count - len(running) if is_first or left > 0 else 0):
+                running[pool.submit(_try, member, share, recording)] = (kind, member)
+            if not running:
+                break
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                (kind, member), one = running.pop(future), future.result()
+                kind.factors.append(one.whole / replace(member, shared_cost=0.0).cost)
+                kind.stretched.append(one.stretched)
+                kind.bytes.append(one.bytes)
+                seen.append(one)
+                left -= one.seconds
         if any(one.failure is not None for one in seen):  # there is nothing to be estimated any more
             break
     return seen
@@ -293,7 +288,6 @@ def _try(member: Member, share: float, recording: Recording) -> _Seen:
     """Run a member, or as much of it as a share of its expected seconds."""
     whole = replace(member, shared_cost=0.0)
     part = whole if share > 0.7 else replace(whole, t_end=max(share * whole.t_end, min(10.0, whole.t_end)))
-    load_kernels([member])
     begun, cores = time.perf_counter(), time.process_time()
     found = row(part, recording)
     took, cores = time.perf_counter() - begun, time.process_time() - cores

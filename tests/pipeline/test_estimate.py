@@ -24,7 +24,7 @@ class Here:
 
 @pytest.fixture
 def batches(scene, monkeypatch):
-    monkeypatch.setattr(estimate, "_processes", lambda count: contextlib.nullcontext(Here()))
+    monkeypatch.setattr(estimate, "_workers", lambda count: contextlib.nullcontext(Here()))
     return design.batches(design.expand(scene), scene.hash)
 
 
@@ -54,7 +54,7 @@ def test_a_pilot_whose_process_dies_is_refused_in_words():
 
 
 def _die():
-    with estimate._processes(1) as pool:
+    with estimate._workers(1) as pool:
         pool.submit(os._exit, 1).result()
 
 
