@@ -1,6 +1,6 @@
 """From event series to statements: cascades, estimates with uncertainty, figures, the report.
 
-Takes arrays and data frames; knows no files but those the report writes. All quantities are dimensionless.
+Takes arrays and data frames; knows no files. All quantities are dimensionless.
 """
 
 import lazy_loader

@@ -101,9 +101,6 @@ class Prefix(Place):
         keys = {key.strip("/").removeprefix(self.root.strip("/")).strip("/") for key in found}
         return sorted(keys - {""})
 
-    def prepare(self) -> None:
-        pass
-
     @contextlib.contextmanager
     def own(self) -> Iterator[Hold]:
         lease = _Lease(self)

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 from stickslip.pipeline.errors import StoreError
 
@@ -134,10 +134,6 @@ class Place(ABC):
         """Files and directories here and in `DATA`, sorted; none if there is nothing at the address."""
 
     @abstractmethod
-    def prepare(self) -> None:
-        """Make the directories, where there are such."""
-
-    @abstractmethod
     def own(self) -> contextlib.AbstractContextManager[Hold]:
         """The right to write here, for the length of a with-block.
 
@@ -223,6 +219,27 @@ def place_of(where: Where) -> Place:
 # ---------------------------------------------------------------------------------------------- a directory
 
 
+@contextlib.contextmanager
+def replacing(file: Path) -> Iterator[BinaryIO]:
+    """A stream to the new content of a file, which it takes in one step, if the with-block ends well."""
+    temporary = file.with_name(f"{TEMPORARY}{file.name}-{os.getpid()}")
+    try:
+        with open(temporary, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    directory = os.open(file.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
 class Directory(Place):
     """A directory of the local file system, or of one that is mounted."""
 
@@ -251,22 +268,9 @@ class Directory(Place):
 
     def replace(self, name: str, content: bytes) -> None:
         file = self.path / name
-        temporary = file.with_name(TEMPORARY + file.name)
-        try:
-            with open(temporary, "wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, file)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
-        directory = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+        file.parent.mkdir(exist_ok=True)
+        with replacing(file) as stream:
+            stream.write(content)
 
     def remove(self, name: str) -> None:
         (self.path / name).unlink(missing_ok=True)
@@ -280,11 +284,9 @@ class Directory(Place):
         files = [*self.path.iterdir(), *(data.iterdir() if data.is_dir() else ())]
         return sorted(file.relative_to(self.path).as_posix() for file in files)
 
-    def prepare(self) -> None:
-        (self.path / DATA).mkdir(parents=True, exist_ok=True)
-
     @contextlib.contextmanager
     def own(self) -> Iterator[Hold]:
+        self.path.mkdir(parents=True, exist_ok=True)
         file = self.path / LOCK
         descriptor = _acquire(file)
         lock = _Locked(file)

@@ -99,7 +99,6 @@ class Store:
     def __enter__(self) -> Store:
         with _explained(self.place):
             self._check()
-            self.place.prepare()
         try:
             with _explained(self.place):
                 with unbroken():

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -17,7 +15,7 @@ import pyarrow.parquet as pq
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset import frame
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.storage import Directory, Where, place_of
+from stickslip.pipeline.storage import Directory, Where, place_of, replacing
 from stickslip.workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
@@ -125,22 +123,9 @@ def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
         raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")
     out = out.resolve()
     try:
-        if out.exists() and not out.is_file():
-            with open(out, "wb") as stream:
-                yield stream
-            return
-        descriptor, name = tempfile.mkstemp(prefix=f".{out.name}-", dir=out.absolute().parent)
-        try:
-            with open(descriptor, "wb") as stream:
-                yield stream
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(name, 0o666 & ~mask)  # as any other new file
-            os.replace(name, out)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
+        is_device = out.exists() and not out.is_file()
+        with open(out, "wb") if is_device else replacing(out) as stream:
+            yield stream
     except FileNotFoundError as error:
         raise QueryError(f"--out: {out}: {NO_FOLDER}") from error
     except OSError as error:

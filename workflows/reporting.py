@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
-from pathlib import Path
 
 from stickslip.analysis import AnalysisSettings, Report, build
 from stickslip.analysis.report.comparison import Ensemble, compare
-from stickslip.analysis.report.page import Image, on_demand
+from stickslip.analysis.report.page import PAGE, Image, on_demand
 from stickslip.analysis.report.section import Data, Recipe
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
@@ -116,10 +114,7 @@ def write(built: Report, where: Where) -> str:
     """
     place = place_of(where)
     if isinstance(place, Directory):
-        return str(built.write(place.path))
-    with tempfile.TemporaryDirectory() as directory:
-        page = built.write(directory)
-        for file in sorted(Path(directory).glob("report/*")):
-            place.replace(f"report/{file.name}", file.read_bytes())
-        place.replace(page.name, page.read_bytes())
-    return place.named(page.name)
+        place.path.mkdir(parents=True, exist_ok=True)
+    for name, content in built.files().items():
+        place.replace(name, content)
+    return place.named(PAGE)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -45,6 +43,7 @@ QUESTION = (
 MOST_LED = 2  # groups whose cascades the first screen speaks of; the others follow below
 N_DRAWS = 3  # draws shown of n_stick(t), as in figure 5 of the paper
 LONG = 14  # rows of a table that a reader has to ask for
+PAGE = "report.html"  # among the files of a report
 SIZES_SHOWN = 12  # rows of the size table on the page; all are in the Parquet file
 
 
@@ -66,41 +65,15 @@ class Report:
     tables: dict[str, pd.DataFrame]
     headline: list[str]
 
-    def write(self, directory: str | os.PathLike[str]) -> Path:
-        """Write report.html, report/<table>.parquet and report/tables.json; return the path of the page.
+    def files(self) -> dict[str, bytes]:
+        """What the report consists of, by path: report/<table>.parquet, report/tables.json, report.html.
 
-        Each file is replaced in one step, the page last: whoever finds the page finds its tables.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written; files already there stay whole.
+        The page comes last: written in this order, whoever finds it finds its tables.
         """
-        root = Path(directory)
-        folder = root / "report"
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, table in self.tables.items():
-            _replace(folder / f"{name}.parquet", table)
+        found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
         as_json = {name: records(table) for name, table in self.tables.items()}
-        _replace(folder / "tables.json", json.dumps(as_json, indent=1, allow_nan=False) + "\n")
-        page = root / "report.html"
-        _replace(page, self.html)
-        return page
-
-
-def _replace(path: Path, content: str | pd.DataFrame) -> None:
-    """Write beside the target, sync, then rename over it."""
-    beside = path.with_name(f".{path.name}.partial")
-    try:
-        if isinstance(content, str):
-            beside.write_text(content, encoding="utf-8")
-        else:
-            content.to_parquet(beside, index=False)
-        with beside.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+        found["report/tables.json"] = f"{json.dumps(as_json, indent=1, allow_nan=False)}\n".encode()
+        return found | {PAGE: self.html.encode()}
 
 
 #: Gives a figure as the address of an image.

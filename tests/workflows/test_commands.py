@@ -23,13 +23,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from stickslip import workflows
+from stickslip.analysis import Report
 from stickslip.pipeline import Progress, load_scene, query, status
 from stickslip.pipeline.ledger import open_dataset
 from stickslip.pipeline.monitor import Began, Follower, Tally
 from stickslip.workflows import export
 from stickslip.workflows.commands import _BEFORE, main
 from stickslip.workflows.progress import Watch
-from stickslip.workflows.reporting import compared
+from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
 
 
@@ -513,6 +514,26 @@ def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys
         assert f"damaged 1 of the shards, or missing: `stickslip verify '{copy}'` says which" in said
     assert main(["status", str(dataset)]) == 0
     assert "damaged" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("n_whole", [0, 1, 2])
+def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_path, monkeypatch):
+    table = pd.DataFrame({"gamma": [0.7]})
+    write(Report("<old>", {"law": table}, []), tmp_path / "deep" / "er")
+    before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    assert before.keys() == {"law.parquet", "tables.json", "report.html"}
+    fsync, calls = os.fsync, []
+
+    def full(descriptor):
+        calls.append(descriptor)
+        if len(calls) > 2 * n_whole:  # a file, and its name
+            raise OSError(28, "No space left on device")
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write(Report("<new>", {"law": table}, []), tmp_path / "deep" / "er")
+    assert {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
 
 
 def test_progress_in_words(dataset, tmp_path):
