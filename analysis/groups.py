@@ -20,11 +20,18 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.cascades import Law, Window, laws, sizes_of_path, window
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, correlation_time
 from stickslip.analysis.stats.nulls import NullTally, draws_each, random_order
+from stickslip.sim.engines import SETTINGS
+from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
-ENGINE_KEYS = ("engine", "eps", "ratio", "stick", "threshold", "tol", "rtol", "atol")
+TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
+ENGINE_KEYS = (
+    "engine",
+    *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
+    *TOLERANCES,
+)
 REQUIRED = (*SYSTEM_KEYS, *ENGINE_KEYS, "member_id", "matrix", "outcome", "reason", "t_stop")
 
 

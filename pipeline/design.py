@@ -8,15 +8,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice, product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip import sim
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.scene import Coulomb, Scene, Sigmoid, parse_scene
+from stickslip.pipeline.scene import EngineTable, Scene, parse_scene
 from stickslip.pipeline.schema import Recording
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Ratios
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
 MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3
@@ -50,16 +52,10 @@ class Member:
     perturbation_size: float
     perturbation_draw: int | None
     twin_size: float | None
-    engine: Literal["coulomb", "sigmoid"]
-    tol: float | None
-    eps: float | None
-    ratio: str | None
+    engine: str
+    #: Those of the engine's settings that mean something beside the others, by name; `ratio` is "one" or "uniform".
+    settings: tuple[tuple[str, Any], ...]
     ratio_draw: int | None
-    rtol: float | None
-    atol: float | None
-    stick: str | None
-    threshold: float | None
-    thresholds: tuple[float, ...]
     picked_for: str | None
     z0: float
     w0: float
@@ -98,7 +94,9 @@ class Member:
         """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
         if self.perturbation_draw is not None or self.twin_size is not None:
             return replace(self, **_UNMOVED, twin_size=None)
-        return None if self.ratio_draw is None else replace(self, ratio="one", ratio_draw=None)
+        if self.ratio_draw is None:
+            return None
+        return replace(self, settings=tuple((dict(self.settings) | {"ratio": "one"}).items()), ratio_draw=None)
 
     def ratios(self) -> float | np.ndarray:
         """Stiffness ratios r_i of the sigmoid: 1, or shape (n,) uniform in (0, 1]."""
@@ -108,15 +106,9 @@ class Member:
 
     def simulate(self, t_eval: ArrayLike = ()) -> sim.Run:
         """Draw the system and run it."""
-        settings: dict[str, Any]
-        if self.engine == "coulomb":
-            settings = {"tol": self.tol}
-        else:
-            settings = {"eps": self.eps, "ratio": self.ratios(), "rtol": self.rtol, "atol": self.atol}
-            settings["stick"] = self.stick
-            settings["thresholds"] = self.thresholds
-            if self.threshold is not None:
-                settings["threshold"] = self.threshold
+        settings = dict(self.settings)
+        if "ratio" in settings:
+            settings["ratio"] = self.ratios()
         return sim.simulate(
             self.system(), *self.start(), t_end=self.t_end, t_eval=t_eval, engine=self.engine, **settings
         )
@@ -127,24 +119,14 @@ class Member:
 
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
         """
-        rate = 2.5e-7 * self.n + 3.7e-11 * self.n**3
-        if self.tol is not None:  # terms of a series: one more for each factor of its last
-            rate *= max(0.3, 1.0 + 0.11 * math.log10(1e-10 / self.tol))
-        if self.rtol is not None and self.atol is not None:  # steps of a method of order four
-            rate *= 0.85 * (1e-6 / (self.rtol * self.atol) ** 0.5) ** 0.25
-        if self.eps is not None:  # thinner layers, more steps across them
-            rate *= min(max((0.03 / self.eps) ** 0.4, 0.3), 6.0)
-        if self.ratio == "uniform":
-            rate *= 1.8
-        rate *= 1.0 + 0.06 * len(self.thresholds)
+        rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**3, dict(self.settings))
         certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
 _OF_A_RUN: dict[str, Any] = dict.fromkeys(
-    ("member_id", "engine", "tol", "eps", "ratio", "ratio_draw", "rtol", "atol", "stick", "threshold", "thresholds",
-     "picked_for", "twin_size", "z0", "w0", "t_end"),
-)  # fmt: skip
+    ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "z0", "w0", "t_end")
+)
 _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
 
 
@@ -190,7 +172,7 @@ def _expand(scene: Scene) -> Iterator[Member]:
         changes += [_Change(reading, size, draw) for reading, size, draw in moves]
     if scene.twins is not None:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
-    settings = {engine: {draw: _settings(engine, draw) for draw in engine.draws} for engine in scene.engines}
+    words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
     for n in scene.system.n:
         for matrix in range(scene.run.matrices):
             for change in changes:
@@ -199,12 +181,12 @@ def _expand(scene: Scene) -> Iterator[Member]:
                         continue
                     if change.twin_size is not None and not engine.twins:
                         continue
-                    for words, values in settings[engine].values():
-                        member = _member(scene, n, matrix, change, words, values)
+                    for draw, of_engine in words[engine].items():
+                        member = _member(scene, n, matrix, change, of_engine, engine, draw)
                         yield _with_shared_cost(scene, member, engine)
 
 
-def _with_shared_cost(scene: Scene, member: Member, engine: Coulomb | Sigmoid) -> Member:
+def _with_shared_cost(scene: Scene, member: Member, engine: EngineTable) -> Member:
     """Add a member's part of the unchanged run that it is compared with, and of its system's eigenvalues."""
     cost = 0.0
     copies = scene.n_changes(engine)
@@ -233,24 +215,21 @@ class _Change:
         return [] if self.twin_size is None else [f"t{_short(self.twin_size)}"]
 
 
-def _settings(engine: Coulomb | Sigmoid, ratio_draw: int | None) -> tuple[list[str], dict[str, Any]]:
-    """An engine's words in a member's name, and its values of a member."""
+def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
+    """An engine's words in a member's name."""
     words: list[str] = [engine.name]
-    values: dict[str, Any] = dict.fromkeys(("tol", "eps", "ratio", "rtol", "atol", "stick", "threshold"))
-    values |= {"engine": engine.name, "ratio_draw": ratio_draw, "picked_for": engine.picked_for, "thresholds": ()}
-    values |= engine.tolerances
-    if isinstance(engine, Sigmoid):
-        values |= engine.model_dump(include={"eps", "ratio", "stick"})
-        values["thresholds"] = engine.thresholds or ()
-        words += [_short(engine.eps), "one" if ratio_draw is None else f"u{ratio_draw}"]
-    words += map(_short, engine.tolerances.values())
-    if isinstance(engine, Sigmoid) and engine.stick == "threshold":
-        values["threshold"] = engine.threshold
-        words.append(f"c{_short(engine.threshold)}")
-    return words, values
+    for name, value in engine.settings.items():
+        about = engine.engine.settings()[name]
+        if isinstance(about, Ratios):
+            words.append("one" if ratio_draw is None else f"u{ratio_draw}")
+        elif about.in_id is not None:
+            words.append(about.in_id + _short(value))
+    return words
 
 
-def _member(scene: Scene, n: int, matrix: int, change: _Change, words: list[str], values: dict[str, Any]) -> Member:
+def _member(
+    scene: Scene, n: int, matrix: int, change: _Change, words: list[str], engine: EngineTable, draw: int | None
+) -> Member:
     return Member(
         member_id="-".join([f"n{n}", f"m{matrix:03d}", *change.words, *words]),
         n=n,
@@ -268,7 +247,10 @@ def _member(scene: Scene, n: int, matrix: int, change: _Change, words: list[str]
         w0=scene.start.w,
         t_end=scene.run.t_end,
         seed=scene.run.seed,
-        **values,
+        engine=engine.name,
+        settings=tuple(engine.settings.items()),
+        ratio_draw=draw,
+        picked_for=engine.picked_for,
     )
 
 

@@ -9,10 +9,11 @@ import hashlib
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, create_model, model_validator
 
 from stickslip.pipeline.toml import (
     BlockNumbers,
@@ -28,6 +29,8 @@ from stickslip.pipeline.toml import (
 )
 from stickslip.sim import COUPLINGS
 from stickslip.sim.arguments import did_you_mean
+from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
 
 #: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
 MAX_MEMBERS = 1_000_000
@@ -62,9 +65,6 @@ class StartTable(StrictTable):
     w: float = Field(description="velocity at t = 0", examples=[-0.4])
 
 
-Purpose = Literal["statistics", "paths"]
-
-
 class RunTable(StrictTable):
     """[run]: how long, how many, from which seed."""
 
@@ -78,11 +78,14 @@ class RunTable(StrictTable):
     )
 
 
-#: Tolerances of the engines where a scene gives none, by what it asks for. Of statistics the chart `statistics`
-#: found 1e-4 tight enough (n = 200, 20 matrices, eps = 0.03); this is a decade tighter, and half the cost of paths.
+#: Tolerances of the engines where a scene gives none, by what it asks for.
 TOLERANCES: dict[Purpose, dict[str, float]] = {
-    "statistics": {"tol": 1e-5, "rtol": 1e-5, "atol": 1e-5},
-    "paths": {"tol": 1e-10, "rtol": 1e-8, "atol": 1e-8},
+    purpose: {
+        name: setting.picked[purpose]
+        for name, setting in SETTINGS.items()
+        if isinstance(setting, Number) and setting.picked
+    }
+    for purpose in get_args(Purpose)
 }
 
 
@@ -102,8 +105,8 @@ Readings = Annotated[
 ]
 
 
-class _EngineTable(StrictTable):
-    """What the tables [[engine]] share: tolerances, picked where none are given, and which changes to run."""
+class EngineTable(StrictTable):
+    """A table [[engine]]: what all share; `_table` adds the settings of one engine."""
 
     readings: Readings | None = Field(
         default=None,
@@ -113,6 +116,40 @@ class _EngineTable(StrictTable):
     twins: bool = Field(default=True, description="whether to run [twins] with this engine", examples=[False])
     _picked_for: Purpose | None = PrivateAttr(default=None)
 
+    if TYPE_CHECKING:
+        name: str
+        ratio_draws: int
+
+    @property
+    def engine(self) -> type[Engine]:
+        """The engine that the table is of."""
+        return ENGINES[self.name]
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether its stiffness ratios are drawn for each system."""
+        return getattr(self, "ratio", "one") == "uniform"
+
+    @property
+    def n_draws(self) -> int:
+        """With how many draws of them each system is run; may be absurd, and is counted, not enumerated."""
+        return self.ratio_draws if self.is_drawn else 1
+
+    @property
+    def draws(self) -> Sequence[int | None]:
+        """These draws by number; None: no draw."""
+        return range(self.n_draws) if self.is_drawn else (None,)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The engine's settings that mean something beside the others, by name."""
+        found = {}
+        for name, one in self.engine.settings().items():
+            if one.only_with is None or getattr(self, one.only_with[0]) == one.only_with[1]:
+                value = getattr(self, name)
+                found[name] = self.engine.defaults()[name] if value is None else value
+        return found
+
     @property
     def picked_for(self) -> Purpose | None:
         """What a tolerance was picked for; None if the scene gives them all."""
@@ -121,7 +158,7 @@ class _EngineTable(StrictTable):
     @property
     def tolerances(self) -> dict[str, float]:
         """The engine's tolerances, by key; all of them once it is part of a scene."""
-        keys = (key for key in ("tol", "rtol", "atol") if key in type(self).model_fields)
+        keys = (key for key in TOLERANCES["paths"] if key in type(self).model_fields)
         return {key: value for key in keys if (value := getattr(self, key)) is not None}
 
     def complete(self, purpose: Purpose) -> Self:
@@ -133,62 +170,58 @@ class _EngineTable(StrictTable):
         found._picked_for = purpose
         return found
 
-
-class Coulomb(_EngineTable):
-    """[[engine]] name = "coulomb": exact, event-driven."""
-
-    name: Literal["coulomb"]
-    tol: float | None = Field(
-        default=None, gt=1e-16, lt=1e-2, description="truncation error of a step", examples=[1e-10]
-    )
-
-    @property
-    def draws(self) -> tuple[int | None, ...]:
-        """The draws of the stiffness ratios that each system is run with; None: no draw."""
-        return (None,)
-
-
-class Sigmoid(_EngineTable):
-    """[[engine]] name = "sigmoid": friction mu tanh((w - v) / (r_i eps))."""
-
-    name: Literal["sigmoid"]
-    eps: Positive = Field(default=0.03, description="width of the sigmoid", examples=[0.03])
-    ratio: Literal["one", "uniform"] = Field(
-        default="one", description="law of the r_i: 1, or uniform in (0, 1]", examples=["one"]
-    )
-    ratio_draws: Count = Field(default=1, description="number of draws of the r_i for each system", examples=[1])
-    rtol: float | None = Field(default=None, gt=0, lt=0.1, description="relative tolerance", examples=[1e-6])
-    atol: Positive | None = Field(default=None, description="absolute tolerance", examples=[1e-8])
-    stick: Literal["manifold", "threshold"] = Field(
-        default="manifold",
-        description="definition of sticking: the one that converges to Coulomb, or |w - v| < threshold r_i eps",
-    )
-    threshold: Positive = Field(default=1.0, description='threshold, with stick = "threshold"', examples=[1.0])
-    thresholds: PositiveNumbers | None = Field(
-        default=None,
-        description="thresholds of further definitions |w - v| < threshold r_i eps, recorded from the same runs",
-        examples=[[0.5, 1.0, 2.0]],
-    )
-
-    @property
-    def draws(self) -> tuple[int | None, ...]:
-        """The draws of the stiffness ratios that each system is run with; None: no draw."""
-        return tuple(range(self.ratio_draws)) if self.ratio == "uniform" else (None,)
-
     @model_validator(mode="after")
-    def _only_what_applies(self) -> Sigmoid:
-        for key, owner, value in (("ratio_draws", "ratio", "uniform"), ("threshold", "stick", "threshold")):
-            if key in self.model_fields_set and getattr(self, owner) != value:
+    def _only_what_applies(self) -> Self:
+        for name, one in self.engine.settings().items():
+            key, (owner, value) = name, one.only_with or ("", None)
+            if isinstance(one, Ratios):
+                key, owner, value = "ratio_draws", "ratio", "uniform"
+            if owner and key in self.model_fields_set and getattr(self, owner) != value:
                 raise ValueError(
                     f'{key}: expected only with {owner} = "{value}", got {owner} = "{getattr(self, owner)}"; '
                     f"remove `{key}` or change `{owner}`"
                 )
-        if self.stick == "manifold" and self.eps >= 1:
-            raise ValueError(f'eps: expected less than 1 with stick = "manifold", got {self.eps}; smooth less')
+        if problem := self.engine.problem(self.settings):
+            raise ValueError(problem)
         return self
 
 
-Engine = Annotated[Coulomb | Sigmoid, Field(discriminator="name")]
+def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
+    """The keys of a scene that are for one setting of an engine, as pydantic's fields."""
+    example = [default if one.example is None else one.example]
+    match one:
+        case Number(picked=picked):
+            low, high = (bound if math.isfinite(bound) else None for bound in (one.above, one.below))
+            kind = Annotated[float, Field(gt=low, lt=high)]
+            key = Field(default=None if picked else default, description=one.words, examples=example)
+            return {name: (kind | None if picked else kind, key)}
+        case Choice():
+            return {name: (Literal[one.choices], Field(default=default, description=one.words))}
+        case Numbers():
+            return {name: (PositiveNumbers | None, Field(default=None, description=one.words, examples=example))}
+        case Ratios():
+            law = "law of the r_i: 1, or uniform in (0, 1]"
+            draws = "number of draws of the r_i for each system"
+            return {
+                "ratio": (Literal["one", "uniform"], Field(default="one", description=law, examples=["one"])),
+                "ratio_draws": (Count, Field(default=1, description=draws, examples=[1])),
+            }
+    raise TypeError(f"{name}: expected a setting of a known kind, got {type(one).__name__}")
+
+
+def _table(engine: type[Engine]) -> type[EngineTable]:
+    """The table [[engine]] of one engine, with the keys that its settings ask for."""
+    keys: dict[str, Any] = {"name": (Literal[engine.name], ...)}
+    for name, one in engine.settings().items():
+        keys |= _keys(name, one, engine.defaults()[name])
+    about = f'[[engine]] name = "{engine.name}": {engine.about}'
+    return create_model(engine.__name__, __base__=EngineTable, __doc__=about, **keys)
+
+
+if TYPE_CHECKING:
+    AnyEngine = EngineTable
+else:
+    AnyEngine = Annotated[Union[*map(_table, ENGINES.values())], Field(discriminator="name")]
 
 
 class PerturbationTable(StrictTable):
@@ -281,9 +314,9 @@ class Scene(StrictTable):
     start: StartTable
     run: RunTable
     engines: Annotated[
-        tuple[Engine, ...],
+        tuple[AnyEngine, ...],
         Field(min_length=1),
-        BeforeValidator(as_tuple, json_schema_input_type=Engine | Annotated[list[Engine], Field(min_length=1)]),
+        BeforeValidator(as_tuple, json_schema_input_type=AnyEngine | Annotated[list[AnyEngine], Field(min_length=1)]),
     ] = Field(alias="engine", description="one or more tables [[engine]]")
     perturbation: PerturbationTable | None = None
     twins: TwinsTable | None = None
@@ -300,7 +333,7 @@ class Scene(StrictTable):
     @property
     def records(self) -> tuple[str, ...]:
         """Which of the optional parts of a dataset there are."""
-        thresholds = any(isinstance(engine, Sigmoid) and engine.thresholds for engine in self.engines)
+        thresholds = any(engine.settings.get("thresholds") for engine in self.engines)
         asked = {
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
@@ -350,14 +383,14 @@ class Scene(StrictTable):
                     f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(known)}, got"
                     f" {unknown[0]!r}; add it there, or remove it here"
                 )
-            if isinstance(engine, Coulomb) and "damping matrix" in self.readings_of(engine):
+            if "damping matrix" in self.readings_of(engine) and not engine.engine.takes_damping_matrix:
                 others = [reading for reading in known if reading != "damping matrix"]
                 raise ValueError(
-                    f'engine[{i}].readings: expected no "damping matrix" with the engine "coulomb", whose dampings'
-                    f" are diagonal; list the others there, as readings = {others}"
+                    f'engine[{i}].readings: expected no "damping matrix" with the engine "{engine.name}", whose'
+                    f" dampings are diagonal; list the others there, as readings = {others}"
                 )
         changed = self.perturbation is not None or self.twins is not None
-        changed = changed or any(isinstance(engine, Sigmoid) and engine.ratio == "uniform" for engine in self.engines)
+        changed = changed or any(engine.is_drawn for engine in self.engines)
         if self.record.separation is not None and not changed:
             raise ValueError(
                 "record.separation: expected a scene with changed runs, got none; add [perturbation] or [twins],"
@@ -386,21 +419,17 @@ class Scene(StrictTable):
     @property
     def n_members(self) -> int:
         """Number of members, counted without expanding the scene."""
-        runs = 0
-        for engine in self.engines:
-            # ratio_draws may be absurd: counted, not enumerated
-            draws = engine.ratio_draws if isinstance(engine, Sigmoid) and engine.ratio == "uniform" else 1
-            runs += (1 + self.n_changes(engine)) * draws
+        runs = sum((1 + self.n_changes(engine)) * engine.n_draws for engine in self.engines)
         return len(self.system.n) * self.run.matrices * runs
 
-    def n_changes(self, engine: Coulomb | Sigmoid) -> int:
+    def n_changes(self, engine: EngineTable) -> int:
         """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
         changes = len(self.twins.sizes) if self.twins is not None and engine.twins else 0
         if self.perturbation is not None:
             changes += len(self.readings_of(engine)) * len(self.perturbation.sizes) * self.perturbation.draws
         return changes
 
-    def readings_of(self, engine: Coulomb | Sigmoid) -> tuple[Reading, ...]:
+    def readings_of(self, engine: EngineTable) -> tuple[Reading, ...]:
         """The readings of a perturbation that an engine of this scene runs."""
         if self.perturbation is None:
             return ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -9,6 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.scene import Scene
+from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines.contract import Choice, Number, Ratios
 
 #: Version of the schema below; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
@@ -24,6 +27,20 @@ def _list(kind: pa.DataType) -> pa.ListType:
 
 def _struct(**kinds: pa.DataType) -> pa.StructType:
     return pa.struct([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+
+
+def _of_engines() -> Iterator[pa.Field]:
+    """The columns of the engines' settings, each once, whichever engines have it."""
+    for name, setting in SETTINGS.items():
+        owners = ", ".join(engine.name for engine in ENGINES.values() if name in engine.settings())
+        match setting:
+            case Number():
+                yield _column(name, pa.float64(), setting.column or f"{setting.words} ({owners})")
+            case Choice():
+                yield _column(name, pa.string(), setting.column or f"{setting.words} ({owners})")
+            case Ratios():
+                yield _column(name, pa.string(), f"{setting.words}: one, or uniform in (0, 1] ({owners})")
+                yield _column(f"{name}_draw", pa.int32(), f"number of the draw of the r_i ({owners}, uniform)")
 
 
 #: What a scene may ask for beside n_stick.
@@ -87,15 +104,8 @@ SCHEMA = pa.schema(
             "what the size is relative to: scale, relative or damping matrix; null if unchanged",
         ),
         _column("twin_size", pa.float64(), "how far the start is moved, as a distance like `separation`; null: not"),
-        _column("engine", pa.string(), "coulomb or sigmoid", False),
-        _column("tol", pa.float64(), "truncation error of a step (coulomb)"),
-        _column("eps", pa.float64(), "width of the sigmoid"),
-        _column("ratio", pa.string(), "stiffness ratios r_i: one, or uniform in (0, 1] (sigmoid)"),
-        _column("ratio_draw", pa.int32(), "number of the draw of the r_i (sigmoid, uniform)"),
-        _column("rtol", pa.float64(), "relative tolerance (sigmoid)"),
-        _column("atol", pa.float64(), "absolute tolerance (sigmoid)"),
-        _column("stick", pa.string(), "what counts as sticking: manifold or threshold (sigmoid)"),
-        _column("threshold", pa.float64(), "a block sticks when |w - v| < threshold r_i eps (sigmoid, threshold)"),
+        _column("engine", pa.string(), " or ".join(ENGINES), False),
+        *_of_engines(),
         _column("picked_for", pa.string(), "what a tolerance was picked for: statistics or paths; null: all given"),
         _column("z0", pa.float64(), "displacement of every block at t = 0", False),
         _column("w0", pa.float64(), "velocity of every block at t = 0", False),

@@ -95,7 +95,8 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 
 
 def _parameters(member: Member) -> dict[str, Any]:
-    return {name: getattr(member, name) for name in _PARAMETERS}
+    settings = {name: value for name, value in member.settings if name in SCHEMA.names}
+    return {name: getattr(member, name) for name in _PARAMETERS} | settings
 
 
 def _results(member: Member, recording: Recording) -> dict[str, Any]:
@@ -110,7 +111,7 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
         found |= _events(run.events)
     if base is not None:
         found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
-    if member.thresholds:
+    if run.by_threshold:
         changes = {c: series.change_points() for c, series in run.by_threshold.items()}
         found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
     return found

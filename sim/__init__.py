@@ -3,7 +3,7 @@
 from stickslip.sim.couplings import COUPLINGS, READINGS, draw_system, perturb_system
 from stickslip.sim.run import IntegrationError, Run, Samples, Stats
 from stickslip.sim.series import EventSeries
-from stickslip.sim.simulate import simulate
+from stickslip.sim.simulation import simulate
 from stickslip.sim.system import System
 
 __all__ = [

@@ -1,18 +1,4 @@
-"""One run: what `simulate` returns, and the contract that every engine keeps.
-
-An engine is a function ``integrate(system, z0, w0, t_start, t_end, samples, **settings) -> Run`` such that
-
-1. the state is float64, arguments are not changed, and the same arguments give the same run;
-2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
-3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
-   renumbers the run;
-4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see
-   `sim.engines.certificates`): its motion from there is linear, and followed to t_end; `diverged` when it escapes
-   for ever (proved, or beyond every bound): then, and only then, the run ends early;
-5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
-6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else;
-7. an event has a length: what a block takes back sooner than the tolerance can tell from a touch is none.
-"""
+"""What `simulate` returns: a run, what it cost, and the state at given times."""
 
 from __future__ import annotations
 

@@ -14,6 +14,6 @@ from .sim.run import Run as Run
 from .sim.run import Samples as Samples
 from .sim.run import Stats as Stats
 from .sim.series import EventSeries as EventSeries
-from .sim.simulate import simulate as simulate
+from .sim.simulation import simulate as simulate
 from .sim.system import System as System
 from .version import __version__ as __version__

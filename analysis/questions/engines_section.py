@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group
 from stickslip.analysis.questions.contrast import (
     CERTIFIED,
     SHARES_ADJUSTED,
@@ -34,7 +34,6 @@ LAW, TOLERANCE, THRESHOLD = "engines", "tolerances", "thresholds"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
 #: sigmoid differs from the exact law by O(eps), by 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
 _EXPLAINED, _SMOOTH = 2.0, 0.03
-_TOLERANCES = ("tol", "rtol", "atol")
 _SCHEMA = {
     "group": S, "setting": S, "reference": S, "threshold": F, "quantity": S, "n_matrices": I, "of_reference": F,
     "of_reference_low": F, "of_reference_high": F, "value": F, "difference": F, "difference_low": F,
@@ -153,7 +152,7 @@ def _pairs(data: Data, found: Sequence[Group]) -> Iterator[_Pair]:
     for some in systems.values():
         families: dict[tuple[Any, ...], list[Group]] = {}
         for group in sorted(some, key=_tightness):
-            kept = tuple(group.key[name] for name in ENGINE_KEYS if name not in _TOLERANCES)
+            kept = tuple(group.key[name] for name in ENGINE_KEYS if name not in TOLERANCES)
             families.setdefault(kept, []).append(group)
         tightest = sorted((family[0] for family in families.values()), key=_exactness)
         yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
@@ -169,8 +168,7 @@ def _applies(one: Statistic, pair: _Pair) -> bool:
 
 
 def _tightness(group: Group) -> float:
-    tolerance = group.key["tol"] if group.key["rtol"] is None else group.key["rtol"]
-    return float(tolerance)
+    return next(float(group.key[name]) for name in TOLERANCES if group.key[name] is not None)
 
 
 def _exactness(group: Group) -> tuple[bool, float]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.groups import OUTCOMES, Group
+from stickslip.analysis.groups import ENGINE_KEYS, OUTCOMES, Group
 from stickslip.analysis.report import words
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.estimates import (
@@ -22,6 +22,8 @@ from stickslip.analysis.stats.estimates import (
     ratio,
 )
 from stickslip.analysis.stats.nulls import NullTally
+from stickslip.sim.engines import SETTINGS
+from stickslip.sim.engines.contract import Number
 
 S, I, F = "string", "Int64", "Float64"  # noqa: E741  nullable types: a null, never NaN, where nothing applies
 SCHEMAS: dict[str, dict[str, str]] = {
@@ -33,8 +35,8 @@ SCHEMAS: dict[str, dict[str, str]] = {
     },
     "groups": {
         "group": S, **dict.fromkeys(("n", "matrices", "members", "finished", "quiet"), I), "coupling": S,
-        **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F), "engine": S,
-        "eps": F, "ratio": S, "stick": S, **dict.fromkeys(("threshold", "tol", "rtol", "atol"), F),
+        **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
+        **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
     },
     "outcomes": {
         "group": S, "outcome": S, "n_members": I, "n_matrices": I, "n_before_burn": I,

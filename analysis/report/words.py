@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stickslip.analysis.stats.estimates import LN2, Estimate
+from stickslip.sim.engines import ENGINES, SETTINGS
 
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 
@@ -15,15 +16,14 @@ Row = Mapping[str, Any]
 def group_label(key: Row, rivals: Sequence[Row]) -> str:
     """Name of a group: n, engine, how it decides what sticks, and whatever sets it apart from the others."""
     parts = [f"n = {key['n']}", str(key["engine"])]
-    always = ("eps", "threshold")
+    defaults = ENGINES[key["engine"]].defaults()
     for name in key:
         if name in ("n", "engine", "perturbation_size") or key[name] is None:
             continue
-        if name == "stick" and key[name] != "manifold":
-            parts.append(f"stick = {key[name]}")
-            continue
         values = {rival[name] for rival in rivals if rival["engine"] == key["engine"]}
-        if name in always or len(values) > 1:
+        rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
+        is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
+        if is_said or len(values) > 1:
             parts.append(f"{name} = {_plain(key[name])}")
     if key["perturbation_size"] > 0:
         parts.append(f"perturbed by {_plain(key['perturbation_size'])}")

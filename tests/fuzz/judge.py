@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, eig
 from scipy.sparse import csc_array
 
 from stickslip.sim import IntegrationError, Run, System, simulate
-from stickslip.sim.simulate import Engine
+from stickslip.sim.engines import ENGINES
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Undecided, follow
@@ -372,7 +372,7 @@ class _Judge:
 @cache
 def _compile() -> None:
     """Or the first case would be charged with it."""
-    for engine in get_args(Engine):
+    for engine in ENGINES:
         simulate(System([[1.0]], 0.1), 3.0, 1.0, 5.0, engine=engine)
 
 

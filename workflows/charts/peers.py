@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, RATIO
-from stickslip.sim.simulate import Engine
 from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, whole_steps
 
 Floats = NDArray[np.float64]
@@ -144,7 +143,7 @@ def _sigmoid(problem: Problem) -> Solver:
     return lambda tol: _state(problem, "sigmoid", eps=1.0, ratio=problem.delta, rtol=tol, atol=tol)
 
 
-def _state(problem: Problem, engine: Engine, **settings: Any) -> Solution:
+def _state(problem: Problem, engine: str, **settings: Any) -> Solution:
     run = sim.simulate(
         problem.system, problem.z0, problem.w0, problem.t_end, engine=engine, stop_early=False, **settings
     )

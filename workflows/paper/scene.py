@@ -12,8 +12,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, PERTURBATION, RATIO
-from stickslip.pipeline.scene import TOLERANCES, Purpose
+from stickslip.pipeline.scene import TOLERANCES
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
+from stickslip.sim.engines.contract import Purpose
 from stickslip.workflows.charts import ChartScene
 from stickslip.workflows.charts.peers import W0, Z0, Floats
 

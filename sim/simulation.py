@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
-from inspect import Parameter, signature
-from typing import Literal, get_args
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.sim.arguments import did_you_mean, floats, number, per_block
+from stickslip.sim.arguments import did_you_mean, flag, floats, number, per_block
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Task
 from stickslip.sim.run import Run, Samples
 from stickslip.sim.system import System
 
-Engine = Literal["coulomb", "sigmoid"]
+#: Of `simulate` itself, for who writes one of them nearly right.
+_KEYWORDS = ("t_start", "t_eval", "engine", "stop_early")
 
 
 def simulate(
@@ -25,7 +25,8 @@ def simulate(
     *,
     t_start: float = 0.0,
     t_eval: ArrayLike = (),
-    engine: Engine = "coulomb",
+    engine: str = "coulomb",
+    stop_early: bool = True,
     **settings: object,
 ) -> Run:
     """Follow a system of blocks from a start state to `t_end` (dimensionless).
@@ -38,14 +39,15 @@ def simulate(
     t_end, t_start : float
     t_eval : array_like, shape (m,)
         Times in [t_start, t_end], not decreasing, at which to keep the state: see `Run.samples`.
-    engine : "coulomb" or "sigmoid"
-        The exact set-valued law, or mu tanh((w - v) / (ratio eps)) in its place.
+    engine : str
+        "coulomb", the exact set-valued law, or "sigmoid", mu tanh((w - v) / (ratio eps)) in its place; see
+        `stickslip.sim.engines.ENGINES`.
+    stop_early : bool
+        Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
+        that escapes ends.
     **settings
-        both: ``stop_early`` (True: ask whether a collapse or an escape is certain; a run that collapsed then goes on
-        without steps, one that escapes ends); coulomb: ``tol`` (see
-        `stickslip.sim.engines.coulomb.integrate`);
-        sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds`` (see
-        `stickslip.sim.engines.sigmoid.integrate`).
+        coulomb: ``tol``, see `stickslip.sim.engines.coulomb.Coulomb`; sigmoid: ``eps``, ``ratio``, ``rtol``,
+        ``atol``, ``stick``, ``threshold``, ``thresholds``, see `stickslip.sim.engines.sigmoid.Sigmoid`.
 
     Returns
     -------
@@ -58,14 +60,11 @@ def simulate(
     IntegrationError
         If the engine cannot go on.
     """
-    from stickslip.sim.engines import coulomb, sigmoid  # they load numba, which takes half a second
-
-    engines: dict[str, Callable[..., Run]] = {"coulomb": coulomb.integrate, "sigmoid": sigmoid.integrate}
     if not isinstance(system, System):
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine: expected one of {', '.join(get_args(Engine))}, got {engine!r}")
-    _check_names(settings, engine, engines)
+    if engine not in ENGINES:
+        raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+    _check_names(settings, engine)
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
@@ -76,22 +75,18 @@ def simulate(
             f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
             " and leave out what lies outside"
         )
-    return engines[engine](system, z, w, t_start, t_end, Samples.blank(times, system.n), **settings)
+    samples = Samples.blank(times, system.n)
+    task = Task(system, z, w, t_start, t_end, samples, flag("stop_early", stop_early))
+    return ENGINES[engine](**settings).integrate(task)
 
 
-def _check_names(settings: Mapping[str, object], engine: str, engines: Mapping[str, Callable[..., Run]]) -> None:
+def _check_names(names: Collection[str], engine: str) -> None:
     """TypeError for a setting that the engine does not take; it says what does, or what may have been meant."""
-    takes = {name: _keywords(integrate) for name, integrate in engines.items()}
-    for name in settings:
-        if name not in takes[engine]:
-            other = next((other for other in engines if name in takes[other]), None)
-            remedy = did_you_mean(name, takes[engine] + _keywords(simulate))
+    takes = tuple(ENGINES[engine].settings())
+    for name in names:
+        if name not in takes:
+            other = next((other for other, kind in ENGINES.items() if name in kind.settings()), None)
+            remedy = did_you_mean(name, takes + _KEYWORDS)
             remedy = remedy or (f'; write engine="{other}"' if other else "; leave it out")
-            known = ", ".join(takes[engine])
+            known = ", ".join((*takes, "stop_early"))
             raise TypeError(f'{name}: unknown to the engine "{engine}", which takes {known}{remedy}')
-
-
-@cache  # small systems run in milliseconds
-def _keywords(function: Callable[..., Run]) -> tuple[str, ...]:
-    parameters = signature(function).parameters.values()
-    return tuple(parameter.name for parameter in parameters if parameter.kind is Parameter.KEYWORD_ONLY)
