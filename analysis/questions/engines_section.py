@@ -168,7 +168,7 @@ def _applies(one: Statistic, pair: _Pair) -> bool:
 
 
 def _tightness(group: Group) -> float:
-    return next(float(group.key[name]) for name in TOLERANCES if group.key[name] is not None)
+    return next((float(group.key[name]) for name in TOLERANCES if group.key[name] is not None), 0.0)
 
 
 def _exactness(group: Group) -> tuple[bool, float]:

@@ -25,8 +25,9 @@ import scipy.sparse
 from stickslip.analysis.groups import OUTCOMES
 from stickslip.analysis.questions.survival_section import fate
 from stickslip.analysis.report.section import Data
-from stickslip.pipeline import parse_scene, query, run_scene
-from stickslip.sim import couplings, draw_system, perturb_system
+from stickslip.pipeline import parse_scene, query, run_scene, scene
+from stickslip.sim import couplings, draw_system, perturb_system, simulate
+from stickslip.sim.engines import ENGINES
 from stickslip.workflows.commands import main
 
 ROOT = Path(__file__).parents[2]
@@ -224,6 +225,22 @@ def test_a_chart_is_a_schema_a_measurement_and_a_page():
     built = kind.build(scene, measured)
     assert scene.title in built.html
     assert len(built.headline) == 3
+
+
+def test_an_engine_is_a_class_with_its_settings(monkeypatch):
+    engine = run_python("extending", 3)["FixedStep"]
+    monkeypatch.setitem(ENGINES, engine.name, engine)
+    system = draw_system("antisymmetric", 5, 3)
+    run = simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", eps=0.1, step=0.001, t_eval=[1.0, 2.0])
+    exact = simulate(system, -0.7, -0.4, 2.0, engine="sigmoid", eps=0.1, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(run.z, exact.z, atol=1e-8)
+    np.testing.assert_array_equal(run.samples.z[1], run.z)
+    table = scene._table(engine).model_validate({"name": "fixed_step", "step": 0.01})
+    assert table.settings == {"eps": 0.03, "step": 0.01}
+    with pytest.raises(ValueError, match="greater than 0"):
+        scene._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
+    with pytest.raises(ValueError, match=r"^step: expected a number in \(0, inf\)"):
+        simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", step=0.0)
 
 
 def test_what_the_steps_name_is_there():
