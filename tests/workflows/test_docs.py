@@ -25,7 +25,8 @@ import scipy.sparse
 from stickslip.analysis.groups import OUTCOMES
 from stickslip.analysis.questions.survival_section import fate
 from stickslip.analysis.report.section import Data
-from stickslip.pipeline import parse_scene, query, run_scene, scene
+from stickslip.pipeline import parse_scene, query, run_scene
+from stickslip.pipeline import scene as scenes
 from stickslip.sim import couplings, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.workflows.commands import main
@@ -235,10 +236,10 @@ def test_an_engine_is_a_class_with_its_settings(monkeypatch):
     exact = simulate(system, -0.7, -0.4, 2.0, engine="sigmoid", eps=0.1, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(run.z, exact.z, atol=1e-8)
     np.testing.assert_array_equal(run.samples.z[1], run.z)
-    table = scene._table(engine).model_validate({"name": "fixed_step", "step": 0.01})
+    table = scenes._table(engine).model_validate({"name": "fixed_step", "step": 0.01})
     assert table.settings == {"eps": 0.03, "step": 0.01}
     with pytest.raises(ValueError, match="greater than 0"):
-        scene._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
+        scenes._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
     with pytest.raises(ValueError, match=r"^step: expected a number in \(0, inf\)"):
         simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", step=0.0)
 
