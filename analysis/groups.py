@@ -7,7 +7,7 @@ ratios). Only members that reached t_end enter a statistic; the others are count
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -91,26 +91,27 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
             )
 
 
+def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+    """Members alike in some columns, null as None, with the values that they share."""
+    plain = [members[name].astype(object).where(members[name].notna(), None) for name in keys]
+    at: dict[tuple[Any, ...], list[int]] = {}
+    for k, row in enumerate(zip(*plain, strict=True)):
+        at.setdefault(row, []).append(k)
+    return [(dict(zip(keys, row, strict=True)), members.iloc[some]) for row, some in at.items()]
+
+
 def groups(members: pd.DataFrame) -> list[Group]:
     """Split members into groups, unperturbed ones first, then by n and engine."""
-    keys = [*SYSTEM_KEYS, *ENGINE_KEYS]
-    rows = [
-        tuple(None if pd.isna(value) else value for value in row)
-        for row in members[keys].itertuples(index=False, name=None)
+
+    def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
+        key = part[0]
+        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in key.values()])
+
+    parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
+    keys = [key for key, _ in parts]
+    return [
+        Group(words.group_label(key, keys), key, alike.sort_values(["matrix", "member_id"])) for key, alike in parts
     ]
-
-    def order(row: tuple[Any, ...]) -> tuple[Any, ...]:
-        key = dict(zip(keys, row, strict=True))
-        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in row])
-
-    distinct = sorted(set(rows), key=order)
-    found = []
-    for row in distinct:
-        key = dict(zip(keys, row, strict=True))
-        alike = members[[other == row for other in rows]].sort_values(["matrix", "member_id"])
-        rivals = [dict(zip(keys, other, strict=True)) for other in distinct]
-        found.append(Group(words.group_label(key, rivals), key, alike))
-    return found
 
 
 def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:

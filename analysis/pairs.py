@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, split
 from stickslip.analysis.report import words
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
@@ -101,13 +101,10 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     list of Setting
         Sorted by n and engine; settings without an unchanged member are left out.
     """
-    rows = _rows(members)
-    distinct: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in rows:
-        distinct.setdefault(tuple(row[name] for name in _SETTING), []).append(row)
-    keys = [_key(some[0]) for some in distinct.values()]
+    parts = [(key | {"perturbation_size": 0.0}, _rows(some)) for key, some in split(members, _SETTING)]
+    keys = [key for key, _ in parts]
     found = []
-    for key, some in zip(keys, distinct.values(), strict=True):
+    for key, some in parts:
         bases = _bases(some)
         if bases:
             label = words.group_label(key, keys)
@@ -117,16 +114,12 @@ def settings(members: pd.DataFrame) -> list[Setting]:
 
 def _rows(members: pd.DataFrame) -> list[dict[str, Any]]:
     """Members as plain values, null as None, optional columns filled in."""
-    names = [*_SETTING, *_CHANGING, "member_id", "matrix"]
+    names = [*_CHANGING, "member_id", "matrix"]
     optional = [name for name in ("ratio_draw", "perturbation_reading", "twin_size") if name in members]
     table = members[[*names, *optional]].astype(object)
     rows = table.where(table.notna(), None).to_dict(orient="records")
     empty = {"ratio_draw": None, "perturbation_reading": None, "twin_size": None}
     return [empty | {str(name): value for name, value in row.items()} for row in rows]
-
-
-def _key(row: dict[str, Any]) -> dict[str, Any]:
-    return {name: row[name] for name in _SETTING} | {"perturbation_size": 0.0}
 
 
 def _change(row: dict[str, Any]) -> Change | None:

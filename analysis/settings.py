@@ -31,7 +31,7 @@ class AnalysisSettings:
     smallest : int
         Least size of a cascade that the law is fitted to.
     margins : mapping of str to float
-        By name of `QUANTITIES` in `analysis.stats.robustness`: how much two runs may differ and count as equivalent.
+        By name of `LABELS` in `analysis.stats.quantities`: how much two runs may differ and count as equivalent.
 
     Raises
     ------

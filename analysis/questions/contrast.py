@@ -6,29 +6,32 @@ to the first setting; of shares of runs it is the difference itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.questions.survival_section import COLLAPSED, DIVERGED, SILENT, fate
 from stickslip.analysis.report import words
 from stickslip.analysis.report.section import ChangePoints, Data
-from stickslip.analysis.stats import compare as equivalence
 from stickslip.analysis.stats import estimates
-from stickslip.analysis.stats.cascades import Law, Window, laws, sizes_of_path, window
-from stickslip.analysis.stats.compare import Compared
-from stickslip.analysis.stats.estimates import (
-    Estimate,
-    Undefined,
-    correlation_time,
-    gamma,
-    jackknife,
-    over_matrices,
-    ratio,
+from stickslip.analysis.stats.cascades import window
+from stickslip.analysis.stats.compare import (
+    DIFFERENT,
+    EQUIVALENT,
+    OPEN,
+    Compared,
+    equivalence_test,
+    judge_together,
+    mean_difference,
+    relative_difference,
+    share_difference,
+    wilson,
 )
+from stickslip.analysis.stats.estimates import Estimate, Undefined, correlation_time, over_matrices, ratio
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
+from stickslip.analysis.stats.quantities import QUANTITIES
 
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2
@@ -38,6 +41,7 @@ SHARES_ADJUSTED = (
     "as never"
 )
 _NONE = Estimate()
+COMPARED = {name: one for name, one in QUANTITIES.items() if name != "band"}  # the paper's question is of changes
 #: The sigmoid engine certifies no collapse: laws are compared in what went quiet, certified or not.
 CERTIFIED = "share collapsed (certified)"
 _FATES = {
@@ -82,24 +86,10 @@ class Sample:
         return np.array(kept, dtype=np.int64), np.array([found[matrix] for matrix in kept]).reshape(-1, 2)
 
 
-def statistics(dt: tuple[float, ...], margins: Mapping[str, float]) -> list[Statistic]:
-    """What two settings are compared in: what has a margin (gamma's is that of every definition), and shares."""
-    named = [
-        Statistic(label, ratio, margins[name])
-        for name, label in (
-            ("mean", "mean n_stick"),
-            ("variance", "variance of n_stick in time"),
-            ("rate", "exit rate"),
-            ("correlation_time", "correlation time"),
-        )
-        if name in margins
-    ]
-    by_law = [Statistic(_gamma(law), gamma, margins["gamma"]) for law in laws(dt) if "gamma" in margins]
-    return [*named, *by_law, *(Statistic(name, ratio, SHARE_MARGIN, True) for name in _FATES)]
-
-
-def _gamma(law: Law) -> str:
-    return f"gamma ({law})"
+def statistics(margins: Mapping[str, float]) -> list[Statistic]:
+    """What two settings are compared in: what has a margin, and shares."""
+    named = [Statistic(one.label, one.of, margins[name]) for name, one in COMPARED.items() if name in margins]
+    return [*named, *(Statistic(name, ratio, SHARE_MARGIN, True) for name in _FATES)]
 
 
 def sample(
@@ -107,7 +97,6 @@ def sample(
     members: pd.DataFrame,
     data: Data,
     t_burn: float,
-    dt: tuple[float, ...],
     series: Mapping[str, ChangePoints] | None = None,
 ) -> Sample:
     """Read each run of a setting once.
@@ -119,7 +108,6 @@ def sample(
         Of the setting.
     data : Data
     t_burn : float
-    dt : tuple of float
     series : mapping to ChangePoints, optional
         In place of the members' own, for another definition of sticking; members without are left out.
     """
@@ -137,8 +125,8 @@ def sample(
                 _add(found, name, int(matrix), [ended in ends, 1.0])
         if outcome == "finished" and member_id in known:
             win = window(*known[member_id], t_burn, float(t_end))
-            for name, row in _run(win, dt):
-                _add(found, name, int(matrix), row)
+            for one in COMPARED.values():
+                _add(found, one.label, int(matrix), one.sums(win))
             n_runs, n_short = n_runs + 1, n_short + bool(correlation_time(win).reason)
     if 2 * n_short > n_runs:
         found.reasons["correlation time"] = (
@@ -146,18 +134,6 @@ def sample(
             f"{estimates.SHORT_WINDOW:g} correlation times, or no change"
         )
     return found
-
-
-def _run(win: Window, dt: tuple[float, ...]) -> Iterable[tuple[str, Sequence[float]]]:
-    span = win.t_stop - win.t_start
-    yield "mean n_stick", [win.time_mean(), 1.0]
-    yield "variance of n_stick in time", [win.time_variance(), 1.0]
-    yield "exit rate", [float(np.maximum(-win.step, 0).sum()) / span, 1.0]
-    tau = correlation_time(win)
-    if tau.value is not None:
-        yield "correlation time", [tau.value, 1.0]
-    for law, sizes in sizes_of_path(win.path(), {step: win.grid_index(step) for step in dt}).items():
-        yield _gamma(law), [float(sizes.sum()), float(len(sizes))]
 
 
 def _add(found: Sample, name: str, matrix: int, row: Sequence[float]) -> None:
@@ -194,15 +170,7 @@ class Contrast:
 def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Contrast:
     """Second against first in one statistic.
 
-    Paired: jackknife over the matrices that both have. Independent: each setting's jackknife by itself, the errors
-    carried over to the quotient to first order, Welch's degrees of freedom. Shares of runs, where none or all may
-    have ended, have the adjusted Wald errors of Agresti and Min (2005, Stat. Med. 24, 729), paired, and of Agresti
-    and Caffo (2000, Am. Stat. 54, 280), independent.
-
-    Measured on planted data (20 matrices, values that scatter by 14%, 10 points of it their matrix's own; 1500 each)
-    at 5%, not adjusted: no difference was called different in 5.0% paired and 5.7% independent, one at the upper or
-    lower margin of 10% equivalent in 5.2 and 4.4%, and 5.9 and 2.7%. Shares of 0.3 and 0.3 were called different in
-    5.6 and 4.3%, of 0.3 and 0.5 equivalent, at the margin, in 0.7 and 0.0%, of 0.05 and 0.25 in 7.6 and 3.0%.
+    Paired: over the matrices that both have.
     """
     (mine, a), (theirs, b) = first.rows(one.name), second.rows(one.name)
     if paired:
@@ -222,74 +190,60 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
         return Contrast(one, len(a), len(b), before, after, reason=undefined)
     try:
         if one.is_share:
-            moved, error, dof = _share_difference(a[:, 0], b[:, 0], paired)
-            test = equivalence.compare(moved, error, dof, one.margin)
-            difference = Estimate(moved, *test.interval(confidence))
+            test = equivalence_test(*share_difference(a[:, 0], b[:, 0], paired), one.margin)
+            absolute = test
         else:
-            relative, error, dof = _difference(one.of, a, b, paired, is_relative=True)
-            test = equivalence.compare(relative, error, dof, one.margin)
-            moved, error, dof = _difference(one.of, a, b, paired, is_relative=False)
-            absolute = equivalence.compare(moved, error, dof, one.margin)
-            difference = Estimate(moved, *absolute.interval(confidence))
+            test = equivalence_test(*relative_difference(one.of, a, b, paired), one.margin)
+            absolute = equivalence_test(*mean_difference(one.of, a, b, paired), one.margin)
     except Undefined as why:
         return Contrast(one, len(a), len(b), before, after, reason=str(why))
+    difference = Estimate(absolute.difference, *absolute.interval(confidence))
     return Contrast(one, len(a), len(b), before, after, difference, test)
 
 
-def _difference(
-    of: estimates.Statistic, a: np.ndarray, b: np.ndarray, paired: bool, is_relative: bool
-) -> tuple[float, float, float]:
-    """Difference, its standard error and degrees of freedom."""
-    if paired:
-
-        def apart(sums: np.ndarray) -> np.ndarray:
-            before, after = of(sums[:, :2]), of(sums[:, 2:])
-            return _over(after, before) - 1.0 if is_relative else after - before
-
-        value, error = jackknife(apart, np.hstack([a, b]))
-        return value, error, len(a) - 1.0
-    (before, error_a), (after, error_b) = jackknife(of, a), jackknife(of, b)
-    if is_relative:
-        value = float(_over(np.array([after]), np.array([before]))[0]) - 1.0
-        error_a, error_b = error_a * after / before**2, error_b / before
-    else:
-        value = after - before
-    parts = np.array([error_a**2, error_b**2])
-    if not parts.sum():
-        return value, 0.0, len(a) + len(b) - 2.0
-    return value, float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / (parts**2 / [len(a) - 1, len(b) - 1]).sum())
-
-
-def _over(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    if (before == 0).any():
-        raise Undefined("the first value is zero, so there is no relative difference")
-    return after / before
-
-
 def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estimate:
-    low, high = equivalence.wilson(float(rows[:, 0].sum()), float(len(rows)), confidence)
+    low, high = wilson(float(rows[:, 0].sum()), float(len(rows)), confidence)
     return Estimate(float(rows[:, 0].mean()), low, high)
 
 
-def _share_difference(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float, float]:
-    """Difference of two shares, adjusted Wald error, and infinite degrees of freedom: the normal distribution."""
-    n_a, n_b = len(a), len(b)
-    if paired:
-        gained, lost, n = np.sum(b > a) + 0.5, np.sum(a > b) + 0.5, n_a + 2.0
-        moved = (gained - lost) / n
-        return float(moved), float(np.sqrt((gained + lost) / n - moved**2) / np.sqrt(n)), np.inf
-    p, q = (a.sum() + 1) / (n_a + 2), (b.sum() + 1) / (n_b + 2)
-    return float(q - p), float(np.sqrt(p * (1 - p) / (n_a + 2) + q * (1 - q) / (n_b + 2))), np.inf
+def verdict_words(row: Mapping[str, Any], value: str, low: float, high: float, margin: str) -> str:
+    """The verdict on a row that was judged: what was found (`value`), what was allowed, and what adjusting changed.
+
+    Parameters
+    ----------
+    row : mapping
+        As `judge_together` leaves it, with `margin` in the unit of `low` and `high`.
+    value, margin : str
+        Difference with its interval, and margin, as they are read.
+    low, high : float
+        Interval of the difference, not adjusted.
+    """
+    if row["verdict"] == EQUIVALENT:
+        is_seen = not low <= 0 <= high
+        return f"{EQUIVALENT} within {margin}: {value}" + (", a difference within the margin" if is_seen else "")
+    by_itself = row["by_itself"]
+    not_after = ""
+    if by_itself not in (row["verdict"], OPEN):
+        p_value = words.p_is(row["p_equivalent_holm" if by_itself == EQUIVALENT else "p_different_holm"])
+        not_after = (
+            f"{by_itself} by itself, not after adjustment for {words.count(row['n_tests'], 'comparison')} "
+            f"(adjusted {p_value})"
+        )
+    if row["verdict"] == DIFFERENT:
+        is_beyond = low > row["margin"] or high < -row["margin"]
+        open_end = not_after or f"whether by more than {margin} is open"
+        return f"{DIFFERENT}: {value}, " + (f"beyond the margin of {margin}" if is_beyond else open_end)
+    return f"{OPEN}: {value} against a margin of {margin}" + (f"; {not_after}" if not_after else "")
 
 
 def in_words(row: Mapping[str, Any]) -> str:
     """The verdict on a row of `judged`: the difference, its interval, and what was allowed."""
     if row["p_equivalent"] is None:
-        return f"{equivalence.OPEN}: {row['reason']}"
+        return f"{OPEN}: {row['reason']}"
     low, high = row["relative_low"], row["relative_high"]
-    if row["verdict"] == equivalence.EQUIVALENT and row["relative"] == low == high == 0:
-        return f"{equivalence.EQUIVALENT}: the same number in every matrix"
-    return equivalence.verdict_words(row, size_in_words(row), low, high, margin_in_words(row))
+    if row["verdict"] == EQUIVALENT and row["relative"] == low == high == 0:
+        return f"{EQUIVALENT}: the same number in every matrix"
+    return verdict_words(row, size_in_words(row), low, high, margin_in_words(row))
 
 
 def margin_in_words(row: Mapping[str, Any]) -> str:
@@ -310,14 +264,14 @@ def _points(value: float) -> str:
 def judged(found: Sequence[Contrast], alpha: float) -> list[dict[str, Any]]:
     """Rows with verdicts, adjusted by Holm's rule over all of them, each kind of test by itself."""
     rows = [_row(one, alpha) for one in found]
-    equivalence.judge_together(rows, alpha)
+    judge_together(rows, alpha)
     return rows
 
 
 def _row(one: Contrast, alpha: float) -> dict[str, Any]:
     row: dict[str, Any] = {
         "quantity": one.statistic.name, "n_first": one.n_first, "n_second": one.n_second,
-        "margin": one.statistic.margin, "is_share": one.statistic.is_share, "verdict": equivalence.OPEN,
+        "margin": one.statistic.margin, "is_share": one.statistic.is_share, "verdict": OPEN,
         "p_equivalent": None, "p_different": None, "reason": one.reason or None,
     }  # fmt: skip
     for name, value in (("first", one.first), ("second", one.second), ("difference", one.difference)):

@@ -59,8 +59,7 @@ class _Pair:
 
 
 def engines_section(
-    data: Data, found: Sequence[Group], *, t_burn: float, dt: tuple[float, ...], margins: Mapping[str, float],
-    confidence: float,
+    data: Data, found: Sequence[Group], *, t_burn: float, margins: Mapping[str, float], confidence: float
 ) -> Section | None:  # fmt: skip
     """How the choice of engine and of its settings moves each statistic; None with one setting, or without margins.
 
@@ -71,8 +70,6 @@ def engines_section(
     found : sequence of Group
         Of unchanged members.
     t_burn : float
-    dt : tuple of float
-        Sampling steps of the sampled definitions.
     margins : mapping of str to float
         As of `robustness_section`.
     confidence : float
@@ -88,7 +85,7 @@ def engines_section(
             series = None
             if threshold is not None:
                 series = {name: points for (name, c), points in data.thresholds.items() if c == threshold}
-            samples[key] = sample(group.label, group.members, data, t_burn, dt, series)
+            samples[key] = sample(group.label, group.members, data, t_burn, series)
         return samples[key]
 
     rows: dict[str, Rows] = {LAW: [], TOLERANCE: [], THRESHOLD: []}
@@ -97,7 +94,7 @@ def engines_section(
         listed = [
             (pair, contrast(one, of(pair.reference, None), of(pair.other, pair.threshold), True, confidence))
             for pair in some
-            for one in statistics(dt, margins)
+            for one in statistics(margins)
             if _applies(one, pair)
         ]
         made = judged([one for _, one in listed], 1 - confidence)

@@ -15,12 +15,18 @@ from stickslip.analysis.questions.survival_section import fates
 from stickslip.analysis.report import change_figures, words
 from stickslip.analysis.report.section import Column, Data, Rows, Section, Table
 from stickslip.analysis.report.tables import F, I, S, typed
-from stickslip.analysis.stats import compare as equivalence
 from stickslip.analysis.stats.cascades import window
-from stickslip.analysis.stats.compare import EQUIVALENT, OPEN, share_over_matrices
+from stickslip.analysis.stats.compare import (
+    EQUIVALENT,
+    OPEN,
+    Compared,
+    judge_together,
+    matrices_needed,
+    share_over_matrices,
+    verdict,
+)
+from stickslip.analysis.stats.quantities import BAND, LABELS
 from stickslip.analysis.stats.robustness import (
-    BAND,
-    QUANTITIES,
     Result,
     Summary,
     compare,
@@ -28,6 +34,7 @@ from stickslip.analysis.stats.robustness import (
     period_counts,
     redrawn,
     summary,
+    value_of,
 )
 
 _SCHEMA = {
@@ -68,7 +75,7 @@ def robustness_section(
     t_burn : float
         Statistics use [t_burn, t_end].
     margins : mapping of str to float
-        By name of `QUANTITIES` in `analysis.stats.robustness`, relative to the base (`distribution`: to the base's
+        By name of `LABELS` in `analysis.stats.quantities`, relative to the base (`distribution`: to the base's
         standard deviation in time). Only these quantities are judged.
     confidence : float
         Of every interval; the tests are made at alpha = 1 - confidence.
@@ -81,8 +88,8 @@ def robustness_section(
         If a margin's name is unknown or a margin is not positive.
     """
     for name, margin in margins.items():
-        if name not in QUANTITIES:
-            raise ValueError(f"margins: expected names among {', '.join(QUANTITIES)}, got {name!r}")
+        if name not in LABELS:
+            raise ValueError(f"margins: expected names among {', '.join(LABELS)}, got {name!r}")
         if not margin > 0:
             raise ValueError(f"margins: expected {name} > 0, got {margin!r}; 0.1 allows 10% of the base")
     some = [setting for setting in settings(data.members) if setting.comparisons]
@@ -168,13 +175,13 @@ def _test_rows(judged: Sequence[_Judged], alpha: float) -> Rows:
         # one row with the reason where no quantity can be compared
         results = untested[:1] if len(untested) == len(one.results) else one.results
         rows += [_identity(one.setting, one.comparison) | _result_row(result, alpha) for result in results]
-    equivalence.judge_together(rows, alpha)
+    judge_together(rows, alpha)
     for row in rows:
         if row["p_equivalent"] is None:
             continue
         spread = row["error"] * np.sqrt(row["n_matrices"])
         if row["verdict"] == OPEN:
-            row["matrices_needed"] = equivalence.matrices_needed(spread, row["margin"], alpha / row["n_tests"])
+            row["matrices_needed"] = matrices_needed(spread, row["margin"], alpha / row["n_tests"])
         row["statement"] = verdict_words(row)
     return rows
 
@@ -191,7 +198,7 @@ def _result_row(result: Result, alpha: float) -> dict[str, Any]:
     return row | _test_row(result.test, alpha)
 
 
-def _test_row(test: equivalence.Compared, alpha: float) -> dict[str, Any]:
+def _test_row(test: Compared, alpha: float) -> dict[str, Any]:
     (low, high), (narrow_low, narrow_high) = test.interval(1 - alpha), test.interval(1 - 2 * alpha)
     return {
         "difference": test.difference, "error": test.error, "low": low, "high": high, "narrow_low": narrow_low,
@@ -212,7 +219,7 @@ def _redraw_rows(setting: Setting, runs: Mapping[str, Summary], margins: Mapping
             "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "kind": "redraw",
             "change": "all matrices redrawn", "quantity": name, "n_matrices": len(bases), **_test_row(test, alpha),
         }  # fmt: skip
-        row["verdict"] = row["by_itself"] = equivalence.verdict(test.p_equivalent, test.p_different, alpha)
+        row["verdict"] = row["by_itself"] = verdict(test.p_equivalent, test.p_different, alpha)
         row["statement"] = verdict_words(row)
         rows.append(row)
     return rows
@@ -226,7 +233,7 @@ def _runs_rows(
     groups += [(str(c.change), [p.changed for p in c.pairs], c.n_matrices) for c in setting.comparisons]
     rows = []
     for change, ids, n_matrices in groups:
-        taus = {member: runs[member].whole[5] for member in ids if member in runs}
+        taus = {member: value_of("correlation_time", runs[member].whole[None])[0] for member in ids if member in runs}
         found = [fate[member] for member in ids]
         rows.append(
             {
@@ -278,7 +285,7 @@ def _share_row(event: str, counts: np.ndarray, confidence: float) -> dict[str, A
 
 
 def _method(t_burn: float, margins: Mapping[str, float], confidence: float) -> str:
-    declared = ", ".join(f"{QUANTITIES[name]} {words.percent(margin)}" for name, margin in margins.items())
+    declared = ", ".join(f"{LABELS[name]} {words.percent(margin)}" for name, margin in margins.items())
     alpha = words.percent(1 - confidence)
     return (
         f"Each quantity is taken on t >= {t_burn:g} and set against the base of the same matrix: two one-sided t "

@@ -7,11 +7,11 @@ from itertools import groupby
 from typing import Any
 
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Setting
+from stickslip.analysis.questions import contrast
 from stickslip.analysis.report import words
 from stickslip.analysis.report.section import Rows
-from stickslip.analysis.stats import compare as equivalence
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN
-from stickslip.analysis.stats.robustness import QUANTITIES
+from stickslip.analysis.stats.quantities import LABELS
 
 ENDS = {"collapsed": "total collapse", "silent": "silent, not certified", "diverged": "runaway"}
 _SAME_PATH = 0.5  # below so many times the noise of the window, runs have hardly left each other's path
@@ -21,7 +21,7 @@ def verdict_words(row: Mapping[str, Any]) -> str:
     """A verdict with what it rests on: difference, interval, margin, and how many matrices more it takes."""
     difference, low, high = (words.signed_percent(row[name]) for name in ("difference", "low", "high"))
     value = f"{difference} ({low} to {high})"
-    said = equivalence.verdict_words(row, value, row["low"], row["high"], words.percent(row["margin"]))
+    said = contrast.verdict_words(row, value, row["low"], row["high"], words.percent(row["margin"]))
     needed = row.get("matrices_needed")
     if row["verdict"] != OPEN or row["by_itself"] != OPEN or needed is None:
         return said
@@ -115,7 +115,7 @@ def _verdicts(rows: Rows) -> str:
     for quantity in dict.fromkeys(row["quantity"] for row in rows):
         some = [row for row in rows if row["quantity"] == quantity]
         if len(some) == 1 and some[0]["size"] is None:
-            alike.setdefault(some[0]["statement"], []).append(QUANTITIES[quantity])
+            alike.setdefault(some[0]["statement"], []).append(LABELS[quantity])
             continue
         by_verdict = []
         for verdict in (EQUIVALENT, DIFFERENT, OPEN):
@@ -124,7 +124,7 @@ def _verdicts(rows: Rows) -> str:
                 is_share = some[0]["kind"] == CONSTANTS
                 listed = ", ".join(words.percent(size) if is_share else f"{size:g}" for size in sizes)
                 by_verdict.append(f"{verdict} at {'every size' if len(sizes) == len(some) else listed}")
-        alike.setdefault("; ".join(by_verdict), []).append(QUANTITIES[quantity])
+        alike.setdefault("; ".join(by_verdict), []).append(LABELS[quantity])
     return ". ".join(f"{words.capital(found)}: {', '.join(names)}" for found, names in alike.items())
 
 

@@ -1,117 +1,33 @@
-"""Fates of runs and how long motion lasts: collapsed, silent, run away, or sustained to the end.
-
-A collapse is one that is certified. A run whose blocks all slip for the last quarter without a certificate is kept
-apart as silent: such runs have been seen to stick again after thousands of units. A runaway is a fate of its own and
-never a collapse. The fates compete: the share that has met one of them by t is the cumulative incidence of Aalen and
-Johansen (1978, Scand. J. Statist. 5, 141),
-
-    C_k(t) = sum over times s <= t of S(s-) d_k(s) / r(s),
-
-d_k(s) the runs that meet fate k at s, r(s) those still in motion and watched, S Kaplan and Meier's survival.
-"""
+"""Fates of runs and how long motion lasts: collapsed, silent, run away, or sustained to the end."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from stickslip.analysis.pairs import Setting, settings
 from stickslip.analysis.report import change_figures, words
-from stickslip.analysis.report.section import ChangePoints, Column, Data, Picture, Section, Table
+from stickslip.analysis.report.section import Column, Data, Picture, Section, Table
 from stickslip.analysis.report.tables import F, I, S, typed
-from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.fates import (
+    COLLAPSED,
+    DIVERGED,
+    ENDS,
+    FAILED,
+    QUIET_SHARE,
+    SILENT,
+    SUSTAINED,
+    Curve,
+    fate,
+    median,
+    survival,
+)
 
 TITLE = "Collapse and escape"
-COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"
-ENDS = (COLLAPSED, SILENT, DIVERGED)
-QUIET_SHARE = 0.25  # of a run: silent if nothing changes in this last part of it
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Survival of self-sustained motion and the cumulative incidence of each end.
-
-    Attributes
-    ----------
-    t : ndarray, shape (m,)
-        0 and the times of ends, ascending; every value holds from its time on.
-    survival, low, high : ndarray, shape (m,)
-        Kaplan and Meier's estimate with Greenwood's interval on the log-log scale; where no run or every run has
-        ended that interval has no width, and Wilson's stands in its place.
-    incidence : dict of str to ndarray, shape (m,)
-        By end, one of `ENDS`; with the survival they add up to one.
-    n_runs, n_ends : int
-    """
-
-    t: np.ndarray
-    survival: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    incidence: dict[str, np.ndarray]
-    n_runs: int
-    n_ends: int
-
-
-def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve:
-    """Survival curve of independent runs.
-
-    Parameters
-    ----------
-    times : array_like, shape (m,)
-        When motion ended, or when the run was last seen in motion.
-    ends : sequence of str
-        `COLLAPSED`, `SILENT` or `DIVERGED`; anything else is censored at its time.
-    confidence : float
-
-    Raises
-    ------
-    ValueError
-        If there are no runs or the lengths differ.
-    """
-    at, how = np.asarray(times, dtype=np.float64), np.asarray(ends, dtype=object)
-    if at.ndim != 1 or at.shape != how.shape or not len(at):
-        raise ValueError(f"times, ends: expected two non-empty arrays of one length, got {at.shape} and {how.shape}")
-    ended = np.isin(how, ENDS)
-    n_runs, n_ends = len(at), int(ended.sum())
-    t = np.concatenate(([0.0], np.unique(at[ended])))
-    if n_ends:
-        estimate = stats.ecdf(stats.CensoredData(uncensored=at[ended], right=at[~ended])).sf
-        alive = estimate.evaluate(t)
-        with warnings.catch_warnings():  # it has no width where none or all have ended: Wilson's stands in below
-            warnings.simplefilter("ignore", RuntimeWarning)
-            bounds = estimate.confidence_interval(confidence, method="log-log")
-        low, high = bounds.low.evaluate(t), bounds.high.evaluate(t)
-    else:
-        alive, low, high = np.ones(1), np.full(1, np.nan), np.full(1, np.nan)
-    at_risk = np.array([(at >= s).sum() for s in t])
-    for k in np.flatnonzero(~(np.isfinite(low) & np.isfinite(high)) | (alive == 1) | (alive == 0)):
-        low[k], high[k] = wilson(alive[k] * n_runs, n_runs, confidence)
-    before = np.concatenate(([1.0], alive[:-1]))
-    incidence = {
-        end: np.cumsum(before * np.array([((at == s) & (how == end)).sum() for s in t]) / np.maximum(at_risk, 1))
-        for end in ENDS
-    }
-    return Curve(t, alive, low, high, incidence, n_runs, n_ends)
-
-
-def median(curve: Curve) -> float | None:
-    """First time by which half of the runs have ended; None if half are never seen to end."""
-    below = np.flatnonzero(curve.survival <= 0.5)
-    return float(curve.t[below[0]]) if len(below) else None
-
-
-def fate(outcome: str, series: ChangePoints | None, t_end: float) -> str:
-    """Fate of a run, from its outcome and, if it finished, from the last of its change points."""
-    if outcome != "finished" or series is None:
-        return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
-    t, n_stick = series
-    return SILENT if n_stick[-1] == 0 and t[-1] <= (1 - QUIET_SHARE) * t_end else SUSTAINED
 
 
 def fates(data: Data) -> dict[str, str]:

@@ -20,7 +20,7 @@ from stickslip.analysis.report.section import Picture
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN
 
 if TYPE_CHECKING:
-    from stickslip.analysis.questions.survival_section import Curve
+    from stickslip.analysis.stats.fates import Curve
 
 Row = Mapping[str, Any]
 Line = tuple[str, str, np.ndarray, np.ndarray]  # family (one colour), label, times, values

@@ -11,6 +11,7 @@ import pandas as pd
 from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, Group, check, groups
 from stickslip.analysis.pairs import unchanged
 from stickslip.analysis.questions.contrast import (
+    COMPARED,
     SHARE_MARGIN,
     SHARES_ADJUSTED,
     contrast,
@@ -143,10 +144,10 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     found, labels = [], []
     for match in matches:
         pair = [
-            sample(group.label, group.members, one.data, settings.t_burn, settings.dt)
+            sample(group.label, group.members, one.data, settings.t_burn)
             for group, one in ((match.first, first), (match.second, second))
         ]
-        for statistic in statistics(settings.dt, settings.margins):
+        for statistic in statistics(settings.margins):
             found.append(contrast(statistic, pair[0], pair[1], match.is_paired, settings.confidence))
             labels.append(match)
     rows = judged(found, 1 - settings.confidence)
@@ -277,8 +278,8 @@ def _notes(
     rows: Sequence[Mapping[str, Any]], first: Ensemble, second: Ensemble, settings: AnalysisSettings
 ) -> list[str]:
     declared = [
-        f"{label} {words.percent(settings.margins[name])}"
-        for name, label in _MARGINS.items()
+        f"{one.label} {words.percent(settings.margins[name])}"
+        for name, one in COMPARED.items()
         if name in settings.margins
     ]
     of_values = [f"{', '.join(declared)} of the first value"] if declared else []
@@ -288,7 +289,7 @@ def _notes(
     ]
     other = [
         f"{name} {words.percent(second.margins[name])}"
-        for name in _MARGINS
+        for name in COMPARED
         if name in second.margins and second.margins[name] != settings.margins.get(name)
     ]
     if other:
@@ -299,7 +300,7 @@ def _notes(
         f"All {words.count(_tested(rows), 'comparison')} that there is data for are judged together: p-values are "
         "adjusted by Holm's rule, so that equal ensembles are called different anywhere in at most "
         f"{words.percent(1 - settings.confidence)} of cases; the intervals ({words.percent(settings.confidence)}) "
-        "are not. They share their runs, so that neighbouring definitions of gamma tend to agree."
+        "are not."
     )
     notes.append(
         "Matrices are the independent units. Statistics other than shares hold for runs that reached t_end. Shares "
@@ -308,9 +309,3 @@ def _notes(
         f"estimated {SHARES_ADJUSTED}."
     )
     return notes
-
-
-_MARGINS = {
-    "mean": "mean n_stick", "variance": "its variance in time", "rate": "exit rate",
-    "correlation_time": "correlation time", "gamma": "gamma",
-}  # fmt: skip

@@ -95,7 +95,7 @@ def sections(data: Data, found: list[Group], settings: AnalysisSettings) -> Iter
         partial(law_section, found, k_min=settings.smallest, confidence=settings.confidence, seed=settings.seed),
         partial(map_section, data, found, dt=settings.map_dt, taus=settings.tau, **seeded),
         partial(clustering_section, data, found, taus=settings.tau, **seeded),
-        partial(engines_section, data, found, dt=settings.dt, margins=settings.margins, **sampled),
+        partial(engines_section, data, found, margins=settings.margins, **sampled),
         partial(survival_section, data, confidence=settings.confidence),
     )
     for answer in answers:

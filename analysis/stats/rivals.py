@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stickslip.analysis.stats import student
+from stickslip.analysis.stats.compare import holm
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error, over_matrices, ratio
 from stickslip.analysis.stats.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
 
@@ -84,7 +85,7 @@ def rivals(
     except Undefined as undefined:
         return [Rival(family, reason=str(undefined)) for family in families]
     judged = [_against(base, maximise(family, sizes, seen.sum(axis=0)), seen, confidence) for family in families]
-    return _holm(judged, 1 - confidence)
+    return _judged(judged, 1 - confidence)
 
 
 def _against(base: Fit, fit: Fit, counts: np.ndarray, confidence: float) -> Rival:
@@ -140,17 +141,11 @@ def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estim
     return Estimate(value, value - half, value + half)
 
 
-def _holm(found: list[Rival], level: float) -> list[Rival]:
-    """p-values adjusted for the number of rivals (Holm 1979), and the verdicts that follow."""
-    tested = sorted(
-        (k for k, one in enumerate(found) if one.p_value is not None), key=lambda k: found[k].p_value or 0
-    )
-    out, running = list(found), 0.0
-    for rank, k in enumerate(tested):
-        one = found[k]
-        assert one.p_value is not None
-        assert one.gain is not None
-        running = max(running, min(1.0, (len(tested) - rank) * one.p_value))
-        verdict = "not distinguishable" if running > level else "better" if one.gain > 0 else "worse"
-        out[k] = replace(one, p_adjusted=running, verdict=verdict)
+def _judged(found: list[Rival], level: float) -> list[Rival]:
+    """p-values adjusted for the number of rivals, and the verdicts that follow."""
+    tested = [k for k, one in enumerate(found) if one.p_value is not None]
+    out = list(found)
+    for k, p in zip(tested, holm([found[k].p_value or 0.0 for k in tested]), strict=True):
+        verdict = "not distinguishable" if p > level else "better" if (found[k].gain or 0.0) > 0 else "worse"
+        out[k] = replace(found[k], p_adjusted=float(p), verdict=verdict)
     return out

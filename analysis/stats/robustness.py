@@ -8,36 +8,21 @@ any matrix would do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
 
 from stickslip.analysis.pairs import Comparison
-from stickslip.analysis.report import words
-from stickslip.analysis.stats import compare as equivalence
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.cascades import Law, Window, sizes
-from stickslip.analysis.stats.compare import Compared
-from stickslip.analysis.stats.estimates import Undefined, correlation_time, gamma, jackknife, jackknife_error
+from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.stats.compare import Compared, equivalence_test, relative_difference
+from stickslip.analysis.stats.estimates import Undefined, correlation_time, jackknife, jackknife_error
+from stickslip.analysis.stats.quantities import DISTRIBUTION, QUANTITIES
 
-#: quantities by name, and what the reader is told
-QUANTITIES: Mapping[str, str] = {
-    "mean": "mean n_stick",
-    "variance": "variance of n_stick in time",
-    "rate": "changes of n_stick per unit time",
-    "gamma": "gamma of cascades by events",
-    "correlation_time": "correlation time",
-    "band": "share of the variance in periods 15 to 25",
-    "distribution": "stationary distribution of n_stick",
-}
-BAND = (15.0, 25.0)  # periods around the paper's 20
 BAND_FACTOR = 2.0  # "period near 20": the band's share is more than so many times the base's
 FLIPS = 9999  # random exchanges: the least p-value is still below 0.05 after adjusting for 400 tests
-_SAMPLES = 4096  # samples of a window for its spectrum: dt = 0.1 for 400 units
-_MEAN, _VARIANCE, _RATE, _TOTAL, _COUNT, _TAU, _BAND = range(7)
-_COLUMN = {"mean": _MEAN, "variance": _VARIANCE, "rate": _RATE, "correlation_time": _TAU, "band": _BAND}
+_INDEX = {name: k for k, name in enumerate(QUANTITIES)}
 
 
 @dataclass(frozen=True)
@@ -46,10 +31,9 @@ class Summary:
 
     Attributes
     ----------
-    whole : ndarray, shape (7,)
-        Mean and variance of n_stick in time, changes per unit time, total size and number of cascades by events,
-        correlation time, share of the variance in `BAND`.
-    halves : ndarray, shape (2, 7)
+    whole : ndarray, shape (q, 2)
+        Sums of each of `QUANTITIES`.
+    halves : ndarray, shape (2, q, 2)
     shares : ndarray, shape (n + 1,)
         Share of time at each n_stick.
     half_shares : ndarray, shape (2, n + 1)
@@ -68,19 +52,11 @@ def summary(win: Window, n: int) -> Summary | None:
     """Summary of a run's window; None if n_stick hardly changes: no change in one half, or no complete cascade."""
     middle = 0.5 * (win.t_start + win.t_stop)
     parts = [win, win.part(win.t_start, middle), win.part(middle, win.t_stop)]
-    rows, is_short = [], False
-    for k, part in enumerate(parts):
-        fallen = sizes(part, Law("events"))
-        tau = correlation_time(part)
-        if tau.value is None or not len(fallen):
-            return None
-        is_short = is_short or (k == 0 and bool(tau.reason))
-        changes = float(np.abs(part.step).sum()) / (part.t_stop - part.t_start)
-        rows.append(
-            [part.time_mean(), part.time_variance(), changes, fallen.sum(), len(fallen), tau.value, band_share(part)]
-        )
+    rows = np.array([[one.sums(part) for one in QUANTITIES.values()] for part in parts])
+    if not (rows[:, [_INDEX["gamma"], _INDEX["correlation_time"]], 1] > 0).all():
+        return None
     shares = np.array([time_shares(part, n) for part in parts])
-    return Summary(np.array(rows[0]), np.array(rows[1:]), shares[0], shares[1:], is_short)
+    return Summary(rows[0], rows[1:], shares[0], shares[1:], bool(correlation_time(win).reason))
 
 
 def time_shares(win: Window, n: int) -> np.ndarray:
@@ -92,16 +68,6 @@ def time_shares(win: Window, n: int) -> np.ndarray:
 def wasserstein(first: np.ndarray, second: np.ndarray) -> float:
     """Wasserstein-1 distance of two distributions on 0, 1, ..., n: sum |F - G|, in blocks."""
     return float(np.abs(np.cumsum(first - second)).sum())
-
-
-def band_share(win: Window, periods: tuple[float, float] = BAND) -> float:
-    """Share of the variance of n_stick in a band of periods: a Hann-tapered periodogram of `_SAMPLES` samples."""
-    dt = (win.t_stop - win.t_start) / _SAMPLES
-    samples = win.path()[win.grid_index(dt)][:_SAMPLES].astype(np.float64)
-    frequency, spectrum = signal.periodogram(samples, 1 / dt, window="hann", detrend="constant")
-    total = float(spectrum[1:].sum())
-    inside = (frequency >= 1 / periods[1]) & (frequency <= 1 / periods[0])
-    return float(spectrum[inside].sum()) / total if total else 0.0
 
 
 def distribution_test(
@@ -134,7 +100,7 @@ def distribution_test(
     signs = rng.choice([-1.0, 1.0], (FLIPS, len(gaps)))
     by_chance = np.abs(signs @ gaps / len(gaps)).sum(axis=1) / scale
     n_larger = np.count_nonzero(by_chance >= value * (1 - 1e-9))  # an exchange of all gives the value itself
-    test = equivalence.compare(value, error, len(gaps) - 1, margin)
+    test = equivalence_test(value, error, len(gaps) - 1, margin)
     return replace(test, p_different=(1 + n_larger) / (1 + FLIPS))
 
 
@@ -175,34 +141,12 @@ class Result:
     reason: str = ""
 
 
-Relative = Callable[[np.ndarray], np.ndarray]  # sums of changed (7) and base (7) -> relative difference
-
-
-def _relative(quantity: str) -> Relative:
-    if quantity == "gamma":
-        pick = [_TOTAL, _COUNT]
-        return lambda sums: gamma(sums[:, :7][:, pick]) / gamma(sums[:, 7:14][:, pick]) - 1.0
-    top, bottom = _COLUMN[quantity], 7 + _COLUMN[quantity]
-
-    def relative(sums: np.ndarray) -> np.ndarray:
-        if (sums[:, bottom] == 0).any():
-            raise Undefined("the base's value is zero")
-        return sums[:, top] / sums[:, bottom] - 1.0
-
-    return relative
-
-
 def value_of(quantity: str, rows: np.ndarray) -> np.ndarray:
-    """A quantity of each row of `Summary.whole`, shape (m,)."""
-    if quantity == "gamma":
-        return np.array([_gamma(row) for row in rows])
-    return rows[:, _COLUMN[quantity]]
-
-
-def _gamma(row: np.ndarray) -> float:
-    """gamma of one run; with cascades of size 1 alone, that of one more of size 2, so that it stays finite."""
-    total, count = row[_TOTAL], row[_COUNT]
-    return float(gamma(np.array([[max(total, count + 1.0), count]]))[0])
+    """A quantity of each of some runs, shape (m,), from their rows of `Summary.whole`, shape (m, q, 2)."""
+    sums = rows[:, _INDEX[quantity]]
+    if quantity == "gamma":  # with cascades of size 1 alone, that of one more of size 2, so that it stays finite
+        sums = np.column_stack([np.maximum(sums[:, 0], sums[:, 1] + 1.0), sums[:, 1]])
+    return QUANTITIES[quantity].of(sums)
 
 
 def compare(
@@ -241,23 +185,25 @@ def compare(
         return Result(
             quantity,
             len(matrices),
-            reason=f"{words.count(len(matrices), 'matrix')} with both runs in motion; two are needed",
+            reason=f"matrices with both runs in motion: {len(matrices)}; two are needed",
         )
     base = changed = None
-    if quantity == "distribution":
+    if quantity == DISTRIBUTION:
         shares = [np.array([np.mean([pair[k].shares for pair in some], axis=0) for some in matrices]) for k in (0, 1)]
         test = distribution_test(shares[0], shares[1], _spread(matrices), margin, rng)
     else:
-        sums = np.array([np.mean([_sums(*pair) for pair in some], axis=0) for some in matrices])
+        after, before = (
+            np.array([np.mean([pair[k].whole[_INDEX[quantity]] for pair in some], axis=0) for some in matrices])
+            for k in (0, 1)
+        )
+        of = QUANTITIES[quantity].of
         try:
-            difference, error = jackknife(_relative(quantity), sums)
+            test = equivalence_test(*relative_difference(of, before, after, True), margin)
         except Undefined as undefined:
             return Result(quantity, len(matrices), reason=str(undefined))
-        test = equivalence.compare(difference, error, len(matrices) - 1, margin)
-        means = sums.mean(axis=0)
-        base, changed = (float(value_of(quantity, side[None])[0]) for side in (means[7:], means[:7]))
+        base, changed = (float(of(side.sum(axis=0, keepdims=True))[0]) for side in (before, after))
     typical, noise, apart = _yardsticks(quantity, matrices)
-    root = quantity != "distribution"  # squares of differences, but plain distances of distributions
+    root = quantity != DISTRIBUTION  # squares of differences, but plain distances of distributions
     spreads = [typical, noise, apart[~np.eye(len(apart), dtype=bool)]]
     sizes_of = [float(np.sqrt(np.mean(spread)) if root else np.mean(spread)) for spread in spreads]
     against, low, high = _against(typical, apart, root, confidence)
@@ -266,13 +212,9 @@ def compare(
     )
 
 
-def _sums(changed: Summary, base: Summary) -> np.ndarray:
-    return np.concatenate([changed.whole, base.whole])
-
-
 def _spread(matrices: Sequence[Sequence[tuple[Summary, Summary]]]) -> float:
     """Standard deviation in time of the bases, mean over matrices."""
-    return float(np.mean([np.sqrt(pairs[0][1].whole[_VARIANCE]) for pairs in matrices]))
+    return float(np.mean([np.sqrt(pairs[0][1].whole[_INDEX["variance"], 0]) for pairs in matrices]))
 
 
 def _yardsticks(
@@ -286,7 +228,7 @@ def _yardsticks(
     differed by 2.3 and halves over sqrt(2) by 2.2 (20 matrices of 200 blocks, t = 600 to 1000).
     """
     first_bases = [pairs[0][1] for pairs in matrices]
-    if quantity == "distribution":
+    if quantity == DISTRIBUTION:
         scale = _spread(matrices)
         typical = [np.mean([wasserstein(a.shares, b.shares) for a, b in pairs]) for pairs in matrices]
         noise = [
@@ -326,17 +268,17 @@ def _against(
 
 
 def redrawn(bases: Sequence[Summary], quantity: str, margin: float) -> Compared | None:
-    """The same test where every matrix is drawn anew: every second matrix against the others, unpaired (Welch).
+    """The same test where every matrix is drawn anew: every second matrix against the others, independent of them.
 
-    Relative to the mean of all; None with fewer than four matrices, and for `distribution`, which is paired.
+    None with fewer than four matrices, and for `DISTRIBUTION`, which is paired.
     """
-    if len(bases) < 4 or quantity == "distribution":
+    if len(bases) < 4 or quantity == DISTRIBUTION:
         return None
-    values = value_of(quantity, np.array([base.whole for base in bases]))
-    if values.mean() == 0:
+    rows = np.array([base.whole[_INDEX[quantity]] for base in bases])
+    try:
+        return equivalence_test(*relative_difference(QUANTITIES[quantity].of, rows[0::2], rows[1::2], False), margin)
+    except Undefined:
         return None
-    difference, error, dof = equivalence.unpaired(*(values[k::2] / values.mean() for k in (0, 1)))
-    return equivalence.compare(difference, error, dof, margin)
 
 
 def period_counts(comparison: Comparison, runs: Mapping[str, Summary]) -> np.ndarray:
@@ -347,7 +289,9 @@ def period_counts(comparison: Comparison, runs: Mapping[str, Summary]) -> np.nda
     counts: dict[int, np.ndarray] = {}
     for pair in comparison.pairs:
         if pair.base in runs and pair.changed in runs:
-            is_near = runs[pair.changed].whole[_BAND] > BAND_FACTOR * runs[pair.base].whole[_BAND]
+            is_near = (
+                runs[pair.changed].whole[_INDEX["band"], 0] > BAND_FACTOR * runs[pair.base].whole[_INDEX["band"], 0]
+            )
             counts[pair.matrix] = counts.get(pair.matrix, np.zeros(2)) + np.array([is_near, 1])
     return np.array(list(counts.values())).reshape(-1, 2)
 
@@ -356,6 +300,6 @@ def period_by_redraw(bases: Sequence[Summary]) -> float | None:
     """How often a matrix passes for "period near 20" beside another, over all ordered pairs of different ones."""
     if len(bases) < 2:
         return None
-    share = np.array([base.whole[_BAND] for base in bases])
+    share = np.array([base.whole[_INDEX["band"], 0] for base in bases])
     is_near = share[:, None] > BAND_FACTOR * share[None]  # never on the diagonal
     return float(is_near.sum()) / (len(share) * (len(share) - 1))

@@ -5,9 +5,18 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis.questions.contrast import Sample, Statistic, contrast, in_words, judged, sample, statistics
+from stickslip.analysis.questions.contrast import (
+    Sample,
+    Statistic,
+    contrast,
+    in_words,
+    judged,
+    sample,
+    statistics,
+    verdict_words,
+)
 from stickslip.analysis.report.section import Data
-from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN, judge_together, power, verdict_words
+from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN, judge_together, power
 from stickslip.analysis.stats.estimates import gamma, ratio
 
 MEAN = Statistic("mean", ratio, 0.1)
@@ -133,7 +142,7 @@ def test_a_sample_is_the_planted_one(planted):
         ]
     )
     series = {f"m{k}": (t, a + 2 * wave) for k, a in enumerate((10, 12, 20))} | {"m3": quiet, "m4": quiet}
-    found = sample("all", members, Data(members, series), 100.0, (0.5,))
+    found = sample("all", members, Data(members, series), 100.0)
     matrices, rows = found.rows("mean n_stick")
     assert matrices.tolist() == [0, 1, 2, 4]
     assert rows[:, 0] == pytest.approx([11, 13, 21, 200 / 900 * 5])
@@ -150,9 +159,8 @@ def test_a_sample_is_the_planted_one(planted):
 
 
 def test_what_has_no_margin_is_not_compared():
-    names = [one.name for one in statistics((0.5,), MARGINS)]
-    assert len(names) == 4 + 5 + 3
-    assert len(statistics((0.5,), {"mean": 0.1})) == 1 + 3
+    assert len(statistics(MARGINS)) == 5 + 3
+    assert len(statistics({"mean": 0.1})) == 1 + 3
 
 
 def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(planted):
@@ -161,10 +169,10 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     members = pd.DataFrame([planted.member(f"m{k}", k) for k in range(4)])
     series = {f"m{k}": (t, np.rint(60 + k - t / 20).astype(int)) for k in range(4)}
     found, other = (
-        sample("decline", members, Data(members, some), 100.0, (0.5,))
+        sample("decline", members, Data(members, some), 100.0)
         for some in (series, {name: (t, n_stick - t.astype(int) // 99) for name, (t, n_stick) in series.items()})
     )
-    one = next(one for one in statistics((0.5,), MARGINS) if one.name == "correlation time")
+    one = next(one for one in statistics(MARGINS) if one.name == "correlation time")
     assert "in 4 of 4 runs the window is too short for it" in contrast(one, found, other, True, 0.95).reason
     assert not contrast(one, found, found, True, 0.95).reason
 

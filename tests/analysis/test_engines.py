@@ -28,7 +28,7 @@ def study(planted, shifts, n_matrices=8, **thresholds):
                 by_threshold[name, c] = t, series[name][1] - lower
     members = pd.DataFrame(rows)
     data = Data(members, series, thresholds=by_threshold)
-    return engines_section(data, groups(members), t_burn=100.0, dt=(0.5,), margins=MARGINS, confidence=0.95)
+    return engines_section(data, groups(members), t_burn=100.0, margins=MARGINS, confidence=0.95)
 
 
 def test_the_sigmoid_is_set_against_the_exact_law(planted):
@@ -89,7 +89,7 @@ def two_laws(planted, change, eps=0.03):
 def alarms(*planting, **how):
     data = two_laws(*planting, **how)
     found = groups(data.members)
-    return engines_section(data, found, t_burn=100.0, dt=(0.5,), margins=MARGINS, confidence=0.95).alarms
+    return engines_section(data, found, t_burn=100.0, margins=MARGINS, confidence=0.95).alarms
 
 
 def test_engines_that_disagree_beyond_smoothing_raise_an_alarm(planted):

@@ -15,15 +15,17 @@ from stickslip.analysis.stats.compare import (
     DIFFERENT,
     EQUIVALENT,
     OPEN,
-    compare,
+    equivalence_test,
     holm,
     matrices_needed,
+    mean_difference,
     power,
     share_over_matrices,
-    unpaired,
     wilson,
 )
-from stickslip.analysis.stats.robustness import band_share, summary, time_shares, wasserstein
+from stickslip.analysis.stats.estimates import ratio
+from stickslip.analysis.stats.quantities import band_share
+from stickslip.analysis.stats.robustness import summary, time_shares, wasserstein
 
 _spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
 studies = importlib.util.module_from_spec(_spec)
@@ -34,19 +36,20 @@ MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "gamma": 0.05, "distribut
 
 def test_the_tests_agree_with_their_intervals():
     for difference in np.linspace(-0.2, 0.2, 41):
-        test = compare(difference, 0.03, 19, 0.1)
+        test = equivalence_test(difference, 0.03, 19, 0.1)
         low, high = test.interval(0.90)
         assert (test.p_equivalent < 0.05) == (low > -0.1 and high < 0.1)
         low, high = test.interval(0.95)
         assert (test.p_different < 0.05) == (not low <= 0 <= high)
     with pytest.raises(ValueError, match="margin"):
-        compare(0.0, 0.1, 19, 0.0)
+        equivalence_test(0.0, 0.1, 19, 0.0)
 
 
-def test_unpaired_is_welch():
+def test_independent_is_welch():
     rng = np.random.default_rng(0)
     first, second = rng.normal(0, 1, 12), rng.normal(0.5, 3, 20)
-    difference, error, dof = unpaired(first, second)
+    sums = (np.column_stack([values, np.ones_like(values)]) for values in (first, second))
+    difference, error, dof = mean_difference(ratio, *sums, paired=False)
     known = stats.ttest_ind(second, first, equal_var=False)
     assert difference / error == pytest.approx(known.statistic)
     assert dof == pytest.approx(known.df)

@@ -8,7 +8,14 @@ from scipy import stats
 
 from stickslip.analysis.pairs import Change, Comparison, Pair
 from stickslip.analysis.stats.cascades import window
-from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, compare, power, share_over_matrices, verdict
+from stickslip.analysis.stats.compare import (
+    DIFFERENT,
+    EQUIVALENT,
+    equivalence_test,
+    power,
+    share_over_matrices,
+    verdict,
+)
 from stickslip.analysis.stats.estimates import jackknife
 from stickslip.analysis.stats.robustness import distribution_test, time_shares
 from stickslip.analysis.stats.sensitivity import growth
@@ -35,7 +42,7 @@ def verdicts(quantity, true_difference, n_matrices=20, ensembles=10_000, seed=0)
         base, changed = rng.gamma(1 / within**2, within**2, (2, n_matrices)) * own
         sums = np.column_stack([changed * (1 + true_difference), base])
         difference, error = jackknife(lambda s: s[:, 0] / s[:, 1] - 1, sums)
-        test = compare(difference, error, n_matrices - 1, margin)
+        test = equivalence_test(difference, error, n_matrices - 1, margin)
         found.append(verdict(test.p_equivalent, test.p_different, ALPHA))
     return {name: found.count(name) / ensembles for name in (EQUIVALENT, DIFFERENT)}
 

@@ -23,8 +23,8 @@ import scipy.io
 import scipy.sparse
 
 from stickslip.analysis.groups import OUTCOMES
-from stickslip.analysis.questions.survival_section import fate
 from stickslip.analysis.report.section import Data
+from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.pipeline import scene as scenes
 from stickslip.sim import couplings, draw_system, perturb_system, simulate

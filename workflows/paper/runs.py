@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
 from stickslip import sim
-from stickslip.analysis.stats import cascades, estimates
+from stickslip.analysis.stats import cascades, estimates, fates
 from stickslip.analysis.stats.nulls import NullTally, random_order
 from stickslip.pipeline.design import MATRIX
 from stickslip.workflows.paper.scene import LAWS, Law, PaperScene
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
 
-#: A run whose n_stick is 0 at the end is silent if it last changed before this share of the time.
-SILENT_SHARE = 0.75
 #: Blocks stick "at first" up to this time: the rush of entries is over, few have let go.
 EARLY = 5.0
 #: Two runs of figure 4 are apart once n_stick differs by this much on average over so much time, sampled this often:
@@ -110,11 +108,8 @@ class Sizes:
 
 def fate(outcome: str, t: np.ndarray, n_stick: np.ndarray, t_end: float) -> Fate:
     """What became of a run, from its outcome and the change points of n_stick."""
-    if outcome in ("diverged", "failed"):
-        return "diverged" if outcome == "diverged" else "failed"
-    if outcome == "collapsed":
-        return "certified"
-    return "silent" if n_stick[-1] == 0 and t[-1] < SILENT_SHARE * t_end else "sustained"
+    found = fates.fate(outcome, (t, n_stick), t_end)
+    return "certified" if found == fates.COLLAPSED else cast(Fate, found)
 
 
 def _mean(run: sim.Run, t_end: float) -> float | None:
