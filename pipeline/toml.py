@@ -231,8 +231,9 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         return f"{path}: expected a table, got {_shown(value)}; write {table_line} on a line, its keys below"
 
     expected = "at least one value" if kind == "too_short" else detail["msg"].removeprefix("Input should be ")
-    if expected.startswith(("greater", "less")):
-        expected = f"a value {expected}"
+    if expected.startswith(("greater", "less")):  # pydantic writes a bound of 1e-16 with all its zeros
+        words, _, bound = expected.rpartition(" ")
+        expected = f"a value {words} {float(bound):g}" if "." in bound else f"a value {expected}"
     got = _shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; {f'e.g. {example},' if example else 'write'} the {field.description}" if field else ""
     if kind in _NUMBERS:

@@ -16,7 +16,7 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
     """A new float64 array; TypeError for what holds no real numbers."""
     try:
         array = np.asarray(value)
-        if not np.can_cast(array.dtype, np.float64, casting="same_kind"):
+        if array.dtype == np.bool_ or not np.can_cast(array.dtype, np.float64, casting="same_kind"):
             raise TypeError(f"numbers of type {array.dtype}")
         return np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+import pandas as pd
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
@@ -23,6 +24,9 @@ Form = Literal["table", "csv", "parquet"]
 #: Rows of a table that a person may want to read.
 _SHOWN = 1000
 
+
+#: What a table shows where there is no value.
+_NULL = "NULL"
 
 #: What the name of a file says of its form.
 _ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
@@ -98,7 +102,10 @@ def _table(batches: pa.RecordBatchReader) -> str:
     if not n_rows:
         return printable(f"no rows ({', '.join(batches.schema.names)})\n")
     more = f"... {n_rows - _SHOWN} rows more: --format csv has them all\n" if n_rows > _SHOWN else ""
-    return printable(frame(table).to_string(index=False, na_rep="")) + "\n" + more
+    shown = frame(table)
+    for name in shown.columns[shown.isna().any()]:
+        shown[name] = [_NULL if value is None or value is pd.NA else value for value in shown[name]]
+    return printable(shown.to_string(index=False, na_rep="NaN")) + "\n" + more
 
 
 def _flat(schema: pa.Schema) -> None:

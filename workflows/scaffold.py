@@ -56,10 +56,12 @@ def new_scene(file: Path) -> list[str]:
     Raises
     ------
     NotWritten
-        If there is a file of that name.
+        If there is a file or a directory of that name.
     OSError
         If it cannot be written.
     """
+    if file.is_dir():
+        raise NotWritten(f"FILE: expected the name of a new file, got the directory {str(file)!r}; name a file in it")
     if file.suffix != ".toml":
         file = file.with_name(f"{file.name}.toml")
     try:

@@ -73,7 +73,7 @@ BAD = {
     "tolerance out of reach": (
         'name = "coulomb"',
         'name = "coulomb"\ntol = 1e-17',
-        ["engine[0].tol", "greater than"],
+        ["engine[0].tol", "greater than 1e-16, got 1e-17"],
     ),
     "engine without name": ('name = "coulomb"', "tol = 1e-9", ["engine[0].name", 'write `name = "coulomb"`']),
     "same engine twice": (

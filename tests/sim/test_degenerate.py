@@ -495,6 +495,8 @@ ONE = System([[1.0]], 0.1)
         ("system", lambda: simulate(np.eye(1), 0.0, 0.0, 1.0)),
         ("z0", lambda: simulate(ONE, [0.0, 0.0], 0.0, 1.0)),
         ("w0", lambda: simulate(ONE, 0.0, np.nan, 1.0)),
+        ("z0", lambda: simulate(ONE, True, 0.0, 1.0)),
+        ("friction", lambda: System([[1.0]], 0.1, True)),
         ("t_end", lambda: simulate(ONE, 0.0, 0.0, -1.0)),
         ("t_end", lambda: simulate(ONE, 0.0, 0.0, np.inf)),
         ("t_end", lambda: simulate(ONE, 0.0, 0.0, None)),

@@ -140,6 +140,12 @@ def test_a_terminal_is_told_nothing_by_data(dataset, tmp_path, capsys):
     assert file.read_bytes() == b'"a"\n"\x1b"\n'  # for programs, as it is
 
 
+@pytest.mark.parametrize("value", ["1", "0.5", "'a'", "true", "[1]", "DATE '2020-01-01'"])
+def test_a_table_has_one_word_for_no_value(value, dataset, capsys):
+    assert main(["query", str(dataset), f"SELECT {value} AS a UNION ALL SELECT NULL ORDER BY a NULLS LAST"]) == 0
+    assert capsys.readouterr().out.split()[-1] == "NULL"
+
+
 def test_a_long_table_says_what_it_leaves_out(dataset, capsys):
     assert main(["query", str(dataset), "SELECT range FROM range(1234)"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -103,6 +103,9 @@ def test_init_writes_a_scene_that_runs_and_refuses_to_write_over_it(name, tmp_pa
     assert main(["init", name]) == 2
     assert "which exists; name another" in capsys.readouterr().err
     assert (tmp_path / "mine.toml").read_text() == "mine"
+    (tmp_path / "scenes").mkdir()
+    assert main(["init", "scenes"]) == 2
+    assert "got the directory 'scenes'; name a file in it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
