@@ -65,12 +65,6 @@ def rivals(
     - One that does not: Vuong's statistic (1989, Econometrica 57, 307) with the differences of log-likelihood summed
       by matrix.
 
-    Measured at a nominal 5%, unadjusted, on the planted ensembles of `goodness`: a rival that holds the exponential
-    alarmed in 5.0 to 5.8% with 5 matrices and 5.8 to 6.8% with 10 (500 ensembles each), 4.4 to 5.7% with 20 (1000
-    each); one of the three was called "better" in 1.4 to 2.4% with 20. Vuong's test, halfway between two laws: 5.6 to
-    6.5% with 5 matrices, 5.2 to 6.2% with 20. With 20 matrices some rival was called "better" in 81% where the truth
-    was an equal mixture of rates 0.6 and 0.85, in 56% where it was k^-0.1 exp(-0.66 k).
-
     Parameters
     ----------
     sizes : ndarray, shape (K,)

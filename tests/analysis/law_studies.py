@@ -1,4 +1,4 @@
-"""Planted ensembles for the law of cascades, and the studies whose figures the estimators' docstrings quote.
+"""Planted ensembles for the law of cascades, and the studies that the guide's page on them shows.
 
 `python tests/analysis/law_studies.py` runs the studies in full, in some minutes.
 """

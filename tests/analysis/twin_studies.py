@@ -1,4 +1,4 @@
-"""Planted studies behind the figures that `stickslip.analysis.stats` quotes in its docstrings.
+"""Planted studies of comparisons, which the guide shows.
 
 cd tests/analysis && python -c "import twin_studies; twin_studies.main()"    # a few minutes
 """
