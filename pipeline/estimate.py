@@ -1,4 +1,4 @@
-"""What a run will take, before it is made: members, shards, bytes and time, the last two as intervals.
+"""What a run will take, before it is made: bytes and time, as intervals.
 
 `Member.cost` says how work grows within one kind of members (one n, one setting of an engine), up to a factor that
 the machine and the scene's physics set. A pilot finds that factor: the workers that the run will have run members of
@@ -23,7 +23,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -59,14 +58,8 @@ _START_SPREAD, _PER_BATCH = 0.3, 0.02
 #: The part of the runs that lies between the bounds of an interval.
 _LEVEL = 0.9
 
-#: What members of one kind differ by.
-_DRAWS: dict[str, Any] = {
-    **{"member_id": "", "matrix": 0, "ratio_draw": None, "twin_size": None, "shared_cost": 0.0},
-    **{"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None},
-}
-
-#: Bytes of a row's scalars, most of which are those of the row before.
-_SCALARS = 20.0
+#: Bytes of a row's scalars, most of which are those of the row before; what lists take, which share pages if short.
+_SCALARS, _PAGES = 20.0, (0.45, 1.0, 1.4)
 
 #: Low, middle, high.
 Interval: TypeAlias = tuple[float, float, float]
@@ -85,12 +78,10 @@ class Amounts:
 class Estimate:
     """What a run will take, as far as a pilot can tell."""
 
-    n_members: int
-    n_shards: int
     amounts: Amounts | None  #: None if members of the pilot failed, which says nothing of those that will not
     failures: dict[str, int]  #: members of the pilot that failed, by reason
-    asked_workers: int
-    workers: int  #: those of them that have a shard, and a core, of their own
+    workers: int  #: those of the workers asked for that have a shard of their own
+    cores: int  #: those that they share
     n_pilot: int
     n_kinds: int
     pilot_seconds: float
@@ -101,13 +92,14 @@ class Estimate:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A member that was run, or a part of it: seconds, those of a core, and what the whole would take."""
+    """A member that was run, or a part of it: what it took, and what the whole would take."""
 
     seconds: float
     core_seconds: float
-    whole: float
+    factor: float  #: seconds of the whole for a unit of its cost
     stretched: float  #: doublings of time between the part and the whole
-    bytes: float
+    head: int  #: bytes of a shard beside its rows
+    bytes: float  #: of the row
     failure: str | None  #: why it failed, if it did
 
 
@@ -115,26 +107,21 @@ class _Seen:
 class _Kind:
     """Members that differ by their draws and changes only, and what the pilot saw of them."""
 
-    members: list[Member]
-    factors: list[float] = field(default_factory=list)
-    stretched: list[float] = field(default_factory=list)
-    bytes: list[float] = field(default_factory=list)
+    members: list[Member] = field(default_factory=list)
+    seen: list[_Seen] = field(default_factory=list)
     n_asked: int = 0
 
     @property
     def cost(self) -> float:
         return sum(member.cost for member in self.members)
 
-    @property
-    def factor(self) -> float:
-        return float(np.mean(self.factors))
+    def mean(self, name: str) -> float:
+        return float(np.mean([getattr(one, name) for one in self.seen]))
 
-    def next_members(self, count: int) -> Iterator[Member]:
-        """Members that the pilot has not run, evenly spread over matrices and changes."""
-        for _ in range(min(count, len(self.members) - self.n_asked, _ENOUGH - self.n_asked)):
-            # the golden section spreads any number of places, however many will be asked for
-            yield self.members[int(self.n_asked * 0.6180339887498949 % 1.0 * len(self.members))]
-            self.n_asked += 1
+    def next_member(self) -> Member:
+        """A member that the pilot has not run; they are evenly spread over matrices and changes."""
+        self.n_asked += 1  # the golden section spreads any number of places, however many will be asked for
+        return self.members[int((self.n_asked - 1) * 0.6180339887498949 % 1.0 * len(self.members))]
 
 
 def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
@@ -156,25 +143,22 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     start = time.perf_counter()
     kinds = _kinds([member for batch in packed for member in batch.members])
     # what is shared between members is known by its formula; the pilot runs them alone
-    recording = replace(
-        Recording.of(scene),
-        parts=tuple(part for part in scene.records if part not in ("growth_rate", "separation")),
-        separation=None,
-    )
-    n_workers = max(1, min(workers, len(packed), _n_cores()))
-    with _workers(n_workers) as pool:
-        compiled = _load(pool, n_workers, kinds)
+    parts = tuple(part for part in scene.records if part not in ("growth_rate", "separation"))
+    recording = replace(Recording.of(scene), parts=parts, separation=None)
+    wanted = min(workers, len(packed))
+    cores = max(1, min(wanted, _n_cores()))
+    with _workers(cores) as pool:
+        compiled = _load(pool, cores, kinds)
         begin = time.perf_counter() - start - compiled
-        seen = _pilot(pool, n_workers, kinds, recording)
+        _pilot(pool, cores, kinds, recording)
+    seen = [one for kind in kinds for one in kind.seen]
     busy = max(1.0, sum(one.seconds for one in seen) / sum(one.core_seconds for one in seen))
     failures = Counter(one.failure for one in seen if one.failure is not None)
     return Estimate(
-        n_members=sum(len(kind.members) for kind in kinds),
-        n_shards=len(packed),
-        amounts=None if failures else _amounts(kinds, packed, recording, n_workers, begin, busy),
+        amounts=None if failures else _amounts(kinds, packed, cores, begin, busy),
         failures=dict(failures.most_common()),
-        asked_workers=workers,
-        workers=n_workers,
+        workers=wanted,
+        cores=cores,
         n_pilot=len(seen),
         n_kinds=len(kinds),
         pilot_seconds=time.perf_counter() - start,
@@ -189,35 +173,51 @@ def _n_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _amounts(
-    kinds: list[_Kind], packed: Sequence[Batch], recording: Recording, n_workers: int, begin: float, busy: float
-) -> Amounts:
+def _kinds(members: list[Member]) -> list[_Kind]:
+    """The kinds of some members, those of most work first."""
+    kinds: dict[tuple[Any, ...], _Kind] = {}
+    for member in members:
+        is_coupled = member.perturbation_reading == "damping matrix"
+        kinds.setdefault((member.n, member.engine, member.settings, is_coupled), _Kind()).members.append(member)
+    return sorted(kinds.values(), key=lambda kind: -kind.cost)
+
+
+def _amounts(kinds: list[_Kind], packed: Sequence[Batch], cores: int, begin: float, busy: float) -> Amounts:
     work, spread = _work(kinds)
     machine = math.hypot(_MACHINE, 2.0 * _OTHERS * (1.0 - 1.0 / busy))
     # the last batch may run alone
     tail = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
-    run = (work + len(packed) * _PER_BATCH) / n_workers + (0.5 * tail if n_workers > 1 else 0.0)
+    run = (work + len(packed) * _PER_BATCH) / cores + (0.5 * tail if cores > 1 else 0.0)
     apart = math.hypot(begin * _START_SPREAD, run * spread) / (begin + run)
-    freedom = sum(len(kind.factors) - 1 for kind in kinds) + _PRIOR
+    freedom = sum(len(kind.seen) - 1 for kind in kinds) + _PRIOR
+    heads = len(packed) * max(one.head for kind in kinds for one in kind.seen)
+    rows = sum(len(kind.members) * (kind.mean("bytes") + _SCALARS) for kind in kinds)
+    low, middle, high = (heads + rows * factor for factor in _PAGES)
     return Amounts(
-        n_bytes=_bytes(kinds, recording, len(packed)),
+        n_bytes=(low, middle, high),
         core_seconds=_interval(work / busy, math.hypot(spread, _MACHINE), freedom),
         seconds=_interval(begin + run, math.hypot(apart, machine), freedom),
     )
+
+
+def _work(kinds: list[_Kind]) -> tuple[float, float]:
+    """Work of all members, in seconds of a core, and the standard deviation of its logarithm."""
+    logs = [np.log([one.factor for one in kind.seen]) for kind in kinds]
+    squares = sum(float(((log - log.mean()) ** 2).sum()) for log in logs)
+    variance = (squares + _PRIOR * _SPREAD**2) / (sum(len(log) - 1 for log in logs) + _PRIOR)
+    work = [kind.cost * kind.mean("factor") for kind in kinds]
+    apart = stretched = 0.0
+    for kind, one in zip(kinds, work, strict=True):
+        share = one / sum(work)
+        apart += share**2 * variance * (1 / len(kind.seen) + 1 / len(kind.members))
+        stretched += share * _PER_DOUBLING * kind.mean("stretched")  # they err alike: no averaging
+    return sum(work), math.sqrt(apart + stretched**2 + _MACHINE**2)
 
 
 def _interval(middle: float, error: float, freedom: int) -> Interval:
     """By Student's t, of a logarithm with this standard error."""
     wide = math.exp(float(special.stdtrit(freedom, 0.5 + 0.5 * _LEVEL)) * error)
     return middle / wide, middle, middle * wide
-
-
-def _kinds(members: list[Member]) -> list[_Kind]:
-    kinds: dict[tuple[Any, ...], _Kind] = {}
-    for member in members:
-        is_coupled = member.perturbation_reading == "damping matrix"
-        kinds.setdefault((is_coupled, replace(member, **_DRAWS)), _Kind([])).members.append(member)
-    return sorted(kinds.values(), key=lambda kind: -kind.cost)
 
 
 # ---------------------------------------------------------------------------------------------- the pilot
@@ -251,37 +251,27 @@ def _load_one(members: list[Member]) -> float:
     return took
 
 
-def _pilot(pool: Executor, count: int, kinds: list[_Kind], recording: Recording) -> list[_Seen]:
-    """Run a member of each kind, then more of those of most work, as long as the time lasts."""
+def _pilot(pool: Executor, count: int, kinds: list[_Kind], recording: Recording) -> None:
+    """Run a member of each kind, then more of those of most work, as long as the time lasts and none fails."""
     expected = sum(kind.cost for kind in kinds)
-    seconds = count * min(max(_SHARE * expected / count, PILOT[0]), PILOT[1])
-    seen: list[_Seen] = []
-    for is_first in (True, False):
-        left = seconds - sum(one.seconds for one in seen)
-
-        def asked(is_first: bool = is_first, left: float = left) -> Iterator[tuple[_Kind, Member, float]]:
-            for kind in kinds:
-                part = 0.4 * seconds / len(kinds) if is_first else left * kind.cost / expected
-                each = (1.0 if is_first else kind.factor) * kind.members[0].cost
-                for member in kind.next_members(1 if is_first else int(part / each)):
-                    yield kind, member, part / each
-
-        waiting, running = asked(), dict[Future[_Seen], tuple[_Kind, Member]]()
-        while True:
-            for kind, member, share in islice(waiting, 2 * count - len(running) if is_first or left > 0 else 0):
-                running[pool.submit(_try, member, share, recording)] = (kind, member)
-            if not running:
-                break
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                (kind, member), one = running.pop(future), future.result()
-                kind.factors.append(one.whole / replace(member, shared_cost=0.0).cost)
-                kind.stretched.append(one.stretched)
-                kind.bytes.append(one.bytes)
-                seen.append(one)
-                left -= one.seconds
-        if any(one.failure is not None for one in seen):  # there is nothing to be estimated any more
-            break
-    return seen
+    left = count * min(max(_SHARE * expected / count, PILOT[0]), PILOT[1])
+    piece = 0.4 * left / len(kinds)  # seconds that one may take
+    running: dict[Future[_Seen], _Kind] = {}
+    while True:
+        new = [kind for kind in kinds if kind.n_asked == 0]
+        more = [kind for kind in kinds if 0 < kind.n_asked < min(_ENOUGH, len(kind.members))] if left > 0 else []
+        while (new or more) and len(running) < 2 * count:
+            kind = new.pop(0) if new else min(more, key=lambda kind: kind.n_asked / kind.cost)
+            factor = kind.mean("factor") if kind.seen else 1.0
+            member = kind.next_member()
+            running[pool.submit(_try, member, piece / (factor * member.cost), recording)] = kind
+            more = [kind for kind in more if kind.n_asked < min(_ENOUGH, len(kind.members))]
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            one = future.result()
+            running.pop(future).seen.append(one)
+            left = left - one.seconds if one.failure is None else 0.0
 
 
 def _try(member: Member, share: float, recording: Recording) -> _Seen:
@@ -294,43 +284,14 @@ def _try(member: Member, share: float, recording: Recording) -> _Seen:
     if found["outcome"] != "finished":  # it ended early, and the whole would too
         part = whole
     share = part.cost / whole.cost
+    bare = {name: [] if isinstance(value, np.ndarray | list) else value for name, value in found.items()}
+    full, head = (len(encode([values], recording.schema)) for values in (found, bare))
     return _Seen(
         seconds=took,
         core_seconds=max(cores, 1e-6),
-        whole=took / share,
+        factor=took / share / whole.cost,
         stretched=math.log2(1 / share),
-        bytes=_row_bytes(found, recording) / share,
+        head=head,
+        bytes=(full - head) / share,
         failure=found["reason"] if found["outcome"] == "failed" else None,
     )
-
-
-def _work(kinds: list[_Kind]) -> tuple[float, float]:
-    """Work of all members, in seconds of a core, and the standard deviation of its logarithm."""
-    logs = [np.log(kind.factors) for kind in kinds]
-    freedom = sum(len(log) - 1 for log in logs)
-    squares = sum(float(((log - log.mean()) ** 2).sum()) for log in logs)
-    variance = (squares + _PRIOR * _SPREAD**2) / (freedom + _PRIOR)
-    total = sum(kind.cost * kind.factor for kind in kinds)
-    apart = stretched = 0.0
-    for kind in kinds:
-        share = kind.cost * kind.factor / total
-        apart += share**2 * variance * (1 / len(kind.factors) + 1 / len(kind.members))
-        stretched += share * _PER_DOUBLING * float(np.mean(kind.stretched))  # they err alike: no averaging
-    return total, math.sqrt(apart + stretched**2 + _MACHINE**2)
-
-
-def _row_bytes(found: dict[str, Any], recording: Recording) -> float:
-    """What a row adds to a shard: its lists, and some scalars that repeat."""
-    whole, bare = (len(encode([values], recording.schema)) for values in (found, _bare(found)))
-    return whole - bare + _SCALARS
-
-
-def _bare(found: dict[str, Any]) -> dict[str, Any]:
-    return {name: [] if isinstance(value, np.ndarray | list) else value for name, value in found.items()}
-
-
-def _bytes(kinds: list[_Kind], recording: Recording, n_shards: int) -> Interval:
-    head = len(encode([_bare(row(replace(kinds[0].members[0], t_end=1e-3), recording))], recording.schema))
-    rows = sum(len(kind.members) * float(np.mean(kind.bytes)) for kind in kinds)
-    low, middle, high = (n_shards * head + rows * factor for factor in (0.45, 1.0, 1.4))  # short lists share pages
-    return low, middle, high

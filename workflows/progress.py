@@ -16,7 +16,7 @@ from stickslip.pipeline.storage import Where
 
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress
-    from stickslip.pipeline.estimate import Amounts, Estimate
+    from stickslip.pipeline.estimate import Estimate
 
 # What reads data loads pandas: only who is told of data waits for it, and no run does before it starts.
 
@@ -34,46 +34,29 @@ def clock(seconds: float) -> str:
 
 def in_words(found: Estimate) -> list[str]:
     """An estimate in lines: time, disk, and where they come from; or why there is none."""
+    lines = []
+    if found.amounts is None:
+        n_failed = sum(found.failures.values())
+        lines.append(f"time    not known, nor is disk: {n_failed} of the pilot's {found.n_pilot} members failed")
+        lines += [f"failed  {count}: {reason}" for reason, count in found.failures.items()]
+    else:
+        low, middle, high = map(clock, found.amounts.seconds)
+        least, _, most = found.amounts.core_seconds
+        small, mean, large = (value / 1e6 for value in found.amounts.n_bytes)
+        workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+        if found.cores < found.workers:
+            workers += f" (which share {found.cores} core{'s' * (found.cores > 1)})"
+        lines += [
+            f"time    {middle} ({low} to {high}) on {workers}, not counting the report; "
+            f"{least:.3g} to {most:.3g} s of a core",
+            f"disk    {mean:.3g} MB ({small:.3g} to {large:.3g})",
+            f"start   {found.start_seconds:.1f} s of the time, until the workers are there",
+        ]
     others = f"; others use the machine too: {found.busy:.1f} s for one of a core" if found.busy > 1.2 else ""
-    lines = [
-        *(_failures_in_words(found) if found.amounts is None else _amounts_in_words(found, found.amounts)),
-        f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s{others}",
-    ]
-    if found.amounts is not None:
-        lines.append(f"start   {found.start_seconds:.1f} s of the time, until workers are there")
+    lines.append(f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s{others}")
     if found.compile_seconds:
         lines.append(f"compile {found.compile_seconds:.0f} s, done now: the run finds the kernels compiled")
     return lines
-
-
-def _amounts_in_words(found: Estimate, amounts: Amounts) -> list[str]:
-    low, middle, high = amounts.seconds
-    core = " to ".join(f"{value:.3g}" for value in (amounts.core_seconds[0], amounts.core_seconds[2]))
-    disk = [value / 1e6 for value in amounts.n_bytes]
-    return [
-        f"time    {clock(middle)} ({clock(low)} to {clock(high)}) on {_workers(found)}, not counting the "
-        f"report; {core} s of a core",
-        f"disk    {disk[1]:.3g} MB ({disk[0]:.3g} to {disk[2]:.3g})",
-    ]
-
-
-def _workers(found: Estimate) -> str:
-    """How many workers there will be, and what limits them if there is less to do than they were asked for."""
-    started = min(found.asked_workers, found.n_shards)
-    words = f"{started} worker{'s' * (started > 1)}"
-    if found.workers < started:
-        return f"{words} (which share {found.workers} core{'s' * (found.workers > 1)})"
-    if started == found.asked_workers:
-        return words
-    return f"{words} ({'there is one shard' if started == 1 else f'there are {started} shards'})"
-
-
-def _failures_in_words(found: Estimate) -> list[str]:
-    n_failed = sum(found.failures.values())
-    return [
-        f"time    not known, nor is disk: {n_failed} of the pilot's {found.n_pilot} members failed",
-        *(f"failed  {count}: {reason}" for reason, count in found.failures.items()),
-    ]
 
 
 def say(directory: Where) -> None:

@@ -85,7 +85,7 @@ def measure(workers: int) -> int:
         least, mean, most = (value / 1e6 for value in found.amounts.n_bytes)
         n_held += low <= took <= high
         print(
-            f"{name:26} {found.n_members:5} {found.pilot_seconds:7.1f} {found.busy:4.1f}  "
+            f"{name:26} {sum(len(batch.members) for batch in to_go):5} {found.pilot_seconds:7.1f} {found.busy:4.1f}  "
             f"{f'{middle:.1f} ({low:.1f} to {high:.1f})':22} {took:6.1f} {_mark(low, took, high)} {high / low:5.1f}  "
             f"{f'{mean:.2f} ({least:.2f} to {most:.2f})':22} {size:5.2f} {_mark(least, size, most)}",
             flush=True,

@@ -63,8 +63,8 @@ def test_workers_are_as_many_as_there_are_shards_and_cores(scene, batches, monke
     monkeypatch.delattr(os, "sched_getaffinity")  # which macOS has not
     assert len(batches) > 3
     for count, workers, words in (
-        (1, 4, "on 1 worker (there is one shard), not counting the report"),
-        (2, 3, "on 2 workers (there are 2 shards), not counting the report"),
+        (1, 4, "on 1 worker, not counting the report"),
+        (2, 3, "on 2 workers, not counting the report"),
         (3, 1, "on 1 worker, not counting the report"),
         (3, 2, "on 2 workers, not counting the report"),
         (3, 8, "on 3 workers (which share 2 cores), not counting the report"),
