@@ -173,18 +173,18 @@ def _check_no_ensemble(out: Place) -> None:
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.storage import Directory
     from stickslip.workflows.charts import ChartError, load_chart
-    from stickslip.workflows.charts.alone import measure_alone
+    from stickslip.workflows.charts.runner import measure, report
     from stickslip.workflows.reporting import write
 
-    kind, scene = load_chart(file)
+    scene = load_chart(file)
     if arguments.dry_run:
-        print(f"{file}: a chart of {kind.extent(scene)}, in one process, into {out}")
+        print(f"{file}: a chart of {scene.extent()}, in one process, into {out}")
         return _DONE
     _check_no_ensemble(out)
     try:
         if isinstance(out, Directory):
             out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
-        built = kind.build(scene, measure_alone(file))
+        built = report(scene, measure(file, out))
         page = write(built, out)
     except (ChartError, OSError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
@@ -297,11 +297,11 @@ def _schema(arguments: argparse.Namespace) -> int:
     from stickslip.workflows.scaffold import schema_text
 
     if arguments.chart is not None:
-        from stickslip.workflows.charts import KINDS
+        from stickslip.workflows.charts import CHARTS
 
-        if arguments.chart not in KINDS:
+        if arguments.chart not in CHARTS:
             raise _Wrong(
-                f"CHART: expected one of {', '.join(KINDS)}, got {arguments.chart!r}; leave it out for ensembles"
+                f"CHART: expected one of {', '.join(CHARTS)}, got {arguments.chart!r}; leave it out for ensembles"
             )
     print("\n".join(lines(arguments.chart)) if arguments.keys else schema_text(arguments.chart).rstrip())
     return _DONE

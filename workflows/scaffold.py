@@ -94,9 +94,9 @@ def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from stickslip.pipeline import Scene
     from stickslip.pipeline.toml import json_schema
-    from stickslip.workflows.charts import kind
+    from stickslip.workflows.charts import chart as scene_of
 
-    return json_schema(Scene if chart is None else kind(chart).scene)
+    return json_schema(Scene if chart is None else scene_of(chart))
 
 
 def schema_text(chart: str | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -67,6 +67,14 @@ def subplots(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Fig
     """Such a figure and its axes, shape (rows, columns)."""
     figure = blank(height)
     return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> None:
+    """One legend below the figure for the curves of its axes, or of some of them, each name once."""
+    drawn: dict[str, Any] = {}
+    for ax in figure.axes if axes is None else axes:
+        drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns)
 
 
 def trajectories(

@@ -1,7 +1,7 @@
 import pytest
 
 from stickslip.pipeline import SceneError
-from stickslip.workflows.charts import load_chart
+from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
 
@@ -71,3 +71,21 @@ def refuse(tmp_path, capsys):
             load_chart(file)
 
     return check
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Charts are measured here: a process of its own sees nothing that a test has changed."""
+    monkeypatch.setattr(runner, "in_a_child", runner.measured_here)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages of charts without their figures, which take most of their time."""
+    monkeypatch.setitem(runner.FORMS, "picture", lambda draw: "")
+
+
+@pytest.fixture(scope="session")
+def page():
+    """The report of a scene, made of what was measured."""
+    return lambda scene, measured: runner.report(scene, runner.Measurement("", {}, measured))

@@ -2,28 +2,19 @@
 
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip.pipeline import run_scene
 from stickslip.sim import EventSeries, simulate
-from stickslip.workflows import charts
+from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
-from stickslip.workflows.paper import blocks, claim_words, claims, hidden, runs
-from stickslip.workflows.paper import figures as paper_figures
-from stickslip.workflows.paper import words as figure_words
-from stickslip.workflows.paper.measure import Measured, measure
-from stickslip.workflows.paper.page import build
+from stickslip.workflows.paper import claims, figures_1_2, figures_3_to_5
 from stickslip.workflows.scenes import chart_of, shipped
-
-
-def load_chart(file):
-    """Its scene alone."""
-    return charts.load_chart(file)[1]
-
 
 TINY = """
 chart = "paper"
@@ -71,12 +62,18 @@ def scene(scene_file):
 
 @pytest.fixture(scope="module")
 def measured(scene):
-    return measure(scene, lambda line: None)
+    """The ensemble without workers of its own: what the pipeline does with them is tested there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(claims, "run_scene", lambda *of, **_: run_scene(*of[:3], 0))
+        return scene.measure(lambda line: None)
 
 
 @pytest.fixture(scope="module")
-def report(scene, measured):
-    return build(scene, measured)
+def report(scene, measured, page):
+    """Without what is drawn, which is looked at figure by figure."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(runner.FORMS, "picture", lambda draw: "")
+        return page(scene, measured)
 
 
 # ---------------------------------------------------------------------------------------------- the scenes
@@ -164,8 +161,7 @@ def test_exits_of_figure_2(measured):
 def test_eq_8_as_printed_is_no_corner(measured):
     """AUDIT, misprints, (8): wrong for either sign, by more than the whole width of the region at s = +1."""
     for one in measured.parallelograms:
-        off = [np.abs(figure_words.printed_corner(a, b) - (x, y)).max() for a, b, x, y, *_ in one.corners]
-        assert min(off) > 1.5
+        assert min(one.misprint()) > 1.5
 
 
 def test_modes_of_figure_6(measured):
@@ -211,7 +207,7 @@ def test_the_future_that_slips_is_the_exact_engines(measured):
     """Where it slips Coulomb's friction acts: from just beyond the belt, the closed form is the engine's run."""
     (one,) = measured.undetermined
     slip = one.futures[1]
-    run = simulate(blocks.single(one.v), one.z, one.v, slip.t[-1], tol=1e-12, stop_early=False)
+    run = simulate(figures_1_2.single(one.v), one.z, one.v, slip.t[-1], tol=1e-12, stop_early=False)
     assert run.z[0] == pytest.approx(slip.z[-1], abs=1e-8)
 
 
@@ -256,7 +252,7 @@ def events(t, block, mode, initial, t_end):
     ],
 )
 def test_fates(outcome, t_last, n_last, expected):
-    assert runs.fate(outcome, np.array([0.0, t_last]), np.array([5, n_last]), 100.0) == expected
+    assert figures_3_to_5.fate(outcome, np.array([0.0, t_last]), np.array([5, n_last]), 100.0) == expected
 
 
 def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
@@ -270,8 +266,8 @@ def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
             return self.events.n_stick(times)
 
     base = Planted([2.0, 4.0])
-    assert runs.apart_from(Planted([2.5, 4.0]), base) is None
-    assert runs.apart_from(Planted([2.0]), base) == pytest.approx(5.0, abs=0.1)
+    assert figures_3_to_5.apart_from(Planted([2.5, 4.0]), base) is None
+    assert figures_3_to_5.apart_from(Planted([2.0]), base) == pytest.approx(5.0, abs=0.1)
 
 
 def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
@@ -288,17 +284,32 @@ def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
 # ---------------------------------------------------------------------------------------------- words
 
 
+@pytest.fixture
+def said(scene, measured, page, undrawn):
+    """The lead of the page, of what was measured but for some changes: the lines that begin with some words."""
+
+    def lines(head, **changes):
+        found = page(scene, replace(measured, **changes)).headline
+        return [line.removeprefix(head) for line in found if line.startswith(head)]
+
+    return lines
+
+
 def draw(**changes):
-    row = runs.Draw(20, 0, "coulomb", "certified", 40, 6, 0.5, 25.0, 60.0, 0, 0.0)
+    row = figures_3_to_5.Draw(20, 0, "coulomb", "certified", 40, 6, 0.5, 25.0, 60.0, 0, 0.0)
     return replace(row, **changes)
 
 
-def test_words_of_figure_3_follow_the_draws():
-    words = figure_words.figure3_words([draw(), draw(n_first=9, t_last=80.0), draw(fate="silent", t_last=70.0)], 20)
+def test_words_of_figure_3_follow_the_draws(said):
+    head = "Figure 3, n_stick of one draw: n = 20: "
+    other = [draw(n=5), draw(n=5, law="sigmoid"), draw(law="sigmoid")]
+    draws = [*other, draw(), draw(n_first=9, t_last=80.0), draw(fate="silent", t_last=70.0)]
+    (words,) = said(head, figure3=draws)
     assert words.startswith("6 to 9 blocks stick at first")
     assert "3 of 3 (44 to 100%) end with n_stick = 0, 2 of them by certificate" in words
     assert "last event at t = 60 to 80 (median 70)" in words
-    words = figure_words.figure3_words([draw(fate="sustained", mean=31.5), draw(fate="diverged", mean=None)], 20)
+    draws = [*other, draw(fate="sustained", mean=31.5), draw(fate="diverged", mean=None)]
+    (words,) = said(head, figure3=draws)
     assert "0 of 2 (0 to 66%) end with n_stick = 0; 1 keep on, with 31.5 blocks" in words
     assert "certificate" not in words
     assert "1 diverged" in words
@@ -309,91 +320,87 @@ def survival(**changes):
     return replace(row, **changes)
 
 
-def test_words_of_the_survival_curve_keep_fates_apart():
-    words = claim_words.survival_words([survival()], 2000.0)
+def test_words_of_the_survival_curve_keep_fates_apart(said):
+    (words,) = said("Claims: Fates of", survival=[survival()])
     assert "7 at rest by certificate, 3 silent without one, 10 sustained, 0 diverged" in words
     assert "3 have an unstable all-slip state" in words
     assert "none of the linearly stable draws still move." in words
-    words = claim_words.survival_words([survival(stable_moving=1, failed=2)], 2000.0)
+    (words,) = said("Claims: Fates of", survival=[survival(stable_moving=1, failed=2)])
     assert "1 of the linearly stable draws still moves." in words
     assert "2 failed" in words
+    (words,) = said("Claims: Escape", survival=[survival(), survival(n=200, diverged=5)])
+    assert "5 of 20 (11 to 47%) at n = 200. A run that is sustained so far need not be bounded." in words
 
 
-def test_a_false_alarm_is_said(measured):
+def test_a_false_alarm_is_said(said):
     rows = [claims.Certified(5, k, "collapsed", 10.0, 30.0 + k, 0) for k in range(3)]
-    planted = replace(measured, certificate=rows)
-    words = claim_words.certificate_words(planted)
+    (words,) = said("Claims: Certificate: ", certificate=rows)
     assert "none of them had a further event" in words
     assert "21 units of time after the last event in the median, 22 at most" in words
-    planted = replace(measured, certificate=[*rows, replace(rows[0], n_after=2)])
-    assert "1 of them had a further event" in claim_words.certificate_words(planted)
-    assert claim_words.lateness(planted)[0]["alarms"] == 1
+    alarmed = [*rows, replace(rows[0], n_after=2)]
+    assert "1 of them had a further event" in said("Claims: Certificate: ", certificate=alarmed)[0]
+    assert claims.lateness(alarmed)[0]["alarms"] == 1
     uncertified = [replace(rows[0], outcome="finished", t_certified=None, n_after=None)]
-    assert claim_words.certificate_words(replace(measured, certificate=uncertified)) == (
-        "Certificate: none of 1 runs was certified."
-    )
+    assert said("Claims: Certificate: ", certificate=uncertified) == ["none of 1 runs was certified."]
 
 
-def test_claims_that_fail_are_said(scene, measured):
-    apart = replace(measured, uniqueness=[replace(measured.uniqueness[0], apart=1e-3)])
-    again = replace(apart, one_block=[claims.OneBlock(8, 6, 2)])
-    words = claim_words.claim_words(scene, again)
-    assert "come apart: at most 0.001 apart" in words[0]
-    assert "sticks again in 2." in words[1]
-    good = claim_words.claim_words(scene, measured)
-    assert "stay together" in good[0]
-    assert "never sticks again: no cycle" in good[1]
+def test_claims_that_fail_are_said(said, measured):
+    apart = [replace(measured.uniqueness[0], apart=1e-3)]
+    unique, again, *_ = said("Claims: ", uniqueness=apart, one_block=[claims.OneBlock(8, 6, 2)])
+    assert "come apart: at most 0.001 apart" in unique
+    assert "sticks again in 2." in again
+    unique, again, *_ = said("Claims: ")
+    assert "stay together" in unique
+    assert "never sticks again: no cycle" in again
 
 
 def cascade(**changes):
-    row = runs.Cascades("coulomb", "events", None, 10, 9000, 0.7, 0.69, 0.71, 0.695, None)
+    row = figures_3_to_5.Cascades("coulomb", "events", None, 10, 9000, 0.7, 0.69, 0.71, 0.695, None)
     return replace(row, **changes)
 
 
-def test_words_of_the_law_give_all_definitions_and_pick_none():
+def test_words_of_the_law_give_all_definitions_and_pick_none(said):
+    head = "Figure 5, long runs and the law of cascades: "
     rows = [cascade(), cascade(definition="length", dt=1.0, gamma=0.9, low=0.7, high=1.1)]
-    (words,) = figure_words.law_words(rows)
+    (words,) = said(head, cascades=rows)
     assert "γ = 0.7 to 0.9 over 2 definitions of size; the paper's 0.74 lies in the interval of 1" in words
     assert "0.900 at dt = 1" in words
     assert "random order gives 0.695, within the interval" in words
-    (words,) = figure_words.law_words([cascade(gamma0=0.6)])
+    (words,) = said(head, cascades=[cascade(gamma0=0.6)])
     assert "lies in the interval of none" in words
     assert "random order gives 0.600, outside the interval" in words
-    (words,) = figure_words.law_words([cascade(gamma=None, low=None, high=None, gamma0=None, reason="too few")])
-    assert "no cascades to fit" in words
+    nothing = cascade(gamma=None, low=None, high=None, gamma0=None, reason="too few")
+    assert "no cascades to fit" in said(head, cascades=[nothing])[0]
 
 
-def test_words_of_figure_4_say_what_collapsed():
-    row = runs.Change("(iv)", 200, "10 %, draw 0", 0.1, "sustained", 2.0, 30.0, 31.0)
-    (words,) = figure_words.change_words([row, replace(row, t_apart=None, label="1 %", fate="certified", mean=0.0)])
+def test_words_of_figure_4_say_what_collapsed(said):
+    row = figures_3_to_5.Change("(iv)", 200, "10 %, draw 0", 0.1, "sustained", 2.0, 30.0, 31.0)
+    quiet = replace(row, t_apart=None, label="1 %", fate="certified", mean=0.0)
+    (words,) = said("Figure 4, sensitivity: ", figure4=[row, quiet])
     assert "1 of 2 come apart from the unperturbed run, at t = 2" in words
     assert "0 to 30 beside 31" in words
     assert "none sticks at the end: 1 %" in words
 
 
-def test_words_of_an_open_future_name_each_and_pick_none(measured):
-    (found,) = measured.undetermined
-    words = figure_words.future_words(found)
+def test_words_of_an_open_future_name_each_and_pick_none(said, measured):
+    head = "Figure 6, hidden dynamics: Static"
+    (words,) = said(head)
     assert "there are 2 forward solutions: it sticks on until t = 0.5" in words
     assert "or it slips at once to the right, and never sticks again" in words
     assert "none is picked here" in words
     assert "the same state has 1;" in words
-    determined = figure_words.future_words(replace(found, futures=found.futures[:1]))
-    assert "there is 1 forward solution: it sticks on" in determined
-    assert "none is picked" not in determined
+    (found,) = measured.undetermined
+    (words,) = said(head, undetermined=[replace(found, futures=found.futures[:1])])
+    assert "there is 1 forward solution: it sticks on" in words
+    assert "none is picked" not in words
 
 
-def test_words_of_the_slow_runs_name_a_jump_only_where_there_is_one(measured):
-    words = figure_words.slow_words(measured.slow_runs)
+def test_words_of_the_slow_runs_name_a_jump_only_where_there_is_one(said, measured):
+    head = "Figure 6, hidden dynamics: The modified law from entry to exit"
+    (words,) = said(head)
     assert "at t = 0.0047988 the mode meets the saddle and is gone: a jump" in words
     assert "this one ends by a jump" in words
-    assert "jump" not in figure_words.slow_words(measured.slow_runs[:1])
-
-
-def test_minus_signs():
-    assert figure_words.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
-        "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, -}"
-    )
+    assert "jump" not in said(head, slow_runs=measured.slow_runs[:1])[0]
 
 
 # ---------------------------------------------------------------------------------------------- drawings
@@ -421,47 +428,32 @@ def labelled(figure):
     ],
 )  # fmt: skip
 def test_each_drawing_has_its_panels(number, panels, scene, measured):
-    make = getattr(figure_words, f"figure{number}")
-    drawing = make(scene, measured) if number in (3, 4, 5) else make(measured)
-    assert [ax.get_title(loc="left") for ax in labelled(drawing.figure)] == panels
-    titles = [ax.get_title(loc="left") for figure, _ in drawing.beside for ax in labelled(figure)]
-    assert titles == (
-        ["(c) at first", "(d) to the exit", "(e) static above kinetic", "(f) runs from one state"]
-        if number == 6
-        else []
-    )
+    drawn = scene.show(measured).facts["drawn"]
+    assert [ax.get_title(loc="left") for ax in labelled(drawn[number]())] == panels
 
 
-def test_curves_of_one_drawing_differ_in_colour(scene, measured):
-    drawing = figure_words.figure4(scene, measured)
-    for ax in drawing.figure.axes:
+def test_what_figure_6_leaves_open_is_drawn_beside_it(scene, measured):
+    drawn = scene.show(measured).facts["drawn"]
+    titles = [ax.get_title(loc="left") for name in ("slow", "open") for ax in labelled(drawn[name]())]
+    assert titles == ["(c) at first", "(d) to the exit", "(e) static above kinetic", "(f) runs from one state"]
+
+
+def test_curves_of_one_drawing_differ_in_colour(measured):
+    for ax in figures_3_to_5.figure4(measured.traces).axes:
         colours = [line.get_color() for line in ax.lines]
         assert len(set(colours)) == len(colours) == 3
 
 
 def test_the_survival_curve_shows_shares_with_intervals():
     rows = [survival(n=n, sustained=moving, certified=20 - moving, silent=0) for n, moving in ((20, 0), (200, 20))]
-    shares = {name: claim_words.shares(rows, name) for name in ("moving", "stable", "diverged")}
-    assert [share.value for share in shares["moving"]] == [0.0, 1.0]
-    assert shares["moving"][0].high == pytest.approx(0.161, abs=1e-3)  # Wilson, 0 of 20
-    (ax,) = paper_figures.survival(*shares.values(), 2000.0).axes
+    assert claims.share(0, 20) == (0.0, 0.0, pytest.approx(0.161, abs=1e-3))  # Wilson
+    (ax,) = claims.survival_curve(rows, 2000.0).axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("number of blocks n", "share of draws")
+    moving, *_ = (container.lines[0] for container in ax.containers)
+    assert moving.get_ydata().tolist() == [0.0, 1.0]
 
 
 # ---------------------------------------------------------------------------------------------- end to end
-
-
-def test_measured_values_cross_as_json(measured):
-    crossed = json.dumps(asdict(measured))
-    restored = Measured.restore(json.loads(crossed))
-    assert json.dumps(asdict(restored)) == crossed
-    assert restored.survival == measured.survival
-    assert [type(one) for one in restored.undetermined[0].futures] == [hidden.Future] * 2
-
-
-def test_the_same_numbers_give_the_same_page(scene, measured):
-    some = scene.model_copy(update={"figures": (2, 5)})
-    assert build(some, measured).html == build(some, measured).html
 
 
 def test_the_page_has_every_figure_and_table(report, scene):
@@ -490,7 +482,7 @@ def test_the_page_has_every_figure_and_table(report, scene):
     assert (figure3.n_first <= figure3.n).all()
 
 
-def test_a_scene_of_one_figure_counts_no_claims(tmp_path, capsys):
+def test_a_scene_of_one_figure_counts_no_claims(tmp_path, capsys, in_this_process):
     file, out = tmp_path / "one.toml", tmp_path / "out"
     file.write_text('chart = "paper"\nfigures = 2\nseed = 0\n')
     assert main(["run", str(file), "--out", str(out)]) == 0

@@ -17,7 +17,8 @@ from stickslip.pipeline import Scene, load_scene
 from stickslip.pipeline.scene import TOLERANCES
 from stickslip.pipeline.toml import json_schema
 from stickslip.sim import COUPLINGS
-from stickslip.workflows.charts import KINDS, kind
+from stickslip.workflows.charts import CHARTS
+from stickslip.workflows.charts import chart as chart_scene
 from stickslip.workflows.commands import main
 from stickslip.workflows.scaffold import SCHEMA, schema_text
 from stickslip.workflows.scenes import chart_of, find, shipped
@@ -30,7 +31,7 @@ def problems(schema, table):
 @pytest.mark.parametrize("name", shipped())
 def test_what_ships_is_as_the_schema_says(name):
     chart = chart_of(find(name))
-    schema = json_schema(Scene if chart is None else kind(chart).scene)
+    schema = json_schema(Scene if chart is None else chart_scene(chart))
     jsonschema.Draft7Validator.check_schema(schema)
     assert problems(schema, tomllib.loads(find(name).read_text())) == []
 
@@ -76,7 +77,7 @@ def test_every_form_that_the_scene_takes_the_schema_takes(small_scene, tmp_path)
 
 def test_every_key_is_described():
     """What an editor shows beside a key; tables are described by themselves."""
-    for schema in [json_schema(Scene), *(json_schema(kind(chart).scene) for chart in KINDS)]:
+    for schema in [json_schema(Scene), *(json_schema(chart_scene(chart)) for chart in CHARTS)]:
         tables = [schema, *schema.get("$defs", {}).values()]
         for table in tables:
             for key, found in table.get("properties", {}).items():

@@ -1,82 +1,98 @@
 """Charts: scenes that are measured in one process on one core, where an ensemble is run.
 
-A kind of chart is a schema of its scene, a measurement and a page. What was measured is plain values in a
-dataclass, which crosses from the process that measures as JSON.
+A chart is a file and a template of its name beside it. The file holds a `ChartScene`: a schema that says what would
+be measured, measures it, and hands the page its numbers. The template has the words.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
-from pydantic import Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene import MINUTES
-from stickslip.pipeline.toml import Positive, StrictTable, as_scene, parse_toml, read_source
+from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, distinct, parse_toml, read_source
 
 if TYPE_CHECKING:
-    from stickslip.analysis import Report
+    import pandas as pd
+
+Value = TypeVar("Value")
+#: A key that takes one value or a list of them, kept in order without duplicates.
+Several = Annotated[tuple[Value, ...], BeforeValidator(as_tuple), AfterValidator(distinct)]
 
 #: Told of each thing as it is done.
 Say = Callable[[str], None]
+
+#: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
+CHARTS = {
+    "paper": "stickslip.workflows.paper.chart:PaperScene",
+    "scaling": "stickslip.workflows.charts.scaling:ScalingScene",
+    "speed_accuracy": "stickslip.workflows.charts.speed_accuracy:SpeedScene",
+    "stability": "stickslip.workflows.charts.stability:StabilityScene",
+    "statistics": "stickslip.workflows.charts.statistics:StatisticsScene",
+}
 
 
 class ChartError(RuntimeError):
     """The measurement ended before it was done."""
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What a page is made of: `facts` by their names in the template, and the tables to keep.
+
+    A figure among the facts is a function that draws it.
+    """
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+
+
 class ChartScene(StrictTable):
-    """The keys that every chart has."""
+    """The keys that every chart has, and what each of them does.
+
+    A subclass names itself in a key `chart`, the only value of which is the chart's name.
+    """
+
+    #: Distributions that take part, beside those that always do: the page names their versions.
+    libraries: ClassVar[tuple[str, ...]] = ()
 
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
 
+    @abstractmethod
+    def extent(self) -> str:
+        """What would be measured, for a dry run."""
 
-@dataclass(frozen=True)
-class Kind:
-    """One kind of chart.
+    @abstractmethod
+    def measure(self, say: Say) -> Any:
+        """Measure all of it; `say` is told of each part as it is done.
 
-    Attributes
-    ----------
-    scene : subclass of ChartScene
-    extent : function of a scene to str
-        What would be measured, for a dry run.
-    measure : function of (scene, say) to a dataclass of plain values
-    restore : function of that dataclass's values, as JSON gives them back, to the dataclass
-    build : function of (scene, measured) to a Report
-    """
+        The annotation of a subclass names a dataclass of plain values: it comes back through JSON.
+        """
 
-    scene: type[ChartScene]
-    extent: Callable[[Any], str]
-    measure: Callable[[Any, Say], Any]
-    restore: Callable[[dict[str, Any]], Any]
-    build: Callable[[Any, Any], Report]
+    @abstractmethod
+    def show(self, measured: Any) -> Shown:
+        """What the template is given, beside `scene` and `measured` themselves, and the tables."""
 
 
-#: The module of each kind, which holds it as KIND: loaded when it is asked for.
-KINDS = {
-    "paper": "stickslip.workflows.paper.page",
-    "scaling": "stickslip.workflows.charts.scaling_page",
-    "speed_accuracy": "stickslip.workflows.charts.speed_accuracy_page",
-    "stability": "stickslip.workflows.charts.stability_page",
-    "statistics": "stickslip.workflows.charts.statistics_page",
-}
-
-
-def kind(chart: str) -> Kind:
-    """The kind of chart of that name; KeyError if there is none."""
-    found: Kind = import_module(KINDS[chart]).KIND
+def chart(name: str) -> type[ChartScene]:
+    """The scene of the chart of that name; KeyError if there is none."""
+    module, _, scene = CHARTS[name].partition(":")
+    found: type[ChartScene] = getattr(import_module(module), scene)
     return found
 
 
-def load_chart(file: Path) -> tuple[Kind, Any]:
-    """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart: its kind and its scene.
+def load_chart(file: Path) -> ChartScene:
+    """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart.
 
     Raises
     ------
@@ -84,10 +100,9 @@ def load_chart(file: Path) -> tuple[Kind, Any]:
         If it is not a scene of a known chart; one line a problem.
     """
     table = parse_toml(read_source(file), str(file))
-    if table["chart"] not in KINDS:
+    if table["chart"] not in CHARTS:
         raise SceneError(
-            f"{file}: chart: expected {' or '.join(map(repr, KINDS))}, got {table['chart']!r}; without the key"
+            f"{file}: chart: expected {' or '.join(map(repr, CHARTS))}, got {table['chart']!r}; without the key"
             " `chart` it is an ensemble"
         )
-    found = kind(table["chart"])
-    return found, as_scene(found.scene, table, str(file))
+    return as_scene(chart(table["chart"]), table, str(file))

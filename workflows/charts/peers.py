@@ -10,10 +10,12 @@ side, everything analytic that the library takes. Dimensionless.
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple
 
@@ -94,6 +96,21 @@ def random_problem(
     r = np.ones(n) if ratio == "one" else 1.0 - np.random.default_rng(key(RATIO, n, matrix, 0)).random(n)
     system = sim.draw_system("antisymmetric", n, key(MATRIX, n, matrix))
     return Problem(system, r * eps, Z0, W0, t_end, patience)
+
+
+def ensemble(system: dict[str, Any], run: dict[str, Any], engine: dict[str, Any]) -> bytes:
+    """The scene file of an ensemble of random systems from the paper's start, of which nothing is analysed."""
+    tables = {
+        "[system]": {"coupling": "antisymmetric", **system},
+        "[start]": {"z": Z0, "w": W0},
+        "[run]": run,
+        "[[engine]]": engine,
+        "[analysis]": {"t_burn": 0.0, "dt": 1.0},
+    }
+    lines = [
+        f"{head}\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in keys.items()) for head, keys in tables.items()
+    ]
+    return "".join(lines).encode()
 
 
 @dataclass(frozen=True)
@@ -235,15 +252,9 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
         def solve(tolerance: float) -> Solution:
             equations.begin()
             found = solve_ivp(
-                equations,
-                span,
-                start,
-                method=method,
-                t_eval=[problem.t_end],
-                rtol=tolerance,
-                atol=tolerance,
+                equations, span, start, method=method, t_eval=[problem.t_end], rtol=tolerance, atol=tolerance,
                 **options,
-            )
+            )  # fmt: skip
             if not found.success:
                 raise MethodError(found.message)
             return Solution(found.y[: equations.n, -1], int(found.nfev))
@@ -365,3 +376,24 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
     *map(_fixed, STEPPERS),
 )
+
+
+def method(name: str) -> Method:
+    """The method of that name."""
+    return next(one for one in METHODS if one.name == name)
+
+
+def reached(name: str, setting: float, problem: Problem) -> Floats:
+    """z at t_end by a method at a tolerance or step, whatever it takes."""
+    return method(name).prepare(replace(problem, patience=math.inf))(setting).z
+
+
+def distance(z: Floats, check: Floats) -> float:
+    """How far a check is off; two computations may agree to the bit, yet no less than rounding is claimed."""
+    return float(max(np.abs(z - check).max(), np.spacing(np.abs(z).max())))
+
+
+def warm(one: Method, problem: Problem, setting: float) -> None:
+    """Have done what a method compiles or loads at a first call, which is not timed; what fails here fails again."""
+    with suppress(MethodError, sim.IntegrationError):
+        one.prepare(replace(problem, t_end=1e-3 * problem.t_end))(setting)

@@ -1,9 +1,8 @@
-"""How cost grows with the system, measured: a run of either engine, an ensemble, and what lockstep could save.
+"""The chart of cost and size: a run of either engine, an ensemble, and what lockstep could save.
 
 Systems of different n are alike if the force that couples a block is: of n - 1 random springs it goes as
 kappa sqrt(n), so kappa goes as 1 / sqrt(n), and events per block and unit of time stay what they are. Runs start
-behind the burn-in, where all blocks still do the same at once. Cost is wall time, and *products*: wall time over
-that of one product of a dense K of that n with a vector (numpy, float64), measured just before and after.
+behind the burn-in, where all blocks still do the same at once. Cost is wall time, and products (`cost`).
 """
 
 from __future__ import annotations
@@ -13,38 +12,85 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
+import matplotlib
 import numpy as np
 import scipy.sparse
-from pydantic import AfterValidator, BeforeValidator, Field
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydantic import Field
+from scipy.stats import linregress, t
 
 from stickslip import sim
+from stickslip.analysis.report.figures import CYCLE, GREY, STYLE, legend, subplots
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import MATRIX
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, as_tuple, distinct
-from stickslip.workflows.charts import ChartScene, Say
-from stickslip.workflows.charts.alone import Product, versions
-from stickslip.workflows.charts.peers import W0, Z0, Floats
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
+from stickslip.workflows.charts import ChartScene, Say, Several, Shown
+from stickslip.workflows.charts.cost import Product, timed
+from stickslip.workflows.charts.peers import W0, Z0, Floats, ensemble
+from stickslip.workflows.charts.runner import frame
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
 KAPPA_AT = 200
-
 #: Events are looked for in windows of this share of `t_most`.
 _WINDOW = 1 / 32
 #: A run that comes this far is one of a system that diverges: what it costs says nothing about cascades.
 _FAR_OUT = 1e6
+#: The level of the intervals.
+CONFIDENCE = 0.95
 
 Settings = dict[str, Any]
 Tolerance = Annotated[float, Field(gt=1e-16, lt=1e-2)]
+System = Literal["random", "chain"]
+Engine = Literal["coulomb", "sigmoid"]
+
+#: quantity -> what of a row it is, over what.
+QUANTITIES: dict[str, tuple[str, str | None]] = {
+    "seconds per event": ("seconds", "n_events"),
+    "seconds per unit of time": ("seconds", "t"),
+    "seconds per step": ("seconds", "n_steps"),
+    "seconds per product": ("product_seconds", None),
+    "products per event": ("products", "n_events"),
+    "products per unit of time": ("products", "t"),
+    "events per unit of time": ("n_events", "t"),
+    "steps per unit of time": ("n_steps", "t"),
+    "products with K per event": ("n_products", "n_events"),
+    "products with K per unit of time": ("n_products", "t"),
+}
+
+#: (system, engine) -> quantity -> the exponent claimed: an event costs O(n), a unit of time O(n^2), beside events
+#: and, as their rate is O(n), with them; a product O(n^2). None: fitted, nothing claimed.
+FITTED: dict[tuple[System, Engine], dict[str, float | None]] = {
+    ("random", "coulomb"): {
+        "seconds per event": 1.0,
+        "seconds per unit of time": 2.0,
+        "seconds per product": 2.0,
+        "products per event": -1.0,
+        "products per unit of time": 0.0,
+        "events per unit of time": None,
+        "products with K per unit of time": None,
+    },
+    ("chain", "coulomb"): {
+        "seconds per event": 1.0,
+        "seconds per unit of time": 2.0,
+        "events per unit of time": None,
+        "products with K per unit of time": None,
+    },
+    ("random", "sigmoid"): {"seconds per step": 2.0, "seconds per unit of time": None},
+}
 
 
 class ScalingScene(ChartScene):
     """A scene with ``chart = "scaling"``; dimensionless."""
+
+    libraries = ("scipy", "dask")
 
     chart: Literal["scaling"] = Field(description="kind of the chart", examples=["scaling"])
     title: str = Field(default="Cost and size", description="one line for the report's head")
@@ -74,7 +120,7 @@ class ScalingScene(ChartScene):
     ensemble_t_end: Positive = Field(default=1000.0, description="end of the ensemble's runs", examples=[1000.0])
     members: Count = Field(default=40, description="number of members of the ensemble", examples=[40])
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
-    vectors: Annotated[tuple[Count, ...], BeforeValidator(as_tuple), AfterValidator(distinct)] = Field(
+    vectors: Several[Count] = Field(
         default=(1, 2, 4, 8, 16), min_length=1, description="numbers of vectors that share a product",
         examples=[[1, 4, 16]],
     )  # fmt: skip
@@ -111,6 +157,51 @@ class ScalingScene(ChartScene):
     def smooth(self) -> Settings:
         return {"engine": "sigmoid", "eps": self.eps, "rtol": self.rtol, "atol": self.rtol}
 
+    def extent(self) -> str:
+        return (
+            f"{len(self.n)} random systems and {len(self.chain_n)} chains with the exact engine, "
+            f"{len(self.sigmoid_n)} with the sigmoid engine, and an ensemble of {self.members} members of each on "
+            f"{self.workers} workers"
+        )
+
+    def measure(self, say: Say) -> Measured:
+        """The runs in this process, the ensemble on local workers of its own."""
+        warm()
+
+        def told(row: Cost) -> Cost:
+            cost = f"{row.seconds:.3g} s" if row.seconds is not None else f"{row.outcome}: {row.reason}"
+            say(f"{row.system}, n = {row.n}, {row.engine} engine: {cost}")
+            return row
+
+        costs = [told(exact_cost(self, "random", n)) for n in self.n]
+        costs += [told(exact_cost(self, "chain", n)) for n in self.chain_n]
+        costs += [told(sigmoid_cost(self, n)) for n in self.sigmoid_n]
+        of_ensemble = (row for row in costs if (row.engine, row.n) == ("sigmoid", self.ensemble_n))
+        smooth = next(of_ensemble, None) or told(sigmoid_cost(self, self.ensemble_n))
+        shared = lockstep(self)
+        return Measured(costs, throughput(self, say), shared, smooth)
+
+    def show(self, measured: Measured) -> Shown:
+        """Tables: `costs`, `growth`, `throughput`, `lockstep`."""
+        groups = [_group(measured.costs, *which) for which in FITTED]
+        fits = [fit for group in groups for fit in group.fits.values()]
+        costs = measured.costs if measured.smooth in measured.costs else [*measured.costs, measured.smooth]
+        facts = {
+            "groups": groups,
+            "confidence": CONFIDENCE,
+            "fits": fits,
+            "costs": costs,
+            "shared": saving(measured.lockstep, measured.smooth),
+            "drawn": partial(cost_against_size, groups, measured.lockstep),
+        }
+        tables = {
+            "costs": frame(costs, Cost),
+            "growth": frame(fits, Growth),
+            "throughput": frame(measured.throughput, Throughput),
+            "lockstep": frame(measured.lockstep, Lockstep),
+        }
+        return Shown(facts, tables)
+
 
 # ---------------------------------------------------------------------------------------------- what is kept
 
@@ -125,8 +216,8 @@ class Cost:
     event; `n_diverged` of those tried left every bound and are measured, if at all, before.
     """
 
-    system: Literal["random", "chain"]
-    engine: Literal["coulomb", "sigmoid"]
+    system: System
+    engine: Engine
     n: int
     outcome: Literal["measured", "failed"] = "measured"
     reason: str | None = None
@@ -147,6 +238,17 @@ class Cost:
     product_seconds: float | None = None
     n_runs: int = 0
 
+    def of(self, quantity: str) -> float | None:
+        """One of `QUANTITIES`; None where it has none."""
+        part, over = QUANTITIES[quantity]
+        value, whole = getattr(self, part), 1.0 if over is None else getattr(self, over)
+        return value / whole if value is not None and whole else None
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether it counts for the exponents: measured, and no system in it came to rest."""
+        return self.outcome == "measured" and self.n_rest == 0
+
 
 @dataclass(frozen=True)
 class Throughput:
@@ -156,7 +258,7 @@ class Throughput:
     workers that have started and loaded, `seconds_with_start` that of a run that starts its own.
     """
 
-    engine: Literal["coulomb", "sigmoid"]
+    engine: Engine
     tolerance: str
     n: int
     t_end: float
@@ -165,6 +267,15 @@ class Throughput:
     n_failed: int
     seconds: float
     seconds_with_start: float
+
+    @property
+    def rate(self) -> float:
+        """Members a minute."""
+        return 60.0 * self.n_members / self.seconds
+
+    @property
+    def rate_with_start(self) -> float:
+        return 60.0 * self.n_members / self.seconds_with_start
 
 
 @dataclass(frozen=True)
@@ -183,59 +294,22 @@ class Lockstep:
 
 @dataclass(frozen=True)
 class Measured:
-    """All that the chart is made of; plain values, which JSON carries.
-
-    `smooth` is the sigmoid engine's row at the ensemble's n.
-    """
+    """All that the chart is made of; `smooth` is the sigmoid engine's row at the ensemble's n."""
 
     costs: list[Cost]
     throughput: list[Throughput]
     lockstep: list[Lockstep]
     smooth: Cost
-    versions: dict[str, str]
-
-    @classmethod
-    def restore(cls, found: dict[str, Any]) -> Measured:
-        return cls(
-            [Cost(**row) for row in found["costs"]],
-            [Throughput(**row) for row in found["throughput"]],
-            [Lockstep(**row) for row in found["lockstep"]],
-            Cost(**found["smooth"]),
-            found["versions"],
-        )
 
 
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-def measure(scene: ScalingScene, say: Say) -> Measured:
-    """Measure all of a scene; the runs in this process, the ensemble on local workers of its own."""
-    warm()
-    costs: list[Cost] = []
-
-    def told(row: Cost) -> Cost:
-        cost = f"{row.seconds:.3g} s" if row.seconds is not None else f"{row.outcome}: {row.reason}"
-        say(f"{row.system}, n = {row.n}, {row.engine} engine: {cost}")
-        return row
-
-    for n in scene.n:
-        costs.append(told(exact_cost(scene, "random", n)))
-    for n in scene.chain_n:
-        costs.append(told(exact_cost(scene, "chain", n)))
-    for n in scene.sigmoid_n:
-        costs.append(told(sigmoid_cost(scene, n)))
-    of_ensemble = (row for row in costs if (row.engine, row.n) == ("sigmoid", scene.ensemble_n))
-    smooth = next(of_ensemble, None) or told(sigmoid_cost(scene, scene.ensemble_n))
-    shared = lockstep(scene)
-    return Measured(costs, throughput(scene, say), shared, smooth, versions("scipy", "dask"))
-
-
 def warm() -> None:
     """Load what an engine compiles or loads at a first call: it is not timed."""
     system = sim.draw_system("antisymmetric", 3, 0)
-    each: tuple[Settings, ...] = ({"engine": "coulomb"}, {"engine": "sigmoid", "eps": 0.1})
-    for settings in each:
-        sim.simulate(system, Z0, W0, 0.1, **settings)
+    sim.simulate(system, Z0, W0, 0.1)
+    sim.simulate(system, Z0, W0, 0.1, engine="sigmoid", eps=0.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +374,7 @@ def _piece(system: sim.System, scene: ScalingScene, missing: int) -> tuple[_Piec
     return piece, len(times), end
 
 
-def exact_cost(scene: ScalingScene, system: Literal["random", "chain"], n: int) -> Cost:
+def exact_cost(scene: ScalingScene, system: System, n: int) -> Cost:
     """Runs of the exact engine over as many matrices as it takes to see `events` events."""
     row = Cost(system, "coulomb", n)
     draw = scene.random if system == "random" else scene.chain
@@ -337,22 +411,14 @@ def sigmoid_cost(scene: ScalingScene, n: int) -> Cost:
 
 
 def _timed(row: Cost, pieces: Sequence[_Piece], settings: Settings, repeats: int) -> Cost:
-    """Repeated runs of all pieces one after the other, each time between two measurements of the product."""
+    """Repeated runs of all pieces one after the other."""
     first = pieces[0].system.stiffness
     product = Product(first) if isinstance(first, np.ndarray) else None
-    seconds: list[float] = []
-    units: list[float] = []
-    runs: list[sim.Run] = []
-    for _ in range(repeats):
-        before = product.seconds() if product else 0.0
-        start = time.perf_counter()
-        runs = [piece.run(settings) for piece in pieces]
-        seconds.append(time.perf_counter() - start)
-        units.append(0.5 * (before + product.seconds()) if product else 0.0)
+    runs, timing = timed(lambda: [piece.run(settings) for piece in pieces], product, repeats)
     stopped = [run for run in runs if run.outcome != "finished"]
     if stopped:
         return replace(row, outcome="failed", n_diverged=len(stopped), reason=stopped[0].reason)
-    row = replace(
+    return replace(
         row,
         n_matrices=len(pieces),
         n_entries=stored(first),
@@ -360,20 +426,7 @@ def _timed(row: Cost, pieces: Sequence[_Piece], settings: Settings, repeats: int
         n_events=sum(run.stats.n_events for run in runs),
         n_steps=sum(run.stats.n_steps for run in runs),
         n_products=sum(run.stats.n_products for run in runs),
-        seconds=median(seconds),
-        seconds_min=min(seconds),
-        seconds_max=max(seconds),
-        n_runs=repeats,
-    )
-    if product is None:
-        return row
-    products = [run / unit for run, unit in zip(seconds, units, strict=True)]
-    return replace(
-        row,
-        products=median(products),
-        products_min=min(products),
-        products_max=max(products),
-        product_seconds=median(units),
+        **timing._asdict(),
     )
 
 
@@ -382,24 +435,13 @@ def stored(stiffness: Floats | scipy.sparse.csc_array) -> int:
     return int(stiffness.size)
 
 
-# ---------------------------------------------------------------------------------------------- lockstep, ensemble
-
-
-class _Shared(Product):
-    """One product of a matrix with several vectors at once."""
-
-    def __init__(self, matrix: Floats, n_vectors: int) -> None:
-        super().__init__(matrix)
-        self._x, self._out = np.ones((len(matrix), n_vectors)), np.empty((len(matrix), n_vectors))
-
-
 def lockstep(scene: ScalingScene) -> list[Lockstep]:
     """One product of K with several vectors at once, at the ensemble's n."""
     n = scene.ensemble_n
     matrix = np.asarray(scene.random(n, 0).stiffness)
     product, found = Product(matrix), []
     for m in scene.vectors:
-        several = _Shared(matrix, m)
+        several = Product(matrix, m)
         pairs = [(several.seconds(), product.seconds()) for _ in range(scene.repeats)]
         share = median(together / (m * one) for together, one in pairs)
         found.append(Lockstep(n, m, median(t for t, _ in pairs), median(one for _, one in pairs), share))
@@ -409,20 +451,17 @@ def lockstep(scene: ScalingScene) -> list[Lockstep]:
 def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
     """The ensemble, engine by engine, on workers that are there and on workers that have to be started."""
     smooth = {"eps": scene.eps}
-    engines: tuple[tuple[Literal["coulomb", "sigmoid"], str, Settings], ...] = (
+    engines: tuple[tuple[Engine, str, Settings], ...] = (
         ("coulomb", f"{scene.tol:g}", {"tol": scene.tol}),
         ("coulomb", "picked", {}),
         ("sigmoid", f"{scene.rtol:g}", smooth | {"rtol": scene.rtol, "atol": scene.rtol}),
         ("sigmoid", "picked", smooth),
     )
-    found = []
     with local(scene.workers) as client:
         client.run(warm)
-        for engine, tolerance, settings in engines:
-            seconds, n_failed = _pipeline(scene, engine, settings, scheduler=client)
-            found.append((engine, tolerance, settings, n_failed, seconds))
+        there = [_pipeline(scene, engine, settings, scheduler=client) for engine, _, settings in engines]
     rows = []
-    for engine, tolerance, settings, n_failed, seconds in found:
+    for (engine, tolerance, settings), (seconds, n_failed) in zip(engines, there, strict=True):
         with_start, _ = _pipeline(scene, engine, settings, workers=scene.workers)
         rows.append(
             Throughput(
@@ -434,7 +473,7 @@ def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
     return rows
 
 
-def _pipeline(scene: ScalingScene, engine: str, settings: Settings, **where: Any) -> tuple[float, int]:
+def _pipeline(scene: ScalingScene, engine: Engine, settings: Settings, **where: Any) -> tuple[float, int]:
     """Seconds that the pipeline takes for the ensemble, and how many members failed."""
     source = ensemble_source(scene, engine, settings)
     with TemporaryDirectory() as directory:
@@ -443,24 +482,181 @@ def _pipeline(scene: ScalingScene, engine: str, settings: Settings, **where: Any
         return time.perf_counter() - start, status.outcomes.get("failed", 0)
 
 
-def ensemble_source(scene: ScalingScene, engine: str, settings: Settings) -> bytes:
+def ensemble_source(scene: ScalingScene, engine: Engine, settings: Settings) -> bytes:
     """The scene file of the ensemble for one engine."""
-    keys = "\n".join(f"{key} = {value!r}" for key, value in settings.items())
-    return f"""[system]
-coupling = "antisymmetric"
-n = {scene.ensemble_n}
-kappa = {scene.kappa_at(scene.ensemble_n)!r}
-[start]
-z = {Z0!r}
-w = {W0!r}
-[run]
-t_end = {scene.ensemble_t_end!r}
-matrices = {scene.members}
-seed = {scene.seed}
-[[engine]]
-name = "{engine}"
-{keys}
-[analysis]
-t_burn = 0.0
-dt = 1.0
-""".encode()
+    return ensemble(
+        {"n": scene.ensemble_n, "kappa": scene.kappa_at(scene.ensemble_n)},
+        {"t_end": scene.ensemble_t_end, "matrices": scene.members, "seed": scene.seed},
+        {"name": engine, **settings},
+    )
+
+
+# ---------------------------------------------------------------------------------------------- exponents
+
+
+@dataclass(frozen=True)
+class Growth:
+    """value ~ n^exponent, fitted by least squares of log value on log n: a row of the table `growth`.
+
+    `low` and `high` are the interval at `CONFIDENCE` (Student's t), `last` the exponent between the two largest n
+    alone. Null, with a reason, where there are too few n. `claim` is the exponent expected; null where there is none.
+    """
+
+    system: str
+    engine: str
+    quantity: str
+    claim: float | None
+    n_points: int
+    n_min: int | None = None
+    n_max: int | None = None
+    exponent: float | None = None
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    last: float | None = None
+    reason: str | None = None
+
+
+def growth(
+    n: Sequence[int], values: Sequence[float], system: str, engine: str, quantity: str, claim: float | None = None
+) -> Growth:
+    """Fit an exponent to values > 0 at distinct, ascending n."""
+    found = Growth(system, engine, quantity, claim, len(n))
+    if len(n) < 3:
+        return replace(found, reason=f"an exponent with an error takes three n, got {len(n)}")
+    x, y = np.log(n), np.log(values)
+    line = linregress(x, y)
+    half = float(t.ppf(0.5 * (1 + CONFIDENCE), len(n) - 2) * line.stderr)
+    exponent = float(line.slope)
+    return replace(
+        found,
+        n_min=n[0],
+        n_max=n[-1],
+        exponent=exponent,
+        standard_error=float(line.stderr),
+        low=exponent - half,
+        high=exponent + half,
+        last=float((y[-1] - y[-2]) / (x[-1] - x[-2])),
+    )
+
+
+@dataclass(frozen=True)
+class Group:
+    """The rows of one kind of system and one engine, and their exponents by quantity."""
+
+    system: System
+    engine: Engine
+    rows: list[Cost]
+    fits: dict[str, Growth]
+
+    @property
+    def kept(self) -> list[Cost]:
+        return [row for row in self.rows if row.is_fitted]
+
+    @property
+    def fit(self) -> Growth:
+        """That of the first quantity."""
+        return next(iter(self.fits.values()))
+
+    def ends(self, quantity: str) -> list[tuple[int, float]]:
+        """A quantity at the smallest and at the largest n."""
+        known = [(row.n, value) for row in self.kept if (value := row.of(quantity)) is not None]
+        return list(dict.fromkeys((known[0], known[-1])))
+
+    def points(self, quantity: str, unit: float) -> list[tuple[int, float, float, float, bool]]:
+        """(n, value, least, most, whether it counts for the exponent), in that unit."""
+        return [
+            (
+                row.n,
+                value / unit,
+                value / unit * row.seconds_min / row.seconds,
+                value / unit * row.seconds_max / row.seconds,
+                row.is_fitted,
+            )
+            for row in self.rows
+            if (value := row.of(quantity)) and row.seconds and row.seconds_min and row.seconds_max
+        ]
+
+
+def _group(costs: Sequence[Cost], system: System, engine: Engine) -> Group:
+    group = Group(system, engine, [row for row in costs if (row.system, row.engine) == (system, engine)], {})
+    for quantity, claim in FITTED[system, engine].items():
+        known = sorted((row.n, value) for row in group.kept if (value := row.of(quantity)))
+        n, values = [n for n, _ in known], [value for _, value in known]
+        group.fits[quantity] = growth(n, values, system, engine, quantity, claim)
+    return group
+
+
+def saving(rows: Sequence[Lockstep], smooth: Cost) -> dict[str, Any]:
+    """What runs that share K could gain at most: of the products of a run, what sharing a product saves."""
+    best = min(rows, key=lambda row: row.share)
+    if smooth.n_products is None or smooth.product_seconds is None or smooth.seconds is None:
+        return {"best": best, "saved": None}
+    share = min(1.0, smooth.n_products * smooth.product_seconds / smooth.seconds)
+    saved = share * (1.0 - min(1.0, best.share))
+    return {"best": best, "share": share, "saved": saved, "factor": 1.0 / (1.0 - saved)}
+
+
+# ---------------------------------------------------------------------------------------------- the figure
+
+
+def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Figure:
+    """Cost against the number of blocks, log-log; and what a product costs each of the vectors that share it.
+
+    A point that does not count for the exponent is hollow; dashed is the fit, dotted the growth claimed.
+    """
+    panels = (("time per event (µs)", "seconds per event", 1e-6, 1.0),
+              ("time per unit of time (ms)", "seconds per unit of time", 1e-3, 2.0))  # fmt: skip
+    order = sorted(groups, key=lambda group: group.system, reverse=True)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, len(panels) + 1, 3.1)
+        for ax, (label, quantity, unit, slope) in zip(axes[0], panels, strict=False):
+            ax.set(title=label, xscale="log", yscale="log", xlabel="number of blocks n")
+            for i, group in enumerate(group for group in order if quantity in group.fits):
+                k, exponent = order.index(group), group.fits[quantity].exponent
+                name = f"{'random systems' if group.system == 'random' else 'chains'}, {_ENGINES[group.engine]}"
+                _growth(ax, group.points(quantity, unit), exponent, name, CYCLE[k], "osD"[k])
+                if exponent is not None:
+                    ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", transform=ax.transAxes, va="top",
+                            color=CYCLE[k])  # fmt: skip
+            _guide(ax, slope)
+        ax = axes[0, -1]
+        ax.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
+        ax.plot([row.n_vectors for row in shared], [row.share for row in shared], color="black", marker="o",
+                markersize=3.5)  # fmt: skip
+        ax.set_xscale("log", base=2)
+        ax.set_xticks([row.n_vectors for row in shared], [str(row.n_vectors) for row in shared])
+        ax.set(title="shared product, for each vector", xlabel="vectors in a product", ylim=(0, None))
+        legend(figure, 3)
+    return figure
+
+
+_ENGINES: dict[Engine, str] = {"coulomb": "exact", "sigmoid": "sigmoid"}
+
+
+def _growth(
+    ax: Axes, points: Sequence[tuple[int, float, float, float, bool]], exponent: float | None, name: str, colour: str,
+    marker: str,
+) -> None:  # fmt: skip
+    """The points of one curve and the line of its exponent, through the mean of those that count."""
+    for n, value, least, most, counts in points:
+        bars = [[max(value - least, 0.0)], [max(most - value, 0.0)]]
+        ax.errorbar(
+            [n], [value], yerr=bars, fmt=marker, color=colour, markersize=4, linewidth=0.9,
+            markerfacecolor=colour if counts else "white",
+        )  # fmt: skip
+    if exponent is not None:
+        log_n, log_value = np.log([(n, value) for n, value, *_, counts in points if counts]).T
+        line = np.exp(log_value.mean() + exponent * (log_n - log_n.mean()))
+        ax.plot(np.exp(log_n), line, color=colour, linestyle="--", linewidth=0.9)
+    ax.plot([], [], color=colour, marker=marker, markersize=4, linestyle="--", linewidth=0.9, label=name)
+
+
+def _guide(ax: Axes, slope: float) -> None:
+    """A line of a given slope along the lower edge of what is drawn."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    ends = np.array([np.sqrt(left * right), right / 1.3])
+    line = low * 1.3 * (ends / ends[0]) ** slope
+    ax.plot(ends, line, color=GREY, linestyle=":", linewidth=1.0)
+    ax.annotate(f"$n^{{{slope:g}}}$", (ends[0], line[0]), ha="right", va="bottom", color=GREY, fontsize=8)
+    ax.set(xlim=(left, right), ylim=(low, max(high, line[1])))

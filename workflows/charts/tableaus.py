@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,9 @@ class Tableau:
     is_ours: bool = False
 
     def factor(self, x: float) -> float:
-        """R(-x) = 1 - x b (I + x A)^-1 1: what a step multiplies by; for x = inf its limit."""
+        """R(-x) = 1 - x b (I + x A)^-1 1: what a step multiplies by."""
         if math.isinf(x):
-            return self._limit()
+            return self.at_infinity
         values = self._stages(x)
         # the last stage is the step: no cancellation at large x
         return float(values[-1] if self._is_stiffly_accurate else 1.0 - x * self.weights @ values)
@@ -49,7 +50,8 @@ class Tableau:
     def _is_stiffly_accurate(self) -> bool:
         return bool(np.array_equal(self.stages[-1], self.weights))
 
-    def _limit(self) -> float:
+    @property
+    def at_infinity(self) -> float:
         """R(-inf): of a stiffly accurate method implicit stages vanish, but for what an explicit first one leaves."""
         if not self._is_stiffly_accurate:
             return math.inf
@@ -57,7 +59,7 @@ class Tableau:
             return 0.0
         return float(-np.linalg.solve(self.stages[1:, 1:], self.stages[1:, 0])[-1])
 
-    @property
+    @cached_property
     def stable_to(self) -> float:
         """The x > 0 at which |R(-x)| passes 1 for good; infinite for an A-stable method."""
         grid = np.linspace(0.0, _STABLE_MAX, _GRID + 1)[1:]

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from stickslip import sim
+from stickslip.analysis.report.figures import BLUE, GREEN, ORANGE, STYLE, subplots
+from stickslip.analysis.stats.compare import wilson
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.query import members as read_members
 from stickslip.pipeline.query import series as read_series
-from stickslip.workflows.charts.peers import W0, Z0
-from stickslip.workflows.paper.blocks import V, corner, pair, sampled
-from stickslip.workflows.paper.runs import Fate, fate
-from stickslip.workflows.paper.scene import COUPLING, PaperScene
+from stickslip.workflows.charts.peers import ensemble
+from stickslip.workflows.paper.figures_1_2 import V, corner, pair, sampled
+from stickslip.workflows.paper.figures_3_to_5 import Fate, fate
+from stickslip.workflows.paper.systems import PaperSystems
 
 #: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.
 APART, FOLLOWED, DIRECTIONS = 1e-6, 10.0, 16
+#: The level of the intervals.
+CONFIDENCE = 0.95
 #: What the seeds of the random single blocks are for, beside the words in `stickslip.pipeline.design`.
 _ONE_BLOCK = 1000
 
@@ -80,6 +89,11 @@ class Certified:
     t_certified: float | None
     n_after: int | None
 
+    @property
+    def lateness(self) -> float | None:
+        """From the last event to the certificate."""
+        return None if self.t_certified is None or self.t_last is None else self.t_certified - self.t_last
+
 
 def around_a_double_exit() -> list[Pair]:
     """Around the double exit {+,+}: two runs that start `APART` apart, in directions that exit in either order."""
@@ -98,7 +112,7 @@ def around_a_double_exit() -> list[Pair]:
     return found
 
 
-def one_block(scene: PaperScene) -> OneBlock:
+def one_block(scene: PaperSystems) -> OneBlock:
     """Single blocks with random constants and starts: does one ever stick again after its exit?"""
     n_exits = n_again = 0
     for block in range(scene.blocks):
@@ -116,7 +130,7 @@ def one_block(scene: PaperScene) -> OneBlock:
     return OneBlock(scene.blocks, n_exits, n_again)
 
 
-def survival(scene: PaperScene) -> list[Survival]:
+def survival(scene: PaperSystems) -> list[Survival]:
     """The ensemble of the survival curve, by the pipeline; its matrices' all-slip systems, here."""
     source = survival_source(scene)
     with TemporaryDirectory() as directory:
@@ -131,7 +145,7 @@ def survival(scene: PaperScene) -> list[Survival]:
     return [_fates_at(scene, n, [fates[n, k] for k in range(scene.survival_matrices)]) for n in scene.survival_n]
 
 
-def _fates_at(scene: PaperScene, n: int, fates: list[Fate]) -> Survival:
+def _fates_at(scene: PaperSystems, n: int, fates: list[Fate]) -> Survival:
     stable = [is_stable(scene.system(n, matrix)) for matrix in range(len(fates))]
     of_stable = Counter(one for one, is_one in zip(fates, stable, strict=True) if is_one)
     counts = Counter(fates)
@@ -147,27 +161,13 @@ def is_stable(system: sim.System) -> bool:
     return bool(np.linalg.eigvals(system.slip_matrix()).real.max() < 0.0)
 
 
-def survival_source(scene: PaperScene) -> bytes:
+def survival_source(scene: PaperSystems) -> bytes:
     """The scene file of the survival curve's ensemble; it gives no tolerances: they are picked."""
-    return f"""[system]
-coupling = "{COUPLING}"
-n = {list(scene.survival_n)}
-[start]
-z = {Z0!r}
-w = {W0!r}
-[run]
-t_end = {scene.survival_t_end!r}
-matrices = {scene.survival_matrices}
-seed = {scene.seed}
-[[engine]]
-name = "coulomb"
-[analysis]
-t_burn = 0.0
-dt = 1.0
-""".encode()
+    run = {"t_end": scene.survival_t_end, "matrices": scene.survival_matrices, "seed": scene.seed}
+    return ensemble({"n": list(scene.survival_n)}, run, {"name": "coulomb"})
 
 
-def certified(scene: PaperScene, n: int, matrix: int) -> Certified:
+def certified(scene: PaperSystems, n: int, matrix: int) -> Certified:
     """Run a draw until it is certified, and the certified state on, with nothing that could end that run early."""
     system, t_end = scene.system(n, matrix), scene.certificate_t_end
     run = scene.run(system, t_end, "coulomb")
@@ -178,3 +178,85 @@ def certified(scene: PaperScene, n: int, matrix: int) -> Certified:
     there = scene.run(system, run.t_collapse, "coulomb")
     after = sim.simulate(system, there.z, there.w, t_end, t_start=run.t_collapse, stop_early=False)
     return Certified(n, matrix, run.outcome, t_last, run.t_collapse, len(after.events))
+
+
+# ---------------------------------------------------------------------------------------------- what was found
+
+
+class Share(NamedTuple):
+    """A share with its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def share(found: int, tried: int) -> Share:
+    """found / tried with its Wilson interval; tried > 0."""
+    return Share(found / tried, *wilson(found, tried, CONFIDENCE))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim counted: a row of the table `claims`.
+
+    `found` of `tried` have what the claim says, or, of a claim that something never happens, contradict it;
+    null where `value` is measured instead.
+    """
+
+    claim: str
+    n: int
+    tried: int
+    found: int | None = None
+    low: float | None = None
+    high: float | None = None
+    value: float | None = None
+
+
+def claims(uniqueness: Sequence[Pair], blocks: Sequence[OneBlock], fates: Sequence[Survival]) -> Iterator[Claim]:
+    """The rows of the table `claims`."""
+    if uniqueness:
+        worst = max(pair.apart for pair in uniqueness) / APART
+        yield Claim("forward uniqueness: distance over distance at start", 2, len(uniqueness), value=worst)
+    for one in blocks:
+        if one.n_exits:
+            _, low, high = share(one.n_again, one.n_exits)
+            yield Claim("one block sticks again after its exit", 1, one.n_exits, one.n_again, low, high)
+    for name, count in (("all-slip state linearly stable", "stable"), ("diverged", "diverged")):
+        for row in fates:
+            _, low, high = share(getattr(row, count), row.n_draws)
+            yield Claim(name, row.n, row.n_draws, getattr(row, count), low, high)
+
+
+def lateness(certificate: Sequence[Certified]) -> list[dict[str, Any]]:
+    """The certificate by n, and over all n (null): how many runs got it, with an event after it, how late it came."""
+    rows = []
+    for n in (*dict.fromkeys(row.n for row in certificate), None):
+        some = [row for row in certificate if n in (None, row.n)]
+        late = [row.lateness for row in some if row.lateness is not None]
+        rows.append({
+            "n": n, "runs": len(some), "certified": sum(row.t_certified is not None for row in some),
+            "alarms": sum(bool(row.n_after) for row in some), "median": median(late) if late else None,
+            "most": max(late, default=None),
+        })  # fmt: skip
+    return rows
+
+
+def survival_curve(rows: Sequence[Survival], t_end: float) -> Figure:
+    """Share of draws still moving at t_end, of those whose all-slip state is stable, and of those diverged."""
+    curves = (
+        ("moving", BLUE, "o", "-", f"still moving at t = {t_end:g}"),
+        ("stable", GREEN, "s", "--", "all-slip state linearly stable"),
+        ("diverged", ORANGE, "^", ":", "diverged"),
+    )
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, 1, 2.9)
+        ax = axes[0, 0]
+        for k, (name, colour, marker, dash, label) in enumerate(curves):
+            value, low, high = np.array([share(getattr(row, name), row.n_draws) for row in rows]).T
+            n = np.array([row.n for row in rows]) + 2.0 * (k - 1)  # side by side, so that bars can be seen
+            ax.errorbar(n, value, yerr=np.maximum([value - low, high - value], 0.0), color=colour, marker=marker,
+                        linestyle=dash, markersize=4, elinewidth=0.9, capsize=2, label=label)  # fmt: skip
+        ax.set(xlabel="number of blocks n", ylabel="share of draws", ylim=(-0.03, 1.03))
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure

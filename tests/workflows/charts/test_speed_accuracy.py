@@ -11,20 +11,18 @@ import pytest
 
 from stickslip import sim
 from stickslip.workflows import charts
-from stickslip.workflows.charts import alone
-from stickslip.workflows.charts import figures as chart_figures
-from stickslip.workflows.charts import speed_accuracy as speed
+from stickslip.workflows.charts import load_chart, peers, runner, speed_accuracy
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
-from stickslip.workflows.charts.speed_accuracy import Cost, Measured, Reference, measure
-from stickslip.workflows.charts.speed_accuracy_page import build, products_at
+from stickslip.workflows.charts.speed_accuracy import (
+    Cost,
+    Measured,
+    Panel,
+    Reference,
+    error_against_cost,
+    products_at,
+)
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
-
-
-def load_chart(file):
-    """Its scene alone."""
-    return charts.load_chart(file)[1]
-
 
 TINY = """
 chart = "speed_accuracy"
@@ -171,16 +169,14 @@ def test_every_method_solves_the_same_equations(method):
     if not method.is_installed:
         pytest.skip(f"{method.package} is not installed")
     problem = problem_of_three()
-    (check,) = (other for other in METHODS if other.name == "SciPy Radau")
+    check = peers.method("SciPy Radau")
     z = method.prepare(problem)(1e-9 if method.control == "tolerance" else 1e-4).z
     assert z.shape == (3,)
     np.testing.assert_allclose(z, check.prepare(problem)(1e-11).z, atol=3e-7)
 
 
 def test_a_run_is_given_up_when_patience_ends():
-    solve = next(method for method in METHODS if method.name == "SciPy RK45").prepare(
-        replace(problem_of_three(), patience=0.0)
-    )
+    solve = peers.method("SciPy RK45").prepare(replace(problem_of_three(), patience=0.0))
     with pytest.raises(GivenUp, match="after 0 s"):
         solve(1e-6)
 
@@ -188,9 +184,7 @@ def test_a_run_is_given_up_when_patience_ends():
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, monkeypatch):
-    # a process of its own would see the packages that are there
-    monkeypatch.setattr(alone, "measure_alone", lambda file: measure(load_chart(file), silent))
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     assert "n = 5, r uniform in (0, 1]: At an error of 1e-4 the cheapest is" in capsys.readouterr().out
@@ -218,23 +212,22 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, mo
 
 def test_the_process_of_its_own_gives_the_same_errors(scene_file):
     """Errors do not depend on the clock; costs do."""
-    there, here = alone.measure_alone(scene_file), measure(load_chart(scene_file), silent)
-    assert there.references == here.references
-    assert [(c.method, c.outcome, c.error) for c in there.costs] == [
-        (c.method, c.outcome, c.error) for c in here.costs
-    ]
+    there, here = (json.loads(run(scene_file))["measured"] for run in (runner.in_a_child, runner.measured_here))
+    assert there["references"] == here["references"]
+    same = ("method", "outcome", "error")
+    assert [[c[k] for k in same] for c in there["costs"]] == [[c[k] for k in same] for c in here["costs"]]
 
 
 def test_a_process_that_fails_is_an_error(tmp_path):
     with pytest.raises(charts.ChartError, match="exit code 1"):
-        alone.measure_alone(tmp_path / "missing.toml")
+        runner.in_a_child(tmp_path / "missing.toml")
 
 
 def chart_with(monkeypatch, scene_file, *methods, **changes):
     """Rows of a method of our making beside those that make the references."""
     needed = [method for method in METHODS if method.is_ours or method.name == "SciPy DOP853"]
-    monkeypatch.setattr(speed, "METHODS", (*needed, *methods))
-    return measure(load_chart(scene_file).model_copy(update=changes), silent)
+    monkeypatch.setattr(speed_accuracy, "METHODS", (*needed, *methods))
+    return load_chart(scene_file).model_copy(update=changes).measure(silent)
 
 
 def rows_of(measured, name):
@@ -275,7 +268,7 @@ def test_a_method_that_fails_yields_a_row_with_its_reason_and_is_asked_on(monkey
 
 def test_no_error_below_the_floor_is_claimed(monkeypatch, scene_file):
     """A method that returns the reference itself is known to err by no more than the references disagree."""
-    (engine,) = (method for method in METHODS if method.name == "sigmoid engine")
+    engine = peers.method("sigmoid engine")
     method = Method("oracle", "sigmoid", lambda problem: lambda tolerance: engine.prepare(problem)(1e-12))
     measured = chart_with(monkeypatch, scene_file, method)
     (row,) = rows_of(measured, "oracle")
@@ -312,7 +305,7 @@ def test_a_finer_point_that_is_cheaper_counts():
     assert products_at([1e-2, 1e-4, 1e-6], [10.0, 1000.0, 50.0], 1e-4) == 50.0
 
 
-def planted(scene):
+def planted():
     """Costs on planted lines: the sigmoid engine at 1000, CyRK at 3000 and SciPy DOP853 at 8000 products."""
     costs = [
         Cost(5, "uniform", "sigmoid", name, tol, None, "measured", None, 2 * tol, False, *[cost] * 3, 9, 1.0, 1e-6, 5)
@@ -324,11 +317,11 @@ def planted(scene):
         Reference(5, None, "coulomb", "a", "b", 1e-14, 12),
         Reference(5, "uniform", "sigmoid", "a", "b", 1e-12),
     ]
-    return build(scene, Measured(costs, references, {}))
+    return Measured(costs, references)
 
 
-def test_words_say_who_is_cheapest_and_by_what_factor(scene_file):
-    report = planted(load_chart(scene_file))
+def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, page, undrawn):
+    report = page(load_chart(scene_file), planted())
     _, at_4, at_6, _, tolerance = report.headline
     for line in (at_4, at_6):
         assert (
@@ -343,21 +336,19 @@ def test_words_say_who_is_cheapest_and_by_what_factor(scene_file):
 
 
 def test_every_method_of_the_chart_has_a_line_of_its_own():
-    curves = [
-        chart_figures.Curve(method.name, method.is_ours, [1e3, 2e3], [1e-4, 1e-6], [False, True])
+    curves = {
+        method.name: [
+            Cost(5, "one", method.model, method.name, 1e-4, None, "measured", None, error, error < 1e-5, cost)
+            for cost, error in ((1e3, 1e-4), (2e3, 1e-6))
+        ]
         for method in METHODS
-    ]
-    (ax,) = chart_figures.speed_accuracy([("n = 5", curves, 1e-6, 12)]).axes
-    lines = [line for line in ax.lines if line.get_label() in {method.name for method in METHODS}]
+    }
+    (ax,) = error_against_cost([Panel(5, "one", curves, 1e-6, 12)]).axes
+    lines = [line for line in ax.lines if line.get_label() in curves]
     assert len(lines) == len(METHODS)
     assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(METHODS)
     hollow = [line for line in ax.lines if line.get_markerfacecolor() == "white"]
     assert [line.get_ydata()[0] for line in hollow] == [1e-6] * len(METHODS)  # the bounds, and nothing else
-
-
-def test_the_same_numbers_give_the_same_page(scene_file):
-    scene = load_chart(scene_file)
-    assert planted(scene).html == planted(scene).html
 
 
 # ---------------------------------------------------------------------------------------------- the command

@@ -11,13 +11,10 @@ import pandas as pd
 import pytest
 
 from stickslip.sim.engines.esdirk import TABLEAU
-from stickslip.workflows import charts
-from stickslip.workflows.charts import alone, stability
-from stickslip.workflows.charts import figures as chart_figures
+from stickslip.workflows.charts import load_chart, stability
 from stickslip.workflows.charts.hard_cases import Verdict
 from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
-from stickslip.workflows.charts.stability import Cell, Measured, Reference, classified, measure
-from stickslip.workflows.charts.stability_page import build
+from stickslip.workflows.charts.stability import Cell, Map, Measured, Reference, classified, stability_maps
 from stickslip.workflows.charts.tableaus import TABLEAUS
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
@@ -46,7 +43,7 @@ def scene_file(tmp_path):
 
 @pytest.fixture
 def scene(scene_file):
-    return charts.load_chart(scene_file)[1]
+    return load_chart(scene_file)
 
 
 def silent(line):
@@ -59,7 +56,7 @@ def silent(line):
 def test_shipped_chart_explains_each_key():
     file = shipped()["stability"]
     assert chart_of(file) == "stability"
-    _, scene = charts.load_chart(file)
+    scene = load_chart(file)
     explained = {line.split(" = ")[0] for line in file.read_text().splitlines() if "=" in line and "#" in line}
     assert set(type(scene).model_fields) <= explained
 
@@ -149,7 +146,7 @@ def maps_with(monkeypatch, scene, *methods):
     needed = [m for m in METHODS if m.is_ours or m.name == "SciPy Radau"]
     monkeypatch.setattr(stability, "METHODS", (*needed, *methods))
     names = {method.name for method in methods}
-    return [cell for cell in measure(scene, silent).cells if cell.method in names]
+    return [cell for cell in scene.measure(silent).cells if cell.method in names]
 
 
 def test_a_step_too_short_and_a_compiled_run_too_long_are_not_started(monkeypatch, scene):
@@ -231,8 +228,7 @@ def test_orders_not_stiff_and_stiff(name, mild, stiff):
 # ---------------------------------------------------------------------------------------------- end to end
 
 
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(alone, "measure_alone", lambda file: measure(charts.load_chart(file)[1], silent))
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -255,15 +251,6 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, monkeypatch):
     assert as_json["cases"] == []
 
 
-def test_what_was_measured_crosses_as_json(scene):
-    measured = planted("wrong", 0.5)
-    as_json = json.loads(json.dumps({
-        "cells": [vars(c) for c in measured.cells], "references": [vars(r) for r in measured.references],
-        "cases": [vars(c) for c in measured.cases], "versions": {},
-    }, allow_nan=False))  # fmt: skip
-    assert Measured.restore(as_json) == measured
-
-
 # ---------------------------------------------------------------------------------------------- the words
 
 
@@ -277,19 +264,16 @@ def planted(outcome, error, reason=None):
         Cell("layer", 1e3, "RK4", None, 0.1, "wrong", 0.2, None, 0.1),
     ]
     cases = [Verdict("edge", "why", "how", "sigmoid engine", "refused", reason="no way")]
-    return Measured(cells, [Reference("layer", 10.0, "a", "b", 1e-12, 0.1)], cases, {})
+    return Measured(cells, [Reference("layer", 10.0, "a", "b", 1e-12, 0.1)], cases)
 
 
-def said(scene, measured):
-    return " ".join(build(scene, measured).headline)
-
-
-def test_words_follow_the_cells(scene):
-    wrong = said(scene, planted("wrong", 0.5))
+def test_words_follow_the_cells(scene, page, undrawn):
+    wrong, failed = (
+        " ".join(page(scene, planted(*outcome)).headline) for outcome in (("wrong", 0.5), ("failed", None, "stalled"))
+    )
     assert "The sigmoid engine is wrong without a word in 1 of its cells and cases" in wrong
     assert "sigmoid engine in 1 of 2 cells (from stiffness 1e+3, tolerance 1e-3; error up to 5e-1)" in wrong
     assert "error is at most 500 times its tolerance (at 1e+3" in wrong
-    failed = said(scene, planted("failed", None, "stalled"))
     assert "The sigmoid engine is nowhere wrong without a word; of its 2 cells 1 right and 1 failed" in failed
     assert "Failing with a message: sigmoid engine in 1." in failed
     for text in (wrong, failed):
@@ -299,23 +283,23 @@ def test_words_follow_the_cells(scene):
         assert "sigmoid engine: right in 0 of 1 hard cases; an error with a message in 1 (edge)." in text
 
 
-def test_the_same_numbers_give_the_same_page(scene):
-    assert build(scene, planted("wrong", 0.5)).html == build(scene, planted("wrong", 0.5)).html
-
-
 def test_every_outcome_has_a_look_of_its_own():
     outcomes = ("right", "rough", "wrong", "failed", "too slow", "not judged")
-    cells = [(10.0 ** (k + 1), 1e-3, outcome, 1e-4) for k, outcome in enumerate(outcomes)]
-    one = chart_figures.Map("a", "stiffness", False, [c[0] for c in cells], [1e-3], cells)
-    (ax,) = [ax for ax in chart_figures.stability_maps([one]).axes if ax.patches]
+    cells = [Cell("layer", 10.0 ** (k + 1), "a", 1e-3, None, outcome, 1e-4) for k, outcome in enumerate(outcomes)]
+    (ax,) = [ax for ax in stability_maps([Map("layer", "a", cells)]).axes if ax.patches]
     looks = {(patch.get_facecolor(), text.get_text()) for patch, text in zip(ax.patches, ax.texts, strict=True)}
     assert len(looks) == len(outcomes)
 
 
-def test_the_limit_is_drawn_where_it_is():
-    """h = 2 / stiffness passes the centres of the cells (20, 0.1) and (2000, 0.001)."""
-    stiffness, steps = [20.0, 200.0, 2000.0], [1e-3, 1e-2, 1e-1]
-    line = [(s, 2.0 / s) for s in stiffness]
-    one = chart_figures.Map("a", "stiffness", True, stiffness, steps, [(20.0, 1e-3, "right", 1e-4)], line)
-    (drawn,) = next(ax for ax in chart_figures.stability_maps([one]).axes if ax.patches).lines
-    np.testing.assert_allclose(drawn.get_xydata(), [[0, 2], [1, 1], [2, 0]], atol=1e-12)
+def test_the_limit_is_drawn_where_it_is(monkeypatch):
+    """h = 2 / stiffness passes the centres of the cells (20, 0.1), (200, 0.01) and (2000, 0.001)."""
+    monkeypatch.setattr(Map, "limit", (2.0, 1.0))
+    cells = [
+        Cell("layer", stiffness, "RK4", None, step, "right", 1e-4)
+        for stiffness in (20.0, 200.0, 2000.0)
+        for step in (1e-3, 1e-2, 1e-1)
+    ]
+    (drawn,) = next(ax for ax in stability_maps([Map("layer", "RK4", cells)]).axes if ax.patches).lines
+    x, y = drawn.get_xdata(), drawn.get_ydata()
+    np.testing.assert_allclose(x + y, 2.0, atol=1e-12)
+    assert (x.min(), x.max()) == pytest.approx((0.0, 2.0), abs=0.01)

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,23 +11,25 @@ import scipy.sparse
 from scipy import stats
 
 from stickslip import sim
-from stickslip.workflows import charts
-from stickslip.workflows.charts import alone, statistics
-from stickslip.workflows.charts import figures as chart_figures
+from stickslip.workflows.charts import load_chart, statistics
+from stickslip.workflows.charts.cost import Product
 from stickslip.workflows.charts.peers import random_problem
 from stickslip.workflows.charts.statistics import (
     METHODS,
     REFERENCES,
     STATISTICS,
+    Choice,
+    Compared,
+    Difference,
     Measured,
     Ran,
+    Setting,
+    bias_against_cost,
+    choices_of,
     compared,
-    loosest,
-    measure,
     paired,
     sampling_error,
 )
-from stickslip.workflows.charts.statistics_page import build
 from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, moreau_jean, whole_steps
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
@@ -56,11 +58,6 @@ def scene_file(tmp_path):
     return file
 
 
-def load_chart(file):
-    """Its scene alone."""
-    return charts.load_chart(file)[1]
-
-
 def silent(line):
     pass
 
@@ -86,12 +83,18 @@ def planted(settings=CLEAN, method="coulomb engine", **changes):
         for k, (setting, (bias, scatter)) in enumerate(settings.items()):
             noisy = base.mean + bias + scatter * rng.normal()
             runs.append(replace(base, setting=setting, mean=noisy, products=4000.0 / 2**k))
-    return Measured(runs, **({"study": STUDY, "confidence": 0.95, "versions": {}} | changes))
+    return Measured(runs, **({"study": STUDY, "confidence": 0.95} | changes))
 
 
 def rows_of(measured, setting):
     rows = (row for row in compared(measured) if (row.method, row.setting) == ("coulomb engine", setting))
     return {row.statistic: row for row in rows}
+
+
+def loosest(measured):
+    """The loosest sufficient setting by method."""
+    found = {name: choice.loosest() for name, choice in choices_of(compared(measured)).items()}
+    return {name: one and one.setting for name, one in found.items()}
 
 
 def test_a_bias_of_zero_is_sufficient_and_a_clear_one_is_not():
@@ -289,8 +292,7 @@ def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mista
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(alone, "measure_alone", lambda file: measure(load_chart(file), silent))
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     assert "Exact law: " in capsys.readouterr().out
@@ -319,11 +321,6 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, monkeypatch):
     assert {row["bias"] for row in as_json["settings"] if row["is_reference"]} == {None}
 
 
-def test_a_measurement_survives_the_way_between_processes(scene_file):
-    measured = planted()
-    assert charts.kind("statistics").restore(json.loads(json.dumps(asdict(measured)))) == measured
-
-
 def test_statistics_of_a_run_by_hand(scene_file, monkeypatch):
     """Two of ten blocks stick from t = 2 to 3, one of them from 5 on; a stick before the window, from 0.2 to 0.4."""
     events = sim.EventSeries(
@@ -334,7 +331,7 @@ def test_statistics_of_a_run_by_hand(scene_file, monkeypatch):
     monkeypatch.setattr(statistics, "_run", lambda *args: run)
     scene = load_chart(scene_file).model_copy(update={"t_burn": 1.0, "t_end": 5.0})
     system = sim.System(np.eye(10), 1.0)
-    found = statistics._ran(scene, system, alone.Product(np.eye(10)), 0, "coulomb engine", 1e-4)
+    found = statistics._ran(scene, system, Product(np.eye(10)), 0, "coulomb engine", 1e-4)
     assert (found.mean, found.deviation) == pytest.approx((0.5, 0.75**0.5))  # a quarter of the time at 2
     assert found.exit_rate == pytest.approx(2 / 10 / 4)
     assert (found.total_size, found.n_cascades) == (2, 1)
@@ -348,8 +345,8 @@ def scene(scene_file):
     return load_chart(scene_file)
 
 
-def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene):
-    report = build(scene, planted())
+def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene, page, undrawn):
+    report = page(scene, planted())
     first, remains, by_statistic, looser = report.headline[1:5]
     assert first.startswith("Exact law: The coulomb engine may be as loose as tol = 1e-4: 1,000 products a run")
     assert "4 times less than the 4,000 at tol = 1e-10" in first
@@ -359,53 +356,62 @@ def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene):
     assert "beyond the sampling error" in looser
 
 
-def test_words_change_when_nothing_is_sufficient_or_everything_is(scene):
-    assert "No setting of the coulomb engine" in build(scene, planted({1e-10: (3.0, 0.1)})).headline[1]
-    lines = build(scene, planted({1e-10: (0.0, 0.1)})).headline
+def test_words_change_when_nothing_is_sufficient_or_everything_is(scene, page, undrawn):
+    assert "No setting of the coulomb engine" in page(scene, planted({1e-10: (3.0, 0.1)})).headline[1]
+    lines = page(scene, planted({1e-10: (0.0, 0.1)})).headline
     assert lines[1].endswith("that is the tightest asked for.")
     assert "Nothing looser than tol = 1e-10 was asked for" in lines[4]
 
 
-def test_noise_is_not_called_a_move(scene):
-    lines = build(scene, planted({1e-10: (0.0, 0.01), 1e-4: (0.0, 4.0)})).headline
+def test_noise_is_not_called_a_move(scene, page, undrawn):
+    lines = page(scene, planted({1e-10: (0.0, 0.01), 1e-4: (0.0, 4.0)})).headline
     assert "none is shown, but one beyond the sampling error" in lines[4]
 
 
-def test_a_tighter_setting_that_is_cheaper_is_named(scene):
+def test_a_tighter_setting_that_is_cheaper_is_named(scene, page, undrawn):
     measured = planted()
     runs = [replace(ran, products=300.0) if ran.setting == 1e-8 else ran for ran in measured.runs]
-    first = build(scene, replace(measured, runs=runs)).headline[1]
+    first = page(scene, replace(measured, runs=runs)).headline[1]
     assert "tighter and yet cheaper is tol = 1e-8 with 300, 13 times less than at tol = 1e-10" in first
 
 
-def test_methods_for_the_same_law_are_compared_where_both_are_sufficient(scene):
+def test_methods_for_the_same_law_are_compared_where_both_are_sufficient(scene, page, undrawn):
     engine = planted({1e-10: (0.0, 0.1)})
     stepping = [ran for ran in planted({0.1: (0.0, 0.1)}, "Moreau-Jean").runs if ran.setting == 0.1]
     measured = replace(engine, runs=engine.runs + [replace(ran, products=12000.0) for ran in stepping])
-    lines = build(scene, measured).headline
+    lines = page(scene, measured).headline
     assert "Exact law: Moreau-Jean may be as loose as h = 0.1" in "".join(lines)
     assert any("Moreau-Jean at h = 0.1 takes 3 times more products than the coulomb engine" in line for line in lines)
 
 
-def test_the_figure_holds_every_point_and_the_band(scene):
-    points = chart_figures.Biases(
-        "a", True, [4.0, 1.0, 2.0], [0.0, 0.5, -30.0], [-0.1, 0.2, -40.0], [0.1, 0.8, -20.0], "xyz"
-    )
-    (ax,) = chart_figures.statistics_cost([("gamma", [([points], (0.5, 0.1, 0.9))])], ["Sigmoid"]).axes
-    assert ax.get_ylim()[0] < -40.0
-    assert {text.get_text(): text.get_va() for text in ax.texts} == {"x": "top", "y": "top", "z": "bottom"}
-    line = next(line for line in ax.lines if len(line.get_xdata()) == 3)
+def test_the_figure_holds_every_point_and_the_band():
+    """The band of the laws' difference, and points of which a looser one costs more than a tighter one."""
+    points = zip((1e-8, 1e-6, 1e-4), (4.0, 1.0, 2.0), (0.0, 0.5, -30.0), (0.1, 0.3, 10.0), strict=True)
+    settings = [
+        Setting("coulomb engine", setting, cost, [
+            Compared("coulomb", "coulomb engine", setting, name, 5, 1.0, bias, bias - half, bias + half, 1.0, cost,
+                     is_sufficient=False)
+            for name in STATISTICS
+        ])
+        for setting, cost, bias, half in points
+    ]  # fmt: skip
+    differences = [Difference(name, 0.5, 0.1, 0.9, None, 1.0) for name in STATISTICS]
+    exact, sigmoid, *_ = bias_against_cost({"coulomb engine": Choice("coulomb engine", settings)}, differences).axes
+    assert exact.get_ylim()[0] < -40.0
+    assert {text.get_text(): text.get_va() for text in exact.texts} == {
+        "1e-8": "top",
+        "1e-6": "top",
+        "1e-4": "bottom",
+    }
+    line = next(line for line in exact.lines if len(line.get_xdata()) == 3)
     assert list(line.get_ydata()) == [0.0, 0.5, -30.0]
+    assert [line.get_ydata()[0] for line in sigmoid.lines] == [0.5]
 
 
-def test_the_same_numbers_give_the_same_page(scene):
-    assert build(scene, planted()).html == build(scene, planted()).html
-
-
-def test_a_diverged_run_is_on_the_page_with_its_reason(scene):
+def test_a_diverged_run_is_on_the_page_with_its_reason(scene, page, undrawn):
     measured = planted()
     lost = Ran(0, "Moreau-Jean", 0.3, "diverged", "|z| passed 1e+12")
-    html = build(scene, replace(measured, runs=[*measured.runs, lost])).html
+    html = page(scene, replace(measured, runs=[*measured.runs, lost])).html
     assert "diverged: |z| passed 1e+12" in html
     assert "No setting of Moreau-Jean" in html
 

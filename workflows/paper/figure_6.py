@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.linalg import expm
 
 from stickslip import sim
+from stickslip.analysis.report.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, blank, subplots
 from stickslip.sim.theory.blowup import Blowup, Mode, continuations
 from stickslip.sim.theory.laws import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
 from stickslip.sim.theory.slow_time import LawRun, Segment, run_with_law
 from stickslip.workflows.charts.peers import Floats
-from stickslip.workflows.paper.blocks import ONE, V, pair, single
+from stickslip.workflows.paper.figures_1_2 import ONE, V, pair, single
 
 #: Figure 6: F_1 = -F_2.
 FORCE = 0.5
@@ -63,6 +67,9 @@ class Future:
     z: list[float]
     w: list[float]
     events: list[tuple[float, str]]
+
+    def times(self, kind: str) -> list[float]:
+        return [t for t, one in self.events if one == kind]
 
 
 @dataclass(frozen=True)
@@ -215,7 +222,89 @@ def _sampled(system: sim.System, run: LawRun) -> tuple[Floats, Floats]:
             x = start + np.outer(since, [system.belt_speed, 0.0])
         else:
             rest = np.concatenate([system.rest_state(segment.slip), np.zeros(1)])
-            x = rest + np.array([expm(s * system.slip_matrix()) @ (start - rest) for s in since])
+            x = rest + expm(since[:, None, None] * system.slip_matrix()) @ (start - rest)
         times.append(t)
         states.append(x)
     return np.concatenate(times), np.concatenate(states)
+
+
+# ---------------------------------------------------------------------------------------------- drawings
+
+
+def fast_flows(blow_ups: Sequence[BlowUp]) -> Figure:
+    """The fast flow in the box of (lambda_1, lambda_2), stable modes filled, others open."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, len(blow_ups), 3.7, sharey=True)
+        for letter, ax, one in zip("ab", axes[0], blow_ups, strict=True):
+            axis = np.asarray(one.axis)
+            ax.streamplot(
+                axis, axis, *np.array(one.rate), color=BLUE, density=0.7, linewidth=0.8,
+                broken_streamlines=False,
+            )  # fmt: skip
+            for x, y, is_stable in one.modes:
+                ax.plot([x], [y], "o", color=ORANGE if is_stable else "white", markeredgecolor="black",
+                        markersize=8, zorder=5)  # fmt: skip
+            ax.set(title=f"({letter}) {one.law} law", xlabel="λ₁", xlim=(-1, 1), ylim=(-1, 1), aspect="equal")
+            ax.set_xticks(ticks := [-1.0, -0.5, 0.0, 0.5, 1.0])
+            ax.set_yticks(ticks)
+            ax.spines[["top", "right"]].set_visible(True)
+        axes[0, 0].set_ylabel("λ₂")
+        handles = [
+            axes[0, 0].plot([], [], "o", color=colour, markeredgecolor="black", markersize=8, label=label)[0]
+            for colour, label in ((ORANGE, "sticking mode, stable"), ("white", "sticking mode, saddle"))
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
+
+
+def slow_modes(branches: Branches, runs: Sequence[SlowRun]) -> Figure:
+    """lambda_2 of the sticking modes in slow time: about the saddle-node, and up to the exit."""
+    points = branches.points
+    t_end = max(run.t[-1] for run in runs)
+    lost = max((t for t, *_, is_stable in points if not is_stable), default=0.0)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, 2, 3.0, sharey=True)
+        kinds = ((True, "o", 3.5, "mode, stable"), (False, "x", 3.0, "mode, saddle"))
+        panels = (("(c) at first", 2.0 * lost or t_end), ("(d) to the exit", 1.05 * t_end))
+        for ax, (title, end) in zip(axes[0], panels, strict=True):
+            for is_wanted, marker, size, label in kinds:
+                seen = [(t, y) for t, _, y, is_stable in points if is_stable == is_wanted and t <= end]
+                ax.plot(*np.array(seen).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
+            for k, run in enumerate(runs):
+                label = "from λ = " + ("(1, 1)" if run.side > 0 else "(−1, −1)")
+                ax.plot(
+                    run.t, run.lam[1], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2.2, label=label
+                )
+            ax.axhline(1.0, color="black", linewidth=0.8)
+            ax.set(title=title, xlabel="time t", xlim=(-0.03 * end, end))
+        axes[0, 0].set_ylabel("λ₂")
+        axes[0, 1].annotate("face λ₂ = 1: exit", (0.0, 1.0), xytext=(4, -10), textcoords="offset points", fontsize=7)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def open_futures(found: Undetermined) -> Figure:
+    """A friction law that is not monotone: where it balances a force, and the runs that begin in one state."""
+    with matplotlib.rc_context(STYLE):
+        figure = blank(2.9)
+        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
+        left.plot(found.axis, found.resistance, color=BLUE, label="s(λ)")
+        left.axhline(found.target, color=GREY, linestyle="--", linewidth=0.9, label="−F/μ")
+        for lam, is_stable in found.modes:
+            left.plot([lam], [found.target], "o", color=ORANGE if is_stable else "white", markeredgecolor="black",
+                      markersize=7, zorder=5)  # fmt: skip
+        left.set(title="(e) static above kinetic", xlabel="λ", ylabel="friction / μ, s(λ)", xlim=(-1, 1))
+        left.legend(loc="lower right")
+        for k, one in enumerate(found.futures):
+            right.plot(
+                one.t,
+                np.asarray(one.w) - found.v,
+                color=CYCLE[k],
+                linestyle=("-", "--", "-.")[k],
+                linewidth=1.6,
+                label=one.begins,
+            )
+        right.set(title="(f) runs from one state", xlabel="time t", ylabel="relative velocity z' − v")
+        right.set_ylim(top=1.35 * right.get_ylim()[1])
+        right.legend(loc="upper right", ncols=2)
+    return figure

@@ -1,21 +1,18 @@
-"""The scene of the chart `paper`: which figures, which systems, how long; dimensionless.
-
-Systems, perturbations and ratios are those of an ensemble with the scene's seed.
-"""
+"""What a scene of the chart `paper` asks for, and the systems that it draws: those of an ensemble with its seed."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, PERTURBATION, RATIO
 from stickslip.pipeline.scene import TOLERANCES
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers, as_tuple, distinct
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
 from stickslip.sim.engines.contract import Purpose
-from stickslip.workflows.charts import ChartScene
+from stickslip.workflows.charts import ChartScene, Several
 from stickslip.workflows.charts.peers import W0, Z0, Floats
 
 Law = Literal["coulomb", "sigmoid"]
@@ -23,14 +20,14 @@ LAWS: tuple[Law, ...] = get_args(Law)
 COUPLING: Literal["antisymmetric"] = "antisymmetric"
 
 
-class PaperScene(ChartScene):
-    """A scene with ``chart = "paper"``; dimensionless."""
+class PaperSystems(ChartScene):
+    """The keys of a scene with ``chart = "paper"``; dimensionless."""
 
     chart: Literal["paper"] = Field(description="kind of the chart", examples=["paper"])
     title: str = Field(default="The paper's figures", description="one line for the report's head")
-    figures: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=6)], ...], BeforeValidator(as_tuple), AfterValidator(distinct)
-    ] = Field(min_length=1, description="numbers of the figures", examples=[[3, 5]])
+    figures: Several[Annotated[int, Field(ge=1, le=6)]] = Field(
+        min_length=1, description="numbers of the figures", examples=[[3, 5]]
+    )
     n: BlockNumbers = Field(default=(20, 100, 200), description="numbers of blocks of figure 3", examples=[[20, 100]])
     draws: Count = Field(default=10, description="number of matrices for each n of figure 3", examples=[10])
     t_end: Positive = Field(default=1000.0, description="end of the runs of figures 3 and 4", examples=[1000.0])
@@ -71,7 +68,7 @@ class PaperScene(ChartScene):
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
 
     @model_validator(mode="after")
-    def _in_order(self) -> PaperScene:
+    def _in_order(self) -> PaperSystems:
         for early, late in (("t_shown", "t_end"), ("t_burn", "long_t_end")):
             if getattr(self, early) > getattr(self, late) or (early == "t_burn" and self.t_burn == self.long_t_end):
                 raise ValueError(

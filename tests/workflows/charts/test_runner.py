@@ -1,0 +1,137 @@
+"""What all charts share: a measurement crosses as JSON, is kept beside the report, and makes the page."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from pydantic import Field, TypeAdapter
+
+from stickslip.workflows import charts
+from stickslip.workflows.charts import ChartScene, Shown, cost, runner
+from stickslip.workflows.commands import main
+
+
+@dataclass(frozen=True)
+class Row:
+    n: int
+    value: float | None
+    count: int | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    rows: list[Row]
+    events: list[tuple[float, str]]
+
+
+class PlantedScene(ChartScene):
+    chart: Literal["planted"] = Field(description="kind of the chart")
+    n: int = Field(description="number of blocks")
+
+    def extent(self):
+        return "nothing"
+
+    def measure(self, say) -> Measured:
+        say(f"measuring {self.n}")
+        return Measured([Row(self.n, 0.5), Row(self.n, None, 3)], [(1.0, "entry")])
+
+    def show(self, measured):
+        def draw():
+            return Figure()
+
+        return Shown({"n_rows": len(measured.rows), "drawn": draw}, {"rows": runner.frame(measured.rows, Row)})
+
+
+TEMPLATE = """{% extends "chart.html" %}
+{% from "macros.html" import figure, table %}
+{% block answer %}
+<h3>Rows</h3><ul><li>There are {{ n_rows }} &lt;rows&gt;,
+ the first {{ measured.rows[0].value|power }}.</li></ul>
+{% endblock %}
+{% block chart %}
+{% call figure(drawn, "nothing") %}Nothing.{% endcall %}
+{{ table(measured.rows, [("n", "n", "%d"), ("value", "value", "%.1e")]) }}
+{% endblock %}
+"""
+
+
+@pytest.fixture
+def planted(tmp_path, monkeypatch, in_this_process):
+    """The file of a scene of a chart of our making, and where its report goes."""
+    (tmp_path / "planted.html").write_text(TEMPLATE)
+    (tmp_path / "scene.toml").write_text('chart = "planted"\ntitle = "A planted <chart>"\nn = 5\n')
+    monkeypatch.setitem(charts.CHARTS, "planted", f"{__name__}:PlantedScene")
+    monkeypatch.setattr(charts, "chart", lambda name: PlantedScene)
+    monkeypatch.setattr(runner, "_folder", lambda scene: tmp_path)
+    return tmp_path / "scene.toml", tmp_path / "out"
+
+
+def run(planted, capsys):
+    file, out = planted
+    assert main(["run", str(file), "--out", str(out)]) == 0
+    return capsys.readouterr()
+
+
+def test_the_page_its_headline_and_its_tables(planted, capsys):
+    printed = run(planted, capsys)
+    assert "A planted <chart>\nRows: There are 2 <rows>, the first 5e-1.\n" in printed.out
+    assert "measuring 5" in printed.err
+    page = (planted[1] / "report.html").read_text()
+    assert "A planted &lt;chart&gt;" in page
+    assert '<td class="num">5.0e−01</td>' not in page  # an exponent keeps its sign as it is written
+    assert '<td class="num">5.0e-01</td>' in page
+    assert '<td class="num">–</td>' in page
+    rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
+    assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
+
+
+def test_what_was_measured_is_kept_for_the_same_scene_and_program(planted, capsys, monkeypatch):
+    run(planted, capsys)
+    page = (planted[1] / "report.html").read_text()
+    again = run(planted, capsys)
+    assert (planted[1] / "report.html").read_text() == page
+    assert '<img src="data:image/svg+xml;base64,' in page
+    assert "measured before" in again.err
+    assert "remove it to measure again" in again.err
+    assert "measuring" not in again.err
+    file, out = planted
+    file.write_text(file.read_text().replace("n = 5", "n = 6"))
+    assert "measuring 6" in run(planted, capsys).err
+    monkeypatch.setattr(runner, "source_digest", lambda *sources: "changed")
+    assert "measuring 6" in run(planted, capsys).err
+    (out / runner.MEASURED).write_bytes(b"{")
+    damaged = run(planted, capsys).err
+    assert "is not readable, measuring again" in damaged
+    assert "measuring 6" in damaged
+
+
+def test_no_number_is_lost_on_the_way():
+    measured = Measured([Row(5, 0.1 + 0.2, 3), Row(1, None)], [(1e-300, "entry"), (2.0**-1074, "exit")])
+    crossed = json.loads(json.dumps(asdict(measured), allow_nan=False))
+    assert TypeAdapter(Measured).validate_python(crossed) == measured
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(1234.0, "1,200"), (99.6, "100"), (12.4, "12"), (5.44, "5.4"), (0.0123, "0.012")]
+)
+def test_a_count_has_two_digits(value, words):
+    assert runner.count(value) == words
+
+
+def test_minus_signs():
+    assert runner.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
+        "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, -}"
+    )
+
+
+def test_runs_are_timed_until_one_takes_too_long():
+    ran = []
+    found, timing = cost.timed(lambda: ran.append(None) or len(ran), cost.Product(np.eye(3)), 4)
+    assert found == timing.n_runs == len(ran) == 4
+    assert 0 < timing.seconds_min <= timing.seconds <= timing.seconds_max
+    assert 0 < timing.products_min <= timing.products <= timing.products_max
+    assert cost.timed(lambda: None, None, 4, longest=0.0)[1][:1] == (1,)
+    assert cost.timed(lambda: None, None, 4)[1].products is None

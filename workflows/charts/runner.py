@@ -1,0 +1,217 @@
+"""Run a chart: measure in a process of its own with one thread, keep what was measured, make the page."""
+
+from __future__ import annotations
+
+import html
+import inspect
+import json
+import math
+import platform
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from statistics import median
+from typing import Any, get_type_hints
+
+import numpy as np
+import pandas as pd
+from jinja2 import ChoiceLoader, FileSystemLoader
+from matplotlib.figure import Figure
+from pydantic import TypeAdapter, ValidationError
+
+from stickslip.analysis import Report
+from stickslip.analysis.report.figures import embedded
+from stickslip.analysis.report.page import page_environment
+from stickslip.analysis.report.words import number, percent, signed
+from stickslip.pipeline.processes import Child, ChildDied
+from stickslip.pipeline.storage import Place
+from stickslip.sim.engines.compile import source_digest
+from stickslip.workflows.charts import ChartError, ChartScene, load_chart
+
+#: What was measured, beside the report: the page is made from it again while scene and program are the same.
+MEASURED = "measured.json"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a scene's `measure` gave, as plain values, with the versions of what took part and of what it is for."""
+
+    key: str
+    versions: dict[str, str]
+    measured: Any
+
+
+def versions(*libraries: str) -> dict[str, str]:
+    """What took part, by distribution; "not installed" for a library that is absent."""
+    found = {"python": platform.python_version()}
+    for name in ("stickslip", "numpy", "numba", *libraries):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _key(scene: ChartScene) -> str:
+    """Differs where the scene or the sources of the measurement do; templates are no part of it."""
+    folders = {Path(__file__).parent, _folder(scene)}
+    sources = sorted(source for folder in folders for source in folder.glob("*.py"))
+    return f"{source_digest(*sources)} {scene.model_dump_json()}"
+
+
+def _folder(scene: ChartScene) -> Path:
+    return Path(inspect.getfile(type(scene))).parent
+
+
+def measure(file: Path, out: Place) -> Measurement:
+    """What the chart of a scene file measures: what `out` has of it already, or measured now and kept there.
+
+    Raises
+    ------
+    ChartError
+        If the measurement ends early.
+    """
+    scene = load_chart(file)
+    (kept,) = out.read_each([MEASURED])
+    if kept is not None:
+        try:
+            found = _restored(kept)
+        except ValidationError as error:
+            print(f"{out.named(MEASURED)} is not readable, measuring again: {error}", file=sys.stderr)
+        else:
+            if (found.key, found.versions) == (_key(scene), versions(*scene.libraries)):
+                print(f"measured before: {out.named(MEASURED)}; remove it to measure again", file=sys.stderr)
+                return found
+    content = in_a_child(file)
+    out.replace(MEASURED, content)
+    return _restored(content)
+
+
+def _restored(content: bytes) -> Measurement:
+    return TypeAdapter(Measurement).validate_json(content)
+
+
+def in_a_child(file: Path) -> bytes:
+    """`measured_here`, in a process of its own with one thread."""
+    with Child(measured_here, shows_errors=True) as child:
+        try:
+            content: bytes = child(file)
+        except ChildDied as error:
+            raise ChartError(f"the measurement ended with {error}; its own words are above") from error
+    return content
+
+
+def measured_here(file: Path) -> bytes:
+    """Measure the chart of a scene file in this process: a `Measurement` as JSON. Progress goes to stderr."""
+    scene = load_chart(file)
+    measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
+    found = Measurement(_key(scene), versions(*scene.libraries), measured)
+    return json.dumps(asdict(found), allow_nan=False).encode()
+
+
+# ---------------------------------------------------------------------------------------------- the page
+
+
+def report(scene: ChartScene, found: Measurement) -> Report:
+    """The page of a scene, made of what was measured; its headline is the page's lead."""
+    of = get_type_hints(type(scene).measure)["return"]
+    measured = TypeAdapter(of).validate_python(found.measured)
+    shown = scene.show(measured)
+    environment = page_environment("stickslip.workflows.charts")
+    assert environment.loader is not None
+    environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
+    environment.filters |= FORMS
+    environment.globals |= FORMS
+    page = environment.get_template(f"{scene.chart}.html").render(  # type: ignore[attr-defined]
+        shown.facts, scene=scene, measured=measured, versions=found.versions
+    )
+    return Report(page, shown.tables, [scene.title, *_headline(page)])
+
+
+def _headline(page: str) -> list[str]:
+    """The items of the page's lead as lines of text, each behind its heading."""
+    (lead,) = re.findall(r'<div class="lead">(.*?)</div>', page, flags=re.DOTALL)
+    lines, heading = [], ""
+    for tag, content in re.findall(r"<(h3|li)>(.*?)</\1>", lead, flags=re.DOTALL):
+        text = " ".join(html.unescape(re.sub(r"<[^>]*>", "", content)).split())
+        if tag == "h3":
+            heading = text
+        else:
+            lines.append(f"{heading}: {text}")
+    return lines
+
+
+def frame(rows: Sequence[Any], of: type) -> pd.DataFrame:
+    """Dataclasses as the rows of a table; whole numbers stay whole where some are null."""
+    hints = get_type_hints(of)
+    whole = {name: "Int64" for name, hint in hints.items() if hint == int | None}
+    return pd.DataFrame(map(asdict, rows), columns=list(hints)).astype(whole)
+
+
+# ---------------------------------------------------------------------------------------------- forms of numbers
+
+
+def count(value: float, digits: int = 2) -> str:
+    """To so many digits, thousands marked; a small number to two."""
+    return f"{float(f'{value:.{digits}g}'):,.0f}" if value >= 10 ** (digits - 1) else f"{value:.2g}"
+
+
+def power(value: float, digits: int | None = None) -> str:
+    """As 3e-4; `digits` after the point at most."""
+    return np.format_float_scientific(value, precision=digits, trim="-", exp_digits=1)
+
+
+def seconds(value: float) -> str:
+    for unit, name in ((1.0, "s"), (1e-3, "ms")):
+        if value >= unit:
+            return f"{value / unit:.3g} {name}"
+    return f"{value / 1e-6:.3g} µs"
+
+
+def beside(value: float, error: float | None) -> str:
+    """A number with its sign to about a hundredth of an error: what is smaller is 0."""
+    if not error:
+        return signed(value)
+    decimals = max(2 - math.floor(math.log10(error)), 0)
+    return f"{value:+.{decimals}f}" if round(value, decimals) else "0"
+
+
+def listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def span(values: Iterable[float], form: str = "%.3g") -> str:
+    """The least and the most of some numbers, once if they look alike."""
+    some = sorted(values)
+    if not some:
+        return "none"
+    low, high = form % some[0], form % some[-1]
+    return low if low == high else f"{low} to {high}"
+
+
+def capital(text: str) -> str:
+    """With a capital letter; what is markup stays it."""
+    text = type(text)(text.strip())
+    return text[:1].upper() + text[1:]
+
+
+def minus(text: str) -> str:
+    """Hyphens before numbers as minus signs; what is markup stays it."""
+    return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", "−", text))
+
+
+def picture(draw: Callable[[], Figure]) -> str:
+    """A figure, drawn when the page needs it, as the address of an image that is part of the page."""
+    return embedded(draw())
+
+
+#: What templates have, as filters and as functions.
+FORMS: dict[str, Callable[..., Any]] = {
+    "count": count, "count3": partial(count, digits=3), "power": power, "seconds": seconds, "beside": beside,
+    "number": number, "percent": percent, "listed": listed, "span": span, "median": median, "capital": capital,
+    "minus": minus, "picture": picture,
+}  # fmt: skip

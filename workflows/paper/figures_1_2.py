@@ -1,0 +1,276 @@
+"""Figures 1 and 2: one block and two under the exact law, sampled between events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stickslip import sim
+from stickslip.analysis.report.figures import BLUE, CYCLE, GREY, ORANGE, PURPLE, STYLE, blank, legend, subplots
+from stickslip.sim.theory import folds, strata
+from stickslip.workflows.charts.peers import Floats
+
+#: Figure 1, of which the paper gives no constants: rho, kappa, mu, |v|.
+ONE = (0.1, 1.0, 1.0, 0.5)
+#: Figure 2: rho, kappa_1, kappa_2, kappa_12, mu, v as the caption has them.
+RHO, KAPPA_1, KAPPA_2, KAPPA_12, MU, V = 0.1, 1.1, 1.6, 0.5, 1.0, -1.0
+
+
+@dataclass(frozen=True)
+class Portrait:
+    """Figure 1: one block's (z, w) for one v; paths are (z, w, whether it leaves the exit point)."""
+
+    v: float
+    stick: list[float]
+    exit: float
+    paths: list[tuple[list[float], list[float], bool]]
+
+    @property
+    def leaves_right(self) -> bool:
+        return next(w for _, w, is_exit in self.paths if is_exit)[-1] > self.v
+
+
+@dataclass(frozen=True)
+class Path2:
+    """One run of two blocks, sampled: case "a", "b" or "c" of figure 2; events are (t, block, mode)."""
+
+    case: str
+    t: list[float]
+    z: list[list[float]]
+    w: list[list[float]]
+    events: list[tuple[float, int, int]]
+
+
+@dataclass(frozen=True)
+class Parallelogram:
+    """Figure 2 under one sign: corners, in order around, as (lambda_1, lambda_2, z_1, z_2, fold 1, fold 2)."""
+
+    sign: int
+    corners: list[tuple[int, int, float, float, str, str]]
+    paths: list[Path2]
+
+    def named_corners(self) -> list[tuple[str, float, float, str]]:
+        """(signs of lambda, z_1, z_2, kind by how many of its folds are visible), in order around."""
+        return [
+            ("".join("+" if side > 0 else "-" for side in (a, b)), x, y, _KINDS[folds.count("visible")])
+            for a, b, x, y, *folds in self.corners
+        ]
+
+    def misprint(self) -> list[float]:
+        """How far eq. (8) as printed is off each corner."""
+        return [float(np.abs(printed_corner(a, b) - (x, y)).max()) for a, b, x, y, *_ in self.corners]
+
+    def exits(self) -> list[tuple[int, float]]:
+        """(block, t) of what leaves in case (a)."""
+        return [(block, t) for t, block, mode in self.paths[0].events if mode]
+
+    def leaves(self) -> list[bool]:
+        """Whether each block leaves in case (c)."""
+        return [w[1] > w[0] for w in self.paths[2].w]
+
+
+#: Kind of a corner by how many of its two folds are visible; its look.
+_KINDS = ("double entry", "mixed", "double exit")
+_LOOKS = {"double exit": ("o", ORANGE), "mixed": ("D", "white"), "double entry": ("s", BLUE)}
+
+
+def sampled(system: sim.System, z0: Floats, w0: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """z and w at each of `times`, shape (m, n): the first is the start, each next a run on from the one before."""
+    z, w = np.empty((len(times), system.n)), np.empty((len(times), system.n))
+    z[0], w[0] = z0, w0
+    for k, (before, now) in enumerate(pairwise(times)):
+        run = sim.simulate(system, z[k], w[k], float(now), t_start=float(before), stop_early=False)
+        z[k + 1], w[k + 1] = run.z, run.w
+    return z, w
+
+
+def single(v: float) -> sim.System:
+    """The block of figure 1."""
+    rho, kappa, mu, _ = ONE
+    return sim.System([[kappa]], rho, mu, v)
+
+
+def portrait(v: float) -> Portrait:
+    """Paths from outside, and the one from the exit point."""
+    system = single(v)
+    stick = folds.stick_interval(system)
+    leaves = stick.low if v < 0.0 else stick.high
+    turn = -np.sign(v)
+    starts = [
+        (3.0 * turn, 1.0 * turn),
+        (-3.0 * turn, -0.6 * turn),
+        (-1.6 * turn, 1.2 * turn),
+        (2.2 * turn, -1.0 * turn),
+    ]
+    times = np.linspace(0.0, 9.0, 181)
+    paths = []
+    for z0, w0 in [*starts, (leaves, v)]:
+        z, w = sampled(system, np.array([z0]), np.array([w0]), times)
+        paths.append((z[:, 0].tolist(), w[:, 0].tolist(), (z0, w0) == (leaves, v)))
+    return Portrait(v, [stick.low, stick.high], leaves, paths)
+
+
+def pair(sign: Literal[1, -1]) -> sim.System:
+    """The system of figure 2; `sign` +1: the coupling of eq. (6) as printed, -1: the one that section 3 uses."""
+    return folds.two_blocks(KAPPA_1, KAPPA_2, KAPPA_12, RHO, MU, V, sign)
+
+
+def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
+    """Where both blocks are at the edge of sticking, lambda = `sides`; shape (2,)."""
+    (found,) = (one for one in strata.corners(system) if one.sides == sides)
+    return found.point
+
+
+def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
+    """Corners and the paths (a), (b), (c) under one sign of the coupling."""
+    system = pair(sign)
+    corners = []
+    for one in strata.parallelogram(system):
+        (a, b), (x, y), (first, second) = one.sides, one.point, one.visibility()
+        corners.append((a, b, float(x), float(y), str(first), str(second)))
+    lead = 0.5  # time on the belt before the corner
+    belt = np.full(2, V)
+    starts = {"a": np.zeros(2), "b": corner(system, (1, 1)) - lead * belt, "c": corner(system, (1, -1))}
+    times = np.linspace(0.0, 3.0, 301)
+    paths = []
+    for case, z0 in starts.items():
+        z, w = sampled(system, z0, belt, times)
+        events = sim.simulate(system, z0, belt, times[-1]).events
+        listed = [(float(t), int(i), int(m)) for t, i, m in zip(events.t, events.block, events.mode, strict=True)]
+        paths.append(Path2(case, times.tolist(), z.T.tolist(), w.T.tolist(), listed))
+    return Parallelogram(sign, corners, paths)
+
+
+def printed_corner(lambda_1: int, lambda_2: int) -> np.ndarray:
+    """Eq. (8) as the paper prints it, shape (2,)."""
+    p, q = RHO * V + lambda_1 * MU, RHO * V + lambda_2 * MU
+    k1, k2, k12 = KAPPA_1, KAPPA_2, KAPPA_12
+    k = k1 * k2 - k12 * (k1 + k2)
+    return -p / k * np.array([k12 - k1, k12]) - q / k * np.array([k12, k12 - k2])
+
+
+# ---------------------------------------------------------------------------------------------- drawings
+
+#: In the plane of displacements paths are drawn for so long: how they leave, not where they end.
+_LEAVING = 1.5
+#: Line styles beside the colours, so that grey print tells curves apart.
+_DASHES = ("-", "--", "-.")
+
+
+def phase_portraits(portraits: Sequence[Portrait]) -> Figure:
+    """Figure 1: z against z' for each v; the stick interval thick, the exit point E marked, its path bold."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, len(portraits), 3.4, sharey=True)
+        for ax, one in zip(axes[0], portraits, strict=True):
+            ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9)
+            for z, w, is_exit in one.paths:
+                ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
+                        zorder=3 if is_exit else 2)  # fmt: skip
+                _arrow(ax, z, w, ORANGE if is_exit else BLUE)
+            ax.plot(one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4)
+            ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
+            ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
+                        ha="center", fontweight="bold")  # fmt: skip
+            ax.set(title=f"v = {one.v:g}".replace("-", "−"), xlabel="displacement z")
+        axes[0, 0].set_ylabel("velocity z'")
+        handles = [
+            axes[0, 0].plot([], [], color=colour, linewidth=width, linestyle=dash, label=label)[0]
+            for colour, width, dash, label in (
+                ("black", 3.0, "-", "sticks, z' = v"),
+                (GREY, 0.9, "--", "z' = v, crossed"),
+                (BLUE, 0.9, "-", "paths"),
+                (ORANGE, 2.4, "-", "path from the exit point E"),
+            )
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> None:
+    """The direction of a path, a tenth of its points from the start."""
+    k = max(1, len(x) // 10)
+    if k + 1 < len(x):
+        ax.annotate("", (x[k + 1], y[k + 1]), (x[k], y[k]), arrowprops={"arrowstyle": "-|>", "color": colour})
+
+
+def parallelograms(signs: Sequence[Parallelogram]) -> Figure:
+    """Figure 2: (z_1, z_2) with folds, corners and the three cases, a column a sign; below, z' - v of the first sign.
+
+    Solid edges are visible folds (exits), dashed ones invisible (entries).
+    """
+    first = signs[0]
+    with matplotlib.rc_context(STYLE):
+        figure = blank(6.0)
+        grid = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
+        for k, one in enumerate(signs):
+            ax = figure.add_subplot(grid[0, 3 * k : 3 * k + 3])
+            _region(ax, one)
+            if k == 0:
+                ax.set_ylabel("displacement z₂")
+        below: list[Axes] = []
+        for k, path in enumerate(first.paths):
+            ax = figure.add_subplot(grid[1, 2 * k : 2 * k + 2], sharey=below[0] if below else None)
+            below.append(ax)
+            for block, w in enumerate(path.w):
+                ax.plot(path.t, np.asarray(w) - V, color=CYCLE[block], linestyle=_DASHES[block],
+                        linewidth=1.6, label=f"block {block + 1}")  # fmt: skip
+            for t, block, mode in path.events:
+                ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
+            ax.set(title=f"({path.case}) {_sign(first)}", xlabel="time t")
+        below[0].set_ylabel("relative velocity z' − v")
+        below[0].legend()
+        legend(figure, 4, figure.axes[: len(signs)])
+    return figure
+
+
+def _region(ax: Axes, one: Parallelogram) -> None:
+    corners = one.named_corners()
+    z = np.array([corner[1:3] for corner in corners])
+    span = np.ptp(z, axis=0)
+    ax.fill(*z.T, color=GREY, alpha=0.15, linewidth=0)
+    for k, (label, *_) in enumerate(corners):
+        after = (k + 1) % len(corners)
+        # of two neighbours one lambda is the same: that block's fold is the edge between them
+        block = 0 if label[0] == corners[after][0][0] else 1
+        leaves = (label[block] == "+") == (V < 0)
+        ax.plot(*z[[k, after]].T, color="black", linewidth=1.4, linestyle="-" if leaves else "--",
+                label="visible fold" if leaves else "invisible fold")  # fmt: skip
+        along = (z[after] - z[k]) / span
+        outward = np.array([along[1], -along[0]]) / np.hypot(*along)  # corners run counter-clockwise
+        x, y = z[[k, after]].mean(axis=0) + 0.06 * outward * span
+        slope = np.degrees(np.arctan2(z[after, 1] - z[k, 1], z[after, 0] - z[k, 0]))
+        ax.text(x, y, f"fold of {block + 1}", fontsize=7, ha="center", va="center", rotation_mode="anchor",
+                rotation=(slope + 90) % 180 - 90, transform_rotates_text=True)  # fmt: skip
+    for label, x, y, kind in corners:
+        marker, colour = _LOOKS[kind]
+        ax.plot([x], [y], marker, color=colour, markeredgecolor="black", markersize=7, linestyle="none", zorder=5,
+                label=kind)  # fmt: skip
+        right = x > z[:, 0].mean()
+        ax.annotate(f"{{{label[0]},{label[1]}}}".replace("-", "−"), (x, y), xytext=(9 if right else -9, 5),
+                    textcoords="offset points", ha="left" if right else "right", va="bottom", fontsize=8)  # fmt: skip
+    for k, path in enumerate(one.paths):
+        colour = (BLUE, ORANGE, PURPLE)[k % 3]
+        shown = int(np.searchsorted(path.t, _LEAVING, side="right"))
+        ax.plot(path.z[0][:shown], path.z[1][:shown], color=colour, linewidth=1.8, zorder=4,
+                linestyle=_DASHES[k], label=f"path ({path.case})")  # fmt: skip
+        ax.plot(path.z[0][0], path.z[1][0], ".", color=colour, zorder=6)
+    low, high = z.min(axis=0), z.max(axis=0)
+    margin = 0.3 * (high - low)
+    reading = "eq. (6) as printed" if one.sign > 0 else "what section 3 goes on with"
+    ax.set(title=f"{_sign(one)}, {reading}", xlabel="displacement z₁", xlim=(low[0] - margin[0], high[0] + margin[0]),
+           ylim=(low[1] - margin[1], high[1] + margin[1]))  # fmt: skip
+    start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
+    ax.annotate("", start + 0.2 * float(span.min()) * np.sign(V), start,
+                arrowprops={"arrowstyle": "-|>", "color": GREY})  # fmt: skip
+    ax.annotate("drift (v, v)", start, xytext=(4, 0), textcoords="offset points", fontsize=7, color=GREY, va="center")
+
+
+def _sign(one: Parallelogram) -> str:
+    return f"s = {one.sign:+d}".replace("-", "−")
