@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import json
 import os
 import re
 import shlex
@@ -12,12 +11,12 @@ import sys
 import tomllib
 import types
 from collections import Counter
-from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 import scipy.sparse
@@ -29,6 +28,7 @@ from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.pipeline import scene as scenes
 from stickslip.sim import couplings, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
+from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
 
 ROOT = Path(__file__).parents[2]
@@ -218,14 +218,20 @@ def test_a_statistic_is_a_section(first):
     assert "pause is" in section.statements[0]
 
 
-def test_a_chart_is_a_schema_a_measurement_and_a_page():
-    kind = run_python("extending", 2)["KIND"]
-    scene = kind.scene.model_validate(tomllib.loads(blocks(page("extending"), "toml")[0]))
-    measured = kind.restore(json.loads(json.dumps(asdict(kind.measure(scene, lambda line: None)))))
-    assert measured.products[0] > measured.products[1] > 0
-    built = kind.build(scene, measured)
-    assert scene.title in built.html
-    assert len(built.headline) == 3
+def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, in_this_process, capsys):
+    named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
+    (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[2])
+    (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[0])
+    (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(CHARTS, "width", named)
+    assert main(["run", str(tmp_path / "width.toml"), "--out", str(tmp_path / "out")]) == 0
+    title, thin, wide, *_ = capsys.readouterr().out.splitlines()
+    assert title == "What a thin layer costs"
+    assert thin.startswith("Cost: A sigmoid of width 0.01 takes ")
+    costs = pd.read_parquet(tmp_path / "out" / "report" / "costs.parquet")
+    assert costs.products[0] > costs.products[1] > 0
+    assert f" {costs.products[1]:.0f} products" in wide
 
 
 def test_an_engine_is_a_class_with_its_settings(monkeypatch):
@@ -254,7 +260,7 @@ def test_what_the_steps_name_is_there():
     )
     source = "\n".join(file.read_text() for file in files if file != Path(__file__))
     named = set(re.findall(r"`(?:[a-z]+\.)*([A-Za-z_]\w+)`", text))
-    assert {"_RULES", "KINDS", "Section", "complete"} <= named
+    assert {"_RULES", "CHARTS", "Section", "complete"} <= named
     assert [name for name in sorted(named) if not re.search(rf"\b{name}\b", source)] == []
 
 
