@@ -202,7 +202,7 @@ def _row(task: tuple[Member, Recording]) -> dict[str, Any]:
 
 def is_cold(engine: str) -> bool:
     """Whether an engine's kernels are still to be compiled here: some ten seconds, once a version of `sim`."""
-    return next(cache_directory().glob(f"{engine}.*.nbc"), None) is None
+    return next(cache_directory().glob(f"{engine}[._]*.nbc"), None) is None
 
 
 def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:

@@ -69,9 +69,10 @@ def test_rows_hold_parameters_and_results(finished, scene):
     for table in tables(finished):
         for row in table.to_pylist():
             member = members[row["member_id"]]
-            # thresholds are the keys of what they give, a cost is no part of the data
-            kept = [name for name in member.__slots__ if name not in ("thresholds", "shared_cost")]
-            assert {name: row[name] for name in kept} == {name: getattr(member, name) for name in kept}
+            kept = {name: getattr(member, name) for name in member.__slots__} | dict(member.settings)
+            for name in ("settings", "thresholds", "shared_cost"):  # in columns of their own; no part of the data
+                kept.pop(name, None)
+            assert {name: row[name] for name in kept} == kept
             assert row["n_events"] == row["n_entries"] + row["n_exits"] + row["n_crossings"] == len(row["event_t"])
             assert row["n_stick_end"] == row["n_stick"][-1]
             assert row["t"][0] == 0.0
