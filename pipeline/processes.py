@@ -24,16 +24,6 @@ from typing import Any
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
-def python() -> list[str]:
-    """The beginning of a command that runs Python, which is not to look into the working directory first."""
-    return [sys.executable, "-P"]
-
-
-def environment() -> dict[str, str]:
-    """This process's environment, by which Python finds the modules that it has found here."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
-
-
 @contextlib.contextmanager
 def environment_kept() -> Iterator[None]:
     """Take back what the with-block changes of this process's environment, and touch nothing else of it."""
@@ -83,11 +73,12 @@ class Child:
 
     def __init__(self, function: Callable[[Any], Any], shows_errors: bool = False) -> None:
         self._process = subprocess.Popen(
-            [*python(), "-c", _SERVE, function.__module__, function.__qualname__],
+            # -P: it is not to look into the working directory first
+            [sys.executable, "-P", "-c", _SERVE, function.__module__, function.__qualname__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=None if shows_errors else subprocess.DEVNULL,
-            env=environment() | ONE_THREAD,
+            env=_environment() | ONE_THREAD,
             start_new_session=True,
         )
         self.pid = self._process.pid
@@ -127,6 +118,11 @@ class Child:
         """End the process, whatever it is at."""
         self._process.kill()
         self._process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """This process's environment, by which Python finds the modules that it has found here."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
 
 
 _SERVE = "import sys; from stickslip.pipeline.processes import serve; serve(*sys.argv[1:])"

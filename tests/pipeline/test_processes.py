@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.pipeline import expand
+from stickslip.pipeline import expand, processes
 from stickslip.pipeline.design import Batch
-from stickslip.pipeline.processes import Child, ChildDied, environment, environment_kept, python
+from stickslip.pipeline.processes import Child, ChildDied, environment_kept
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.worker import compute, compute_alone
 from tests.processes import is_running, until
@@ -46,7 +46,7 @@ def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
         "from stickslip.pipeline.processes import Child; from tests.pipeline.test_processes import hang\n"
         f"Child(hang)({str(pid)!r})"
     )
-    with subprocess.Popen([*python(), "-c", code], env=environment()) as parent:
+    with subprocess.Popen([sys.executable, "-c", code], env=processes._environment()) as parent:
         until(lambda: pid.exists() and pid.read_text() != "")
         os.kill(parent.pid, signal.SIGKILL)
     until(lambda: not is_running(int(pid.read_text())))
@@ -79,4 +79,4 @@ def test_the_environment_is_as_it_was(monkeypatch):
 def test_the_path_holds_the_working_directory_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", "/else"])
-    assert environment()["PYTHONPATH"] == f"{tmp_path}{os.pathsep}/else"
+    assert processes._environment()["PYTHONPATH"] == f"{tmp_path}{os.pathsep}/else"
