@@ -13,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from stickslip.workflows.keys import key_tables
+from stickslip.workflows.scaffold import key_tables
 
 project = "stickslip"
 copyright = "the authors of stickslip"
@@ -85,11 +85,11 @@ class SceneKeys(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         text = []
-        for table in key_tables(None):
-            head = [f"`{table.head}`", f": {table.about}"] if table.head else ["Above all tables:"]
+        for table, about, keys in key_tables(None):
+            head = [f"`{table}`", f": {about}"] if table else ["Above all tables:"]
             text += ["", *head, "", "| key | what | values | default |", "|---|---|---|---|"]
-            for key in table.keys:
-                row = f"| `{key.name}` | {key.meaning} | {key.values} | {key.default} |"
+            for key in keys:
+                row = f"| `{key.path.rpartition('.')[2]}` | {key.meaning} | {key.values} | {key.default} |"
                 text.append(row.replace("|w - v|", r"\|w - v\|"))
         return self.parse_text_to_nodes("\n".join(text))
 

@@ -293,8 +293,7 @@ def _init(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.keys import lines
-    from stickslip.workflows.scaffold import schema_text
+    from stickslip.workflows.scaffold import key_lines, schema_text
 
     if arguments.chart is not None:
         from stickslip.workflows.charts import CHARTS
@@ -303,7 +302,7 @@ def _schema(arguments: argparse.Namespace) -> int:
             raise _Wrong(
                 f"CHART: expected one of {', '.join(CHARTS)}, got {arguments.chart!r}; leave it out for ensembles"
             )
-    print("\n".join(lines(arguments.chart)) if arguments.keys else schema_text(arguments.chart).rstrip())
+    print("\n".join(key_lines(arguments.chart)) if arguments.keys else schema_text(arguments.chart).rstrip())
     return _DONE
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from stickslip.workflows.scenes import shipped
 
@@ -102,6 +103,81 @@ def schema(chart: str | None) -> dict[str, Any]:
 def schema_text(chart: str | None) -> str:
     """The same as the text of a file."""
     return json.dumps(schema(chart), indent=1) + "\n"
+
+
+# ---------------------------------------------------------------------------------------------- the keys
+
+_BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+
+
+class Key(NamedTuple):
+    """A key of a scene: its path, what it means, what may be written, and what holds if nothing is."""
+
+    path: str
+    meaning: str
+    values: str
+    default: str
+
+
+def key_tables(chart: str | None) -> list[tuple[str, str, list[Key]]]:
+    """The tables of an ensemble's scene, or of one kind of chart's: how a file begins it, what it is, its keys."""
+    whole = schema(chart)
+    top = whole | {"description": ": above all tables"}
+    return list(_tables("", top, whole.get("$defs", {})))
+
+
+def _tables(path: str, table: dict[str, Any], known: dict[str, Any]) -> Iterator[tuple[str, str, list[Key]]]:
+    head, _, about = table["description"].partition("\n")[0].partition(": ")
+    keys, below = [], []
+    for name, field in table["properties"].items():
+        others = dict.fromkeys(re.findall(r'"#/\$defs/(\w+)"', json.dumps(field)))
+        below += [(f"{path}{name}.", known[other]) for other in others]
+        if not others and name != "name":  # the name of an engine stands in the head of its table
+            default = _default(name, field, name in table.get("required", ()))
+            keys.append(Key(path + name, field["description"], _values(field), default))
+    yield head, about, keys
+    for inner, other in below:
+        yield from _tables(inner, other, known)
+
+
+def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
+    from stickslip.pipeline.scene import TOLERANCES
+
+    if "default" in field:
+        return json.dumps(field["default"])
+    if is_required:
+        return f"required, e.g. {json.dumps(field['examples'][0])}"
+    picked = [f"{tolerances[name]:g}" for tolerances in TOLERANCES.values() if name in tolerances]
+    return f"picked, {' or '.join(picked)}" if picked else "left out"
+
+
+def _values(field: dict[str, Any]) -> str:
+    """What may be written: choices, or a type with its bounds."""
+    if "anyOf" in field:  # one value, or a list of such
+        return f"{_values(field['anyOf'][0])}; or a list"
+    if "enum" in field or "const" in field:
+        return ", ".join(json.dumps(choice) for choice in field.get("enum", [field.get("const")]))
+    if field["type"] == "array":
+        return f"list of: {_values(field['items'])}"
+    if field["type"] in ("boolean", "string"):
+        return {"boolean": "true, false", "string": "text"}[field["type"]]
+    bounds = ", ".join(f"{sign} {field[word]}" for word, sign in _BOUNDS.items() if word in field)
+    return f"{field['type']} {bounds}".rstrip()
+
+
+def key_lines(chart: str | None) -> list[str]:
+    """A line for each key under the head of its table: path, default, meaning and in brackets the values."""
+    tables = key_tables(chart)
+    width, wide = (max(len(key[k]) for _, _, keys in tables for key in keys) for k in (0, 3))
+    picked = "" if chart is not None else "; picked: for statistics or for paths, see `purpose`"
+    found = [f"key, default, meaning (values){picked}"]
+    for head, about, keys in tables:
+        found += ["", f"{head}: {about}" if head else about]
+        found += [f"{key.path:{width}}  {key.default:{wide}}  {key.meaning} ({key.values})" for key in keys]
+    return found
+
+
+# ---------------------------------------------------------------------------------------------- shells
 
 
 def completion(parser: argparse.ArgumentParser, shell: str) -> str:
