@@ -73,7 +73,7 @@ class RunTable(StrictTable):
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
     purpose: Purpose | None = Field(
         default=None,
-        description="what tolerances that are not given are picked for; default: chosen from what the scene records",
+        description="what the tolerances left out are picked for; default: chosen from what the scene records",
         examples=["statistics"],
     )
 
@@ -241,22 +241,22 @@ class TwinsTable(StrictTable):
     """[twins]: each system again from a start moved in a random direction, the same for every size."""
 
     sizes: PositiveNumbers = Field(
-        description="distances of the starts, as roots of the mean square a block", examples=[[1e-8, 1e-2]]
+        description="distances between the starts: root mean square over the blocks", examples=[[1e-8, 1e-2]]
     )
 
 
 class RecordTable(StrictTable):
     """[record]: what is kept beside the change points of n_stick, which always are."""
 
-    events: bool = Field(default=False, description="choice to keep every event", examples=[False])
+    events: bool = Field(default=False, description="whether to keep every event", examples=[False])
     growth_rate: bool = Field(
         default=False,
-        description="choice to keep the growth rate of the all-slip state; its eigenvalues cost as a run does",
+        description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",
         examples=[False],
     )
     separation: Positive | None = Field(
         default=None,
-        description="step of time at which to keep the distance of a changed run from the unchanged",
+        description="time step at which the distance of a changed run from the unchanged one is kept",
         examples=[5.0],
     )
 
@@ -287,7 +287,7 @@ class AnalysisTable(StrictTable):
     tau: PositiveNumbers = Field(
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs and clusters of exits", examples=[[0.05]]
     )
-    smallest: Count = Field(default=1, description="least size of a cascade that the law is fitted to", examples=[1])
+    smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to", examples=[1])
     resamples: int = Field(
         default=200, ge=2, description="number of random orders drawn for each member", examples=[200]
     )

@@ -235,7 +235,7 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         words, _, bound = expected.rpartition(" ")
         expected = f"a value {words} {float(bound):g}" if "." in bound else f"a value {expected}"
     got = _shown(list(value) if isinstance(value, tuple) else value)
-    remedy = f"; {f'e.g. {example},' if example else 'write'} the {field.description}" if field else ""
+    remedy = f"; {f'e.g. {example}' if example else f'`{key}`'} ({field.description})" if field else ""
     if kind in _NUMBERS:
         remedy = _number_remedy(path, key, kind, value) or remedy
     return f"{path}: expected {expected}, got {got}{remedy}"

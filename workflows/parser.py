@@ -9,9 +9,9 @@ from typing import Any
 
 _CODES = """exit codes:
   0    done
-  1    not done, or not to the end: members failed, data missing or damaged, a directory that holds something else;
-       the message says what to do, and what is done stays
-  2    what was asked for is wrong: an option, a scene, a question; nothing was done
+  1    failed or incomplete: members failed, data are missing or damaged, a directory holds something else; the
+       message says what to do, and finished work is kept
+  2    wrong option, scene or query; nothing was done
   130  interrupted by Ctrl-C (SIGINT)
   143  ended by SIGTERM
 """
@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
         prog="stickslip",
         description="Cascades of stick and slip in groups of blocks held by dry friction.",
         epilog=_examples(
-            ("stickslip scenes", "what can be run"),
+            ("stickslip scenes", "list what can be run"),
             ("stickslip run cascades", "run it, write runs/cascades and its report"),
             ("stickslip init mine.toml", "begin a scene of your own"),
             ("stickslip run mine.toml --workers 4", "run it on four cores"),
@@ -63,45 +63,51 @@ def parser() -> argparse.ArgumentParser:
             "run",
             "run a scene, or what is missing of it, and write its report",
             ("stickslip run quick", "a scene that ships, into runs/quick"),
-            ("stickslip run mine.toml --dry-run", "what your own would take"),
+            ("stickslip run mine.toml --dry-run", "what your own scene would take"),
             ("stickslip run mine.toml --out data/first --workers 4", ""),
-            ("stickslip run mine.toml", "after an interruption: goes on where it was"),
+            ("stickslip run mine.toml", "after an interruption: resumes"),
         )
     )
     status = command(
         "status",
-        "how far a run is, how fast it goes, and what failed",
+        "show how far a run is, how fast it goes and what failed",
         ("stickslip status runs/quick", ""),
-        ("stickslip status runs/quick --watch", "until it ends"),
+        ("stickslip status runs/quick --watch", "until the run ends"),
     )
     status.add_argument("directory", metavar="DIR")
-    status.add_argument("--watch", action="store_true", help="go on saying so until the run ends")
+    status.add_argument("--watch", action="store_true", help="repeat until the run ends")
 
     verify = command("verify", "check every byte of a dataset", ("stickslip verify runs/quick", ""))
     verify.add_argument("directory", metavar="DIR")
 
     report = command(
         "report",
-        "write the report of a dataset anew, or compare it with another",
+        "rewrite the report of a dataset, or compare it with another",
         ("stickslip report runs/quick", "writes runs/quick/report.html"),
-        ("stickslip report runs/a --compare runs/b", "are their statistics the same?"),
+        ("stickslip report runs/a --compare runs/b", "do their statistics agree?"),
     )
     report.add_argument("directory", metavar="DIR")
-    report.add_argument("--compare", metavar="DIR2", help="set the statistics of DIR2 beside those of DIR")
-    report.add_argument("--out", metavar="DIR3", help="of the comparison (default: DIR/compared/<name of DIR2>)")
+    report.add_argument("--compare", metavar="DIR2", help="compare the statistics of DIR with those of DIR2")
+    report.add_argument(
+        "--out", metavar="DIR3", help="directory of the comparison (default: DIR/compared/<name of DIR2>)"
+    )
 
     query = command(
         "query",
-        "ask a dataset in SQL (views: members, n_stick, cascades, ...)",
+        "query a dataset in SQL (views: members, n_stick, cascades, ...)",
         ('stickslip query runs/quick "SELECT outcome, count(*) FROM members GROUP BY outcome"', ""),
         ('stickslip query runs/quick "SELECT * FROM n_stick" --out n_stick.parquet', ""),
     )
     query.add_argument("directory", metavar="DIR")
     query.add_argument("sql", metavar="SQL")
     query.add_argument(
-        "--format", choices=("table", "csv", "parquet"), help="of the answer (default: as FILE ends; else a table)"
+        "--format",
+        choices=("table", "csv", "parquet"),
+        help="format of the answer (default: from the ending of FILE, else a table)",
     )
-    query.add_argument("--out", type=Path, metavar="FILE", help="where the answer goes (default: here)")
+    query.add_argument(
+        "--out", type=Path, metavar="FILE", help="file to write the answer to (default: standard output)"
+    )
 
     command("scenes", "list the scenes that ship, with members and time", ("stickslip scenes", ""))
     init = command(
@@ -113,16 +119,16 @@ def parser() -> argparse.ArgumentParser:
     init.add_argument("file", type=Path, nargs="?", default=Path("scene.toml"), metavar="FILE")
     schema = command(
         "schema",
-        "print the JSON Schema of scene files, by which editors complete and check them",
-        ("stickslip schema > stickslip.schema.json", "of ensembles, as `stickslip init` writes it"),
-        ("stickslip schema stability", "of the scenes of a chart"),
+        "print the JSON Schema of scene files, with which editors complete and check them",
+        ("stickslip schema > stickslip.schema.json", "for ensembles, as `stickslip init` writes it"),
+        ("stickslip schema stability", "for the scenes of a chart"),
         ("stickslip schema --keys", "every key: default, meaning, values"),
     )
     schema.add_argument("chart", nargs="?", metavar="CHART", help="a kind of chart, the key `chart` of its scenes")
-    schema.add_argument("--keys", action="store_true", help="say it in words instead: a line for each key")
+    schema.add_argument("--keys", action="store_true", help="list the keys in words instead, one a line")
     completion = command(
         "completion",
-        "print what makes a shell complete this command",
+        "print a completion script for a shell",
         ('eval "$(stickslip completion bash)"', "in ~/.bashrc"),
         ('eval "$(stickslip completion zsh)"', "in ~/.zshrc, after compinit"),
         ("stickslip completion fish | source", "in ~/.config/fish/config.fish"),
@@ -141,16 +147,18 @@ def _run(run: argparse.ArgumentParser) -> None:
     where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
     run.add_argument(
-        "--dashboard", action="store_true", help="open dask's, at 127.0.0.1, to whoever uses this machine (bokeh)"
+        "--dashboard",
+        action="store_true",
+        help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
     )
-    run.add_argument("--no-report", action="store_true", help="only run; `stickslip report DIR` makes the report")
+    run.add_argument("--no-report", action="store_true", help="write no report; `stickslip report DIR` does so later")
     run.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
-    run.add_argument("--accept-version", action="store_true", help="go on with data that another version began")
+    run.add_argument("--accept-version", action="store_true", help="resume data that another version began")
     run.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
     run.add_argument(
         "--dry-run",
         action="store_true",
-        help="say what would be run and what it would take, by a pilot of some members; write nothing",
+        help="show what would be run and estimate time and disk by a pilot; write nothing",
     )
 
 
