@@ -26,7 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 from stickslip.analysis import Report
 from stickslip.analysis.report.figures import embedded
 from stickslip.analysis.report.page import page_environment
-from stickslip.analysis.report.words import number, percent, signed
+from stickslip.analysis.report.words import capital, number, percent, signed
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.storage import Place
 from stickslip.sim.engines.compile import source_digest
@@ -191,12 +191,6 @@ def span(values: Iterable[float], form: str = "%.3g") -> str:
         return "none"
     low, high = form % some[0], form % some[-1]
     return low if low == high else f"{low} to {high}"
-
-
-def capital(text: str) -> str:
-    """With a capital letter; what is markup stays it."""
-    text = type(text)(text.strip())
-    return text[:1].upper() + text[1:]
 
 
 def minus(text: str) -> str:

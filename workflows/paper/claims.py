@@ -20,8 +20,8 @@ from stickslip.analysis.stats.compare import wilson
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.query import members as read_members
 from stickslip.pipeline.query import series as read_series
-from stickslip.workflows.charts.peers import ensemble
-from stickslip.workflows.paper.figures_1_2 import V, corner, pair, sampled
+from stickslip.workflows.charts.peers import Floats, ensemble
+from stickslip.workflows.paper.figures_1_2 import V, corner, pair
 from stickslip.workflows.paper.figures_3_to_5 import Fate, fate
 from stickslip.workflows.paper.systems import PaperSystems
 
@@ -97,18 +97,19 @@ class Certified:
 
 def around_a_double_exit() -> list[Pair]:
     """Around the double exit {+,+}: two runs that start `APART` apart, in directions that exit in either order."""
-    system = pair(1)
-    belt = np.full(2, V)
+    system, belt = pair(1), np.full(2, V)
     start = corner(system, (1, 1)) - 0.5 * belt
     times = np.linspace(0.0, FOLLOWED, 201)
-    z, w = sampled(system, start, belt, times)
-    found = []
+
+    def run(z0: Floats) -> sim.Run:
+        return sim.simulate(system, z0, belt, FOLLOWED, t_eval=times, stop_early=False)
+
+    middle, found = run(start).samples, []
     for k in range(DIRECTIONS):
         angle = 2.0 * np.pi * k / DIRECTIONS
-        moved = start + APART * np.array([np.cos(angle), np.sin(angle)])
-        other_z, other_w = sampled(system, moved, belt, times)
-        apart = np.sqrt(((other_z - z) ** 2).sum(axis=1) + ((other_w - w) ** 2).sum(axis=1))
-        found.append(Pair(angle, len(sim.simulate(system, moved, belt, FOLLOWED).events), float(apart.max())))
+        moved = run(start + APART * np.array([np.cos(angle), np.sin(angle)]))
+        apart = ((moved.samples.z - middle.z) ** 2 + (moved.samples.w - middle.w) ** 2).sum(axis=1)
+        found.append(Pair(angle, len(moved.events), float(np.sqrt(apart.max()))))
     return found
 
 

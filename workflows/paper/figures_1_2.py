@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import matplotlib
@@ -81,16 +80,6 @@ _KINDS = ("double entry", "mixed", "double exit")
 _LOOKS = {"double exit": ("o", ORANGE), "mixed": ("D", "white"), "double entry": ("s", BLUE)}
 
 
-def sampled(system: sim.System, z0: Floats, w0: Floats, times: Floats) -> tuple[Floats, Floats]:
-    """z and w at each of `times`, shape (m, n): the first is the start, each next a run on from the one before."""
-    z, w = np.empty((len(times), system.n)), np.empty((len(times), system.n))
-    z[0], w[0] = z0, w0
-    for k, (before, now) in enumerate(pairwise(times)):
-        run = sim.simulate(system, z[k], w[k], float(now), t_start=float(before), stop_early=False)
-        z[k + 1], w[k + 1] = run.z, run.w
-    return z, w
-
-
 def single(v: float) -> sim.System:
     """The block of figure 1."""
     rho, kappa, mu, _ = ONE
@@ -112,8 +101,8 @@ def portrait(v: float) -> Portrait:
     times = np.linspace(0.0, 9.0, 181)
     paths = []
     for z0, w0 in [*starts, (leaves, v)]:
-        z, w = sampled(system, np.array([z0]), np.array([w0]), times)
-        paths.append((z[:, 0].tolist(), w[:, 0].tolist(), (z0, w0) == (leaves, v)))
+        path = sim.simulate(system, z0, w0, times[-1], t_eval=times, stop_early=False).samples
+        paths.append((path.z[:, 0].tolist(), path.w[:, 0].tolist(), (z0, w0) == (leaves, v)))
     return Portrait(v, [stick.low, stick.high], leaves, paths)
 
 
@@ -141,8 +130,8 @@ def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     times = np.linspace(0.0, 3.0, 301)
     paths = []
     for case, z0 in starts.items():
-        z, w = sampled(system, z0, belt, times)
-        events = sim.simulate(system, z0, belt, times[-1]).events
+        run = sim.simulate(system, z0, belt, times[-1], t_eval=times, stop_early=False)
+        z, w, events = run.samples.z, run.samples.w, run.events
         listed = [(float(t), int(i), int(m)) for t, i, m in zip(events.t, events.block, events.mode, strict=True)]
         paths.append(Path2(case, times.tolist(), z.T.tolist(), w.T.tolist(), listed))
     return Parallelogram(sign, corners, paths)

@@ -108,6 +108,18 @@ def test_what_was_measured_is_kept_for_the_same_scene_and_program(planted, capsy
     assert "measuring 6" in damaged
 
 
+def test_a_process_of_its_own_measures_the_same(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('chart = "paper"\nfigures = [1, 2]\n')
+    there, here = (json.loads(measured(file)) for measured in (runner.in_a_child, runner.measured_here))
+    assert there == here
+
+
+def test_a_process_that_fails_is_an_error(tmp_path):
+    with pytest.raises(charts.ChartError, match="exit code 1"):
+        runner.in_a_child(tmp_path / "missing.toml")
+
+
 def test_no_number_is_lost_on_the_way():
     measured = Measured([Row(5, 0.1 + 0.2, 3), Row(1, None)], [(1e-300, "entry"), (2.0**-1074, "exit")])
     crossed = json.loads(json.dumps(asdict(measured), allow_nan=False))

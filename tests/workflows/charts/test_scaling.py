@@ -236,8 +236,19 @@ def test_the_ensembles_sigmoid_run_is_measured_once(scene, in_process):
     assert measured.smooth in measured.costs
 
 
-def test_the_ensemble_runs_on_workers(scene):
+def test_the_ensemble_runs_on_workers(scene, monkeypatch):
+    """Here on those that are there; a run that starts its own is the pipeline's."""
+    pipeline, started = scaling._pipeline, []
+
+    def without_start(*asked, **where):
+        if "scheduler" in where:
+            return pipeline(*asked, **where)
+        started.append(where)
+        return 1.0, 0
+
+    monkeypatch.setattr(scaling, "_pipeline", without_start)
     found = scaling.throughput(scene, silent)
+    assert started == [{"workers": 1}] * 4
     assert [(row.engine, row.tolerance, row.n_members, row.n_workers, row.n_failed) for row in found] == [
         ("coulomb", "1e-10", 2, 1, 0),
         ("coulomb", "picked", 2, 1, 0),

@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip import sim
-from stickslip.workflows import charts
-from stickslip.workflows.charts import load_chart, peers, runner, speed_accuracy
+from stickslip.workflows.charts import load_chart, peers, speed_accuracy
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import (
     Cost,
@@ -208,19 +207,6 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in
     as_json = json.loads((out / "report" / "tables.json").read_text())
     assert len(as_json["costs"]) == len(costs)
     assert {row["error"] for row in as_json["costs"] if row["outcome"] == "absent"} == {None}
-
-
-def test_the_process_of_its_own_gives_the_same_errors(scene_file):
-    """Errors do not depend on the clock; costs do."""
-    there, here = (json.loads(run(scene_file))["measured"] for run in (runner.in_a_child, runner.measured_here))
-    assert there["references"] == here["references"]
-    same = ("method", "outcome", "error")
-    assert [[c[k] for k in same] for c in there["costs"]] == [[c[k] for k in same] for c in here["costs"]]
-
-
-def test_a_process_that_fails_is_an_error(tmp_path):
-    with pytest.raises(charts.ChartError, match="exit code 1"):
-        runner.in_a_child(tmp_path / "missing.toml")
 
 
 def chart_with(monkeypatch, scene_file, *methods, **changes):
