@@ -90,7 +90,7 @@ class Manifest(BaseModel):
         """JSON that begins with a digest of the rest, a line a shard, sorted: the same shards give the same bytes."""
         head = self.model_dump(exclude={"shards"}, exclude_none=True)
         lines = [f"{json.dumps(key)}: {json.dumps(head[key], separators=(',', ':'))}" for key in sorted(head)]
-        shards = [f"{json.dumps(name)}: {json_line(self.shards[name].model_dump())}" for name in sorted(self.shards)]
+        shards = [f"{json.dumps(name)}: {_json(self.shards[name].model_dump())}" for name in sorted(self.shards)]
         listed = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
         rest = (",\n".join([*lines, f'"shards": {listed}']) + "\n}\n").encode()
         return _checked(rest) + rest
@@ -100,7 +100,7 @@ def _checked(rest: bytes) -> bytes:
     return f'{{\n"check": "{hashlib.sha256(rest).hexdigest()}",\n'.encode()
 
 
-def json_line(values: dict[str, object]) -> str:
+def _json(values: dict[str, object]) -> str:
     """JSON with sorted keys: the same values give the same text."""
     return json.dumps(values, sort_keys=True)
 
@@ -109,35 +109,34 @@ class Commit(BaseModel):
     """A line of the record of the commits: a shard as it was written, by which program, when and where."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-    name: ShardName = Field(alias="shard")
-    shard: Shard = Field(alias="entry")
+    shard: ShardName
+    entry: Shard
     program: str
     seconds: float
     host: str
     pid: int
 
+    @property
+    def line(self) -> bytes:
+        """JSON with a digest of the rest."""
+        values = self.model_dump()
+        return f"{_json(values | {'check': hashlib.sha256(_json(values).encode()).hexdigest()[:16]})}\n".encode()
 
-def checked_line(values: dict[str, object]) -> str:
-    """JSON with sorted keys and a digest of itself."""
-    return json_line(values | {"check": hashlib.sha256(json_line(values).encode()).hexdigest()[:16]})
+    @classmethod
+    def parse(cls, line: bytes) -> Commit | None:
+        """What a line says; None if it is damaged, or of a version that kept no more than times."""
+        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+            found = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
+            return found if json.loads(found.line) == json.loads(line) else None
+        return None
 
 
 def read_commits(path: Where) -> Iterator[Commit]:
     """The commits of a dataset as they came in; lines that are damaged are left out, as is a record that is lost."""
     with contextlib.suppress(OSError):
         for line in place_of(path).read_record(TIMINGS).split(b"\n"):
-            if (commit := _commit(line)) is not None:
+            if (commit := Commit.parse(line)) is not None:
                 yield commit
-
-
-def _commit(line: bytes) -> Commit | None:
-    """What a line of the record says; None if it is damaged, or of a version that kept no more than times."""
-    with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
-        values = json.loads(line)
-        check = values.pop("check", None)
-        if checked_line(values) == json_line(values | {"check": check}):
-            return Commit.model_validate(values)
-    return None
 
 
 _HEALED_BY_RUNNING = (
@@ -171,14 +170,14 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     except OSError as error:
         raise StoreError(f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy}") from error
     *lines, rest = content[manifest.recorded_from :].split(b"\n")
-    commits = [_commit(line) for line in lines]
+    commits = [Commit.parse(line) for line in lines]
     if (None in commits or len(content) < manifest.recorded_from) and not is_forgiving:
         raise DamagedManifest(
             f"{place.named(TIMINGS)}: expected the commits of a run that goes on or was killed, got damaged lines; "
             f"{_HEALED_BY_RUNNING}"
         )
-    commits.append(_commit(rest))  # most often nothing, or what a crash cut short
-    manifest.shards.update({commit.name: commit.shard for commit in commits if commit is not None})
+    commits.append(Commit.parse(rest))  # most often nothing, or what a crash cut short
+    manifest.shards.update({commit.shard: commit.entry for commit in commits if commit is not None})
     return manifest
 
 

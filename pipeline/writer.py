@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import re
 import threading
 from collections.abc import Callable, Iterator
 from functools import cached_property
@@ -13,10 +14,10 @@ from types import TracebackType
 from stickslip.pipeline.design import Task, expand, grows, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.ledger import (
+    Commit,
     DamagedManifest,
     Manifest,
     Shard,
-    checked_line,
     planned,
     read_commits,
     read_manifest,
@@ -43,6 +44,8 @@ log = logging.getLogger(__name__)
 
 #: Seconds that a program that is to end at once takes to leave no trace in a store that may not answer.
 _LAST_SECONDS = 1.5
+
+_LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
 
 #: Keys by which a scene differs from the one of the data that a refusal names.
 _SHOWN = 5
@@ -137,8 +140,9 @@ class Store:
         aside.join(_LAST_SECONDS)
 
     def _leftovers(self, manifest: Manifest) -> list[str]:
+        """What a crash may have left: files that were being written, and shards that were not committed."""
         known = {f"{DATA}/{name}" for name in manifest.shards}
-        return [name for name in self.place.names() if _is_temporary(name) or (_is_shard(name) and name not in known)]
+        return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -178,8 +182,8 @@ class Store:
         manifest = self._fresh.model_copy(deep=True)
         names = {batch.name for batch, _ in tasks(self.scene, [], manifest.packing)}
         for commit in read_commits(self.place):
-            if commit.name in names:
-                manifest.shards[commit.name] = commit.shard
+            if commit.shard in names:
+                manifest.shards[commit.shard] = commit.entry
                 if commit.program not in manifest.programs:
                     manifest.programs.append(commit.program)
         return manifest
@@ -297,20 +301,20 @@ class Store:
             last=result.member_ids[-1],
             outcomes=result.outcomes,
         )
-        record = {
-            "shard": result.name,
-            "seconds": result.seconds,
-            "host": result.host,
-            "pid": result.pid,
-            "program": result.program,
-            "entry": shard.model_dump(),
-        }
+        commit = Commit(
+            shard=result.name,
+            entry=shard,
+            program=result.program,
+            seconds=result.seconds,
+            host=result.host,
+            pid=result.pid,
+        )
         assert self._record is not None  # there is something to do
         with unbroken(), _explained(self.place):
             self._hold.check()
             try:
                 self.place.replace(f"{DATA}/{result.name}", result.shard)
-                self._record((checked_line(record) + "\n").encode())
+                self._record(commit.line)
                 self._manifest.shards[result.name] = shard
             except BaseException:
                 if result.name not in self._manifest.shards:
@@ -327,14 +331,6 @@ def _flat(values: object, key: str = "") -> dict[str, object]:
     else:
         return {key: values}
     return {path: leaf for name, value in pairs for path, leaf in _flat(value, name).items()}
-
-
-def _is_temporary(name: str) -> bool:
-    return name.rpartition("/")[2].startswith(TEMPORARY)
-
-
-def _is_shard(name: str) -> bool:
-    return name.startswith(f"{DATA}/shard-") and name.endswith(".parquet")
 
 
 @contextlib.contextmanager
