@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from stickslip.analysis.report.words import PAPER_GAMMA
 
 Row = Mapping[str, Any]
+Cascade = tuple[int, float, float]  # size, first exit, last exit
 
 # Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
@@ -75,6 +76,97 @@ def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> 
     for ax in figure.axes if axes is None else axes:
         drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
     figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns)
+
+
+PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
+EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two laws, as filled circles and open squares
+
+
+def one_run(t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: Cascade | None) -> Figure:
+    """n_stick(t) of one run, what is left out shaded, and one cascade enlarged.
+
+    Parameters
+    ----------
+    t, n_stick : ndarray, shape (m,)
+        Change points, the last value holding to t_stop.
+    cascade : (size, first exit, last exit), optional
+    """
+    t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
+        ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
+        ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY, fontsize=7)
+        ax.set(
+            xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$"
+        )
+        if cascade is not None:
+            size, first, last = cascade
+            wide = max(4 * (last - first), 1e-6)
+            seen = (t >= first - wide) & (t <= last + wide)
+            ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
+            inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
+            inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
+            let_go = (t >= first) & (t <= last)
+            start = np.flatnonzero(let_go)[0]
+            inset.step(
+                np.append(first, t[let_go]), np.append(n_stick[start - 1], n_stick[let_go]), where="post",
+                color=SMOOTHED, linewidth=1.8,
+            )  # fmt: skip
+            inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=7, loc="right")
+            inset.tick_params(labelsize=6)
+            inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
+            inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+    return figure
+
+
+def size_law(laws: Sequence[tuple[str, Sequence[Row]]], rates: Sequence[Row]) -> Figure:
+    """Share of cascades of each size on a log axis for some groups, with fit and chance, and all over chance below.
+
+    Parameters
+    ----------
+    laws : sequence of (label, rows)
+        Rows of the table `sizes`, by events, of each group.
+    rates : sequence of mapping
+        Of each group `gamma`, `gamma_low` and `gamma_high`.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
+        largest = 1
+        for k, (label, rows) in enumerate(laws):
+            seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
+            if not seen:
+                continue
+            sizes = np.array([row["size"] for row in seen], dtype=float)
+            share, less, more = (np.array([row["share" + end] for row in seen]) for end in ("", "_low", "_high"))
+            largest, chance = max(largest, int(sizes[-1])), 0.5**sizes
+            form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
+            form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
+            at = sizes + 0.12 * k
+            top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
+            below.errorbar(at, share / chance, yerr=[(share - less) / chance, (more - share) / chance], **form)
+        grid = np.arange(1, largest + 1)
+        rate = rates[0]
+        fit, low, high = (
+            None if rate[name] is None else -np.expm1(-rate[name]) * np.exp(-rate[name] * (grid - 1))
+            for name in ("gamma", "gamma_low", "gamma_high")
+        )
+        if fit is not None:
+            top.plot(grid, fit, color=EXACT, linewidth=1, label="fit")
+            below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1)
+        if low is not None and high is not None:
+            below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
+        top.plot(grid, 0.5**grid, "--", color=GREY, linewidth=1, label="chance")
+        below.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+        top.set_yscale("log")
+        top.yaxis.set_minor_locator(NullLocator())
+        top.set_ylabel("share, f")
+        below.set(ylabel="f / chance", xlabel="cascade size s, blocks let go")
+        size_axis(below, largest)
+        top.legend(loc="upper right", fontsize=7)
+    return figure
 
 
 def trajectories(

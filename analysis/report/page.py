@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from stickslip.analysis.groups import Group, check, fill, groups
+from stickslip.analysis.groups import Group, check, fill, groups, windows
 from stickslip.analysis.pairs import is_changed, unchanged
 from stickslip.analysis.questions.clustering_section import clustering_section
 from stickslip.analysis.questions.engines_section import engines_section
@@ -34,7 +35,7 @@ from stickslip.analysis.report.tables import (
     sizes_table,
 )
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED
+from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, spans
 
 QUESTION = (
     "When blocks held by dry friction let go, do they go in cascades, or as they would if exits and entries came in "
@@ -163,6 +164,14 @@ def build(
     html = page.render(
         title=title,
         about=about,
+        panels=[] if leading else _panels(found, data.series, rows, settings, drawn_by),
+        alerts=_alerts(rows),
+        contents=[
+            *(section.title for section in leading),
+            *("The cascade law", "What became of the members", "How many blocks stick", "How often each size occurs"),
+            *(section.title for section in answered if section not in leading),
+            *("Method", "Assumptions checked", "Groups and provenance"),
+        ],
         question=" ".join(section.question for section in leading) or QUESTION,
         alarms=alarms,
         lead=lead,
@@ -217,7 +226,8 @@ def _cascade_lead(
     lines = []
     for row in largest:
         caveat = "; n_stick drifts after t_burn" if row["group"] in drifting and row["gamma"] is not None else ""
-        said = words.sentence(words.events_sentence(row, settings.confidence) + caveat)
+        said = words.law_answer(row) if row["gamma"] is not None else words.events_sentence(row, settings.confidence)
+        said = words.sentence(said + caveat)
         lines.append(f"{row['group']}: {said}")
     for section in answered:
         of_group = [line for row in largest for line in section.lead if line.startswith(f"{row['group']}: ")]
@@ -252,6 +262,7 @@ def _rendered(section: Section, images: Sequence[Image]) -> dict[str, Any]:
         "title": section.title,
         "question": section.question,
         "statements": section.statements,
+        "lead": section.lead,
         "method": section.method,
         "assumptions": section.assumptions,
         "pictures": list(zip(images, section.pictures, strict=True)),
@@ -276,6 +287,53 @@ def _answer(label: str, rows: Mapping[str, list[dict[str, Any]]], settings: Anal
     if words.is_drifting(moved):
         found.insert(1, f"take gamma with care: n_stick {moved['statement']}")
     return [words.sentence(text) for text in found]
+
+
+def _panels(
+    found: Sequence[Group],
+    series: Series,
+    rows: Mapping[str, list[dict[str, Any]]],
+    settings: AnalysisSettings,
+    drawn_by: Callable[[Recipe], Image],
+) -> list[tuple[Image, str]]:
+    """The first figure, with what it shows: a run, and the law of the groups that the answer speaks of."""
+    law = {row["group"]: row for row in rows["law"] if row["definition"] == "events" and row["gamma"] is not None}
+    shown = [group for group in found if group.label in law]
+    shown = [group for group in shown if group.key["n"] == max(other.key["n"] for other in shown)][:MOST_LED]
+    if not shown:
+        return []
+    _, member_id, win = next(iter(windows(shown[0], series, settings.t_burn)))
+    cascades = spans(win)
+    largest = int(np.argmax(cascades.size)) if len(cascades.size) else None
+    one = None
+    if largest is not None:
+        one = int(cascades.size[largest]), float(cascades.start[largest]), float(cascades.stop[largest])
+    t, n_stick = series[member_id]
+    by_size = [
+        (group.label, [row for row in rows["sizes"] if row["group"] == group.label and row["definition"] == "events"])
+        for group in shown
+    ]
+    return [
+        (drawn_by(partial(figures.one_run, t, n_stick, win.t_stop, settings.t_burn, one)), "n_stick against time"),
+        (
+            drawn_by(partial(figures.size_law, by_size, [law[group.label] for group in shown])),
+            "share of cascades by size, with fit and chance",
+        ),
+    ]
+
+
+def _alerts(rows: Mapping[str, list[dict[str, Any]]]) -> dict[str, Any]:
+    """What a reader must know before believing the numbers, as facts for the template."""
+    n_members = sum(row["n_members"] for row in rows["outcomes"])
+    finished = sum(row["n_members"] for row in rows["outcomes"] if row["outcome"] == "finished")
+    return {
+        "drifts": [row for row in rows["burn_in"] if words.is_drifting(row)],
+        "n_groups": len(rows["burn_in"]),
+        "few": sorted({row["n_matrices"] for row in rows["n_stick"] if 0 < row["n_matrices"] < words.FEW}),
+        "n_members": n_members,
+        "n_left_out": n_members - finished,
+        "n_failed": sum(row["n_members"] for row in rows["outcomes"] if row["outcome"] == "failed"),
+    }
 
 
 def _trajectories(

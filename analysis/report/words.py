@@ -8,6 +8,7 @@ from typing import Any
 from stickslip.analysis.stats.estimates import LN2, Estimate
 from stickslip.sim.engines import ENGINES, SETTINGS
 
+FEW = 5  # matrices: below so many an interval is wide, and hardly an interval
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 
 Row = Mapping[str, Any]
@@ -170,6 +171,21 @@ def events_sentence(row: Row, confidence: float) -> str:
         f"{count(row['n_cascades'], 'cascade')}, {count(row['n_matrices'], 'matrix')}) where random "
         f"order of exits and entries gives gamma0 = {number(row['gamma0'])}: {row['statement']}"
     )
+
+
+def law_answer(row: Row) -> str:
+    """The law in one sentence with one number and its interval; `row` has a gamma."""
+    text = f"cascade sizes fall off as exp(−γ size) with γ = {row['gamma']:.3f}"
+    if row["gamma_low"] is None or row["difference_low"] is None:
+        return f"{text}, without an interval: {row['statement']}"
+    low, value, high = (row[name] / row["gamma0"] for name in ("difference_low", "difference", "difference_high"))
+    against = (
+        f"not told apart from random order ({signed_percent(low)} to {signed_percent(high)})"
+        if low <= 0 <= high
+        else f"{percent(abs(value))} {'steeper' if value > 0 else 'shallower'} than in random order"
+    )
+    few = f", from {count(row['n_matrices'], 'matrix')} only" if row["n_matrices"] < FEW else ""
+    return f"{text} ({row['gamma_low']:.3f} to {row['gamma_high']:.3f}), {against}{few}"
 
 
 def sampled_sentence(rows: Sequence[Row]) -> str:
