@@ -12,7 +12,8 @@ rotation           each block's own series of events        the blocks' timing r
 
 Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`), in closed form; so does `independent`
 for every definition (`independent_sums`). The other two are simulated. Rotation is the null of "no coupling": it
-alone keeps that a block cannot let go twice without having stuck in between.
+alone keeps that a block cannot let go twice without having stuck in between. `stats.pool` has one more in closed
+form, a finite pool of blocks, and says which null answers which question.
 """
 
 from __future__ import annotations

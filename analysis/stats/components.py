@@ -1,0 +1,141 @@
+"""What a change does to a matrix, beside what another matrix would do: variance components with replicates.
+
+Of matrix i a quantity is known from its base run and from replicates: runs of the same matrix from other starts,
+whose paths have parted. With y_ij = mu + b_i + e_ij, replicates tell the variance of b_i (between matrices) from that
+of e_ij (what a window of this length leaves open), and
+
+    intraclass correlation = var b / (var b + var e).
+
+A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic. Squared differences have the expectations
+
+    A  change      (c_i - y_ij)^2    E d^2 + 2 var e
+    B  replicates  (y_ij - y_ik)^2           2 var e
+    C  redraw      (y_ij - y_kl)^2   2 var b + 2 var e
+
+and the change against a redraw is theta = (A - B) / (C - B): 0 for no effect, 1 for that of a fresh matrix. It may
+come out negative. Its interval is Fieller's, {theta : |(A - B) - theta (C - B)| <= t error}, the error by the
+jackknife over matrices. It is unbounded where the matrices cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import Estimate
+
+BOUNDED, UNBOUNDED = "bounded", "unbounded"
+
+
+def intraclass(values: np.ndarray, confidence: float) -> Estimate:
+    """Intraclass correlation of replicates, with the exact interval for normal values.
+
+    (F - 1) / (F + k - 1), F the mean square between matrices over that within (Fisher 1925; interval of Shrout and
+    Fleiss 1979, Psychol. Bull. 86, 420). It may be negative, down to -1 / (k - 1).
+
+    Parameters
+    ----------
+    values : ndarray, shape (G, k)
+        k replicates of each of G matrices.
+    confidence : float
+
+    Raises
+    ------
+    ValueError
+        With fewer than two matrices or replicates.
+    """
+    y = np.asarray(values, dtype=np.float64)
+    if y.ndim != 2 or min(y.shape) < 2:
+        raise ValueError(f"values: expected shape (matrices, replicates), two or more of each, got {y.shape}")
+    g, k = y.shape
+    means = y.mean(axis=1)
+    between, within = k * means.var(ddof=1), np.sum((y - means[:, None]) ** 2) / (g * (k - 1))
+    if within == 0:
+        return Estimate(reason="the replicates are equal")
+    f, tail = between / within, (1 - confidence) / 2
+    low = f / special.fdtri(g - 1, g * (k - 1), 1 - tail)
+    high = f / special.fdtri(g - 1, g * (k - 1), tail)
+    return Estimate(_correlation(f, k), _correlation(low, k), _correlation(high, k))
+
+
+def _correlation(f: float, k: int) -> float:
+    return float((f - 1) / (f + k - 1))
+
+
+@dataclass(frozen=True)
+class Against:
+    """What a change does, in units of what a redraw of the matrix does.
+
+    Attributes
+    ----------
+    theta : Estimate
+        (A - B) / (C - B); None for an end of the interval that is unbounded.
+    kind : str
+        `UNBOUNDED` if the matrices cannot be told apart from replicates.
+    change, replicate, redraw : float
+        A, B and C.
+    """
+
+    theta: Estimate
+    kind: str
+    change: float
+    replicate: float
+    redraw: float
+
+
+def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -> Against:
+    """Compare a change with a redraw of the matrix.
+
+    Parameters
+    ----------
+    values : ndarray, shape (G, k)
+        Base and replicates.
+    changed : ndarray, shape (G, c)
+        Changed runs of the same matrices.
+    confidence : float
+
+    Raises
+    ------
+    ValueError
+        With fewer than three matrices, fewer than two replicates, or numbers of matrices that differ.
+    """
+    y, c = np.asarray(values, dtype=np.float64), np.asarray(changed, dtype=np.float64)
+    if y.ndim != 2 or c.ndim != 2 or len(y) != len(c) or len(y) < 3 or y.shape[1] < 2:
+        raise ValueError(f"values, changed: expected (G, k) and (G, c), G >= 3, k >= 2, got {y.shape} and {c.shape}")
+    g = len(y)
+    change = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2))
+    replicate = 2 * y.var(axis=1, ddof=1)
+    # mean over pairs of different matrices of (y_ij - y_kl)^2, from first and second moments
+    first, second = y.mean(axis=1), (y**2).mean(axis=1)
+
+    def redraw_of(keep: np.ndarray) -> float:
+        m = keep.sum()
+        cross = (first[keep].sum() ** 2 - np.sum(first[keep] ** 2)) / (m * (m - 1))
+        return float(2 * second[keep].mean() - 2 * cross)
+
+    every = np.ones(g, dtype=bool)
+    left = [every & (np.arange(g) != i) for i in range(g)]
+    a, b, redraw = change.mean(), replicate.mean(), redraw_of(every)
+    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in left])
+    top, bottom = a - b, redraw - b
+    tops, bottoms = without[:, 0] - without[:, 1], without[:, 2] - without[:, 1]
+    covariance = (g - 1) ** 2 / g * np.cov(tops, bottoms)
+    t2 = student.half_width(confidence, g - 1) ** 2
+    value = float(top / bottom) if bottom > 0 else None
+    interval = _fieller(top, bottom, t2 * covariance)
+    sides = (float(a), float(b), redraw)
+    if interval is None:
+        return Against(Estimate(value, reason="matrices cannot be told apart"), UNBOUNDED, *sides)
+    return Against(Estimate(value, *interval), BOUNDED, *sides)
+
+
+def _fieller(top: float, bottom: float, v: np.ndarray) -> tuple[float, float] | None:
+    """Roots of (top - x bottom)^2 = v00 - 2 x v01 + x^2 v11, if what lies between them is the interval."""
+    a, b, c = bottom**2 - v[1, 1], top * bottom - v[0, 1], top**2 - v[0, 0]
+    if a <= 0 or bottom <= 0:
+        return None
+    root = np.sqrt(max(b * b - a * c, 0.0))
+    return float((b - root) / a), float((b + root) / a)

@@ -1,0 +1,56 @@
+"""Is the law of cascade sizes exponential? A test with one parameter.
+
+P(k) = (1 - q) q^(k-1) has mean m = 1 / (1 - q) and variance m (m - 1). So
+
+    excess = variance / (m (m - 1)) - 1
+
+is zero for the exponential, negative for a thinner tail and positive for a thicker one. It is the score test of the
+exponential within the negative binomial family (Fisher 1950, Biometrics 6, 17).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+
+
+def moments(sizes: np.ndarray) -> np.ndarray:
+    """Number of cascades of a run, sum of their sizes, and sum of squares: shape (3,)."""
+    sizes = np.asarray(sizes, dtype=np.float64)
+    return np.array([len(sizes), sizes.sum(), np.square(sizes).sum()])
+
+
+def excess(sums: np.ndarray) -> np.ndarray:
+    """Variance over m (m - 1), minus one, of the summed `moments`.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (m, 3)
+
+    Raises
+    ------
+    Undefined
+        If there are fewer than two cascades, or all sizes are 1.
+    """
+    count, total, squares = sums.T
+    if (count < 2).any():
+        raise Undefined("fewer than two complete cascades")
+    if (total <= count).any():
+        raise Undefined("every cascade has size 1")
+    mean = total / count
+    # (N + 1) / (N - 1) in the place of 1 makes the expectation exactly zero for N independent geometric sizes.
+    unbiased = (squares / count - mean**2) * (count + 1) / (count - 1)
+    return unbiased / (mean * (mean - 1)) - 1
+
+
+def dispersion(rows: np.ndarray, confidence: float) -> Estimate:
+    """`excess` of the whole ensemble with a jackknife-t interval over matrices.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (G, 3)
+        `moments`, one row a matrix.
+    confidence : float
+    """
+    return over_matrices(excess, rows, confidence)

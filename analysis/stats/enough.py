@@ -1,0 +1,86 @@
+"""May a statistic that assumes a stationary law be judged on these runs? A code of a closed set, with its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, equivalence_test, verdict
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife
+
+ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
+    "enough", "few matrices", "few cascades", "drifts", "drift unknown",
+)  # fmt: skip
+CODES = (ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN)
+LEAST_MATRICES = 4  # below, a jackknife-t interval rests on two degrees of freedom or fewer
+LEAST_CASCADES = 200  # in all: gamma is then known to about a tenth
+MARGIN = 0.5  # drift of the mean from half to half that does no harm, in standard deviations of n_stick in time
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What the data allow.
+
+    Attributes
+    ----------
+    code : str
+        The first of `CODES` after `ENOUGH` that applies, else `ENOUGH`.
+    n_matrices, n_cascades : int
+    drift : Estimate
+        Mean n_stick of the second half of the window less that of the first, in standard deviations of n_stick in
+        time; jackknife-t interval over matrices.
+    """
+
+    code: str
+    n_matrices: int
+    n_cascades: int
+    drift: Estimate
+
+
+def halves(win: Window) -> np.ndarray:
+    """Time mean of n_stick in the first and in the second half, and its variance in time: shape (3,)."""
+    middle = 0.5 * (win.t_start + win.t_stop)
+    parts = (win.part(win.t_start, middle), win.part(middle, win.t_stop))
+    return np.array([*(part.time_mean() for part in parts), win.time_variance()])
+
+
+def _drift(sums: np.ndarray) -> np.ndarray:
+    if (sums[:, 2] <= 0).any():
+        raise Undefined("n_stick does not change")
+    # the sums of G rows: of the means G times the mean, of the variances too
+    return (sums[:, 1] - sums[:, 0]) / np.sqrt(sums[:, 2] * sums[:, 3])
+
+
+def basis(rows: np.ndarray, n_cascades: int, confidence: float) -> Basis:
+    """Whether there are enough matrices and cascades and no drift.
+
+    Drift has the three answers of an equivalence test (`compare.verdict`): none beyond `MARGIN`, shown, or unknown.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (G, 3)
+        `halves`, one row a matrix.
+    n_cascades : int
+        Complete cascades of all runs.
+    confidence : float
+    """
+    rows = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
+    g = len(rows)
+    if g < 2:
+        return Basis(FEW_MATRICES, g, n_cascades, Estimate(reason="fewer than two matrices"))
+    try:
+        value, error = jackknife(_drift, np.column_stack([rows, np.ones(g)]))
+    except Undefined as undefined:
+        return Basis(FEW_CASCADES, g, n_cascades, Estimate(reason=str(undefined)))
+    test = equivalence_test(value, error, g - 1, MARGIN)
+    drift = Estimate(value, *test.interval(confidence))
+    answer = verdict(test.p_equivalent, test.p_different, 1 - confidence)
+    if g < LEAST_MATRICES:
+        code = FEW_MATRICES
+    elif n_cascades < LEAST_CASCADES:
+        code = FEW_CASCADES
+    else:
+        code = {EQUIVALENT: ENOUGH, DIFFERENT: DRIFTS}.get(answer, DRIFT_UNKNOWN)
+    return Basis(code, g, n_cascades, drift)

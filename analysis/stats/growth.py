@@ -1,0 +1,114 @@
+"""Growth rate of small displacements, with its sign.
+
+The logarithm of the distance of two runs is regressed on time over one range for all pairs, from a fixed time on. A
+range that began where a pair has grown, or ended for each pair where it has, would pick upward fluctuations, and a
+rate near zero would come out positive.
+
+The rule: a pair is in its linear range while floor < distance < ceiling. Pairs that leave it before `t_from + least`
+are dropped: they have no range to regress. The others share the range from `t_from` to the first time that one of
+them leaves. Where more than a tenth of the pairs are dropped, the rates of the others are a selection: `is_selected`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+
+LEAST_POINTS = 5  # of a range, for a slope
+MOST_DROPPED = 0.1  # share of the pairs
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Growth rate over matrices.
+
+    Attributes
+    ----------
+    rate : Estimate
+        Mean over matrices of the slope of log distance (per unit of time), jackknife-t interval.
+    rates : ndarray, shape (G,)
+        By matrix, in ascending order of `matrices`.
+    matrices : ndarray, shape (G,)
+    t_from, t_to : float
+        The range that was regressed.
+    n_pairs, n_floor, n_ceiling : int
+        Pairs in all, and those dropped at the floor and at the ceiling.
+    """
+
+    rate: Estimate
+    rates: np.ndarray
+    matrices: np.ndarray
+    t_from: float
+    t_to: float
+    n_pairs: int
+    n_floor: int
+    n_ceiling: int
+
+    @property
+    def is_selected(self) -> bool:
+        """Whether so many pairs are dropped that the rate is that of a selection."""
+        return self.n_floor + self.n_ceiling > MOST_DROPPED * self.n_pairs
+
+
+def growth(
+    times: np.ndarray,
+    distances: Sequence[np.ndarray],
+    matrix: Sequence[int],
+    t_from: float,
+    least: float,
+    bounds: tuple[float, float],
+    confidence: float,
+) -> Growth:
+    """Growth rate of pairs of runs whose starts differ by one small size.
+
+    Parameters
+    ----------
+    times : ndarray, shape (m,)
+        Common to all pairs, ascending.
+    distances : sequence of ndarray, each shape (m,) or shorter
+        One a pair; a shorter one ended early and leaves the range there.
+    matrix : sequence of int
+        Of each pair. Pairs of one matrix are averaged: they are not independent.
+    t_from, least : float
+        Where the range begins and the shortest range that counts.
+    bounds : (float, float)
+        Floor and ceiling: above the error of integration, below the distance at which pairs saturate.
+    confidence : float
+
+    Raises
+    ------
+    ValueError
+        If there are no pairs, lengths differ, or floor < ceiling does not hold.
+    """
+    if not len(distances) or len(distances) != len(matrix):
+        raise ValueError(f"distances, matrix: expected one length > 0, got {len(distances)} and {len(matrix)}")
+    if not bounds[0] < bounds[1]:
+        raise ValueError(f"bounds: expected floor < ceiling, got {bounds!r}")
+    t = times[times >= t_from]
+    inside = np.zeros((len(distances), len(t)), dtype=bool)
+    log = np.zeros(inside.shape)
+    at_floor = np.zeros(len(distances), dtype=bool)
+    for k, distance in enumerate(distances):
+        d = np.asarray(distance)[len(times) - len(t) :]
+        inside[k, : len(d)] = (d > bounds[0]) & (d < bounds[1])
+        log[k, : len(d)] = np.log(np.where(inside[k, : len(d)], d, 1.0))
+        first = int(np.argmin(inside[k])) if not inside[k].all() else len(t)
+        at_floor[k] = first < len(d) and d[first] <= bounds[0]
+    length = np.where(inside.all(axis=1), len(t), np.argmin(inside, axis=1))
+    needed = max(int(np.searchsorted(t, t_from + least, side="right")), LEAST_POINTS)
+    kept = length >= needed
+    n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))
+    if not kept.any():
+        none = Estimate(reason="no pair stays in its linear range")
+        return Growth(none, np.zeros(0), np.zeros(0, int), t_from, t_from, len(kept), n_floor, n_ceiling)
+    m = int(length[kept].min())
+    centred = t[:m] - t[:m].mean()
+    slopes = log[kept, :m] @ centred / (centred @ centred)
+    matrices, index = np.unique(np.asarray(matrix)[kept], return_inverse=True)
+    rates = np.bincount(index, slopes) / np.bincount(index)
+    rate = over_matrices(ratio, np.column_stack([rates, np.ones(len(rates))]), confidence)
+    return Growth(rate, rates, matrices, float(t[0]), float(t[m - 1]), len(kept), n_floor, n_ceiling)

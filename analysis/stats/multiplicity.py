@@ -1,0 +1,38 @@
+"""One rule for many comparisons.
+
+Primary questions are declared beforehand, in order, and tested in that order, each at the full level, until one is
+not rejected: the family-wise error is at most alpha (Maurer, Hothorn and Lehmacher 1995). What else is looked at is a
+second family, under Holm's rule, with its own error of at most alpha. A finding there is a hint, whatever the first
+family says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stickslip.analysis.stats.compare import holm
+
+
+def adjusted(primary: Sequence[float], others: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """p-values that may be held against alpha as they are.
+
+    Of the primary ones the largest so far, in their order; of the others Holm's.
+
+    Parameters
+    ----------
+    primary : sequence of float
+        In the declared order.
+    others : sequence of float
+
+    Raises
+    ------
+    ValueError
+        If one is not in [0, 1].
+    """
+    first, rest = np.asarray(primary, dtype=np.float64), np.asarray(others, dtype=np.float64)
+    for name, p in (("primary", first), ("others", rest)):
+        if not ((p >= 0) & (p <= 1)).all():
+            raise ValueError(f"{name}: expected p-values in [0, 1], got {p.tolist()}")
+    return np.maximum.accumulate(first), holm(others)

@@ -1,0 +1,89 @@
+"""The null of a finite pool in closed form: n independent blocks, each of which sticks and lets go at constant rates.
+
+A block that sticks lets go at rate 1 - p and one that slips sticks at rate p, p = m / n, so that m of them stick on
+average; time is in units that cascades by `events` do not see. n_stick is a birth-death chain with binomial law. Seen
+from an exit, J ~ Binomial(n - 1, p) of the other blocks stick (size-biasing), and the next event is an entry with
+probability
+
+    u(J) = p (n - J) / (p (n - J) + (1 - p) J).
+
+The mean size is 1 / E u(J), so gamma = -log(1 - E u(J)). With s2 = n p (1 - p) the variance of n_stick, and s2 large,
+
+    gamma = ln 2 + 1 / (4 s2),      variance of the sizes = m (m - 1) (1 - 1 / s2)      to first order.
+
+Which null answers which question:
+
+- fair order, gamma = ln 2: would a coin do?
+- the pool: does gamma differ from ln 2 by more than the finite number of blocks that can let go explains?
+- random order (`nulls.random_order`): does the order of exits and entries matter, at their observed numbers?
+- rotation (`nulls.rotated`): do blocks act on each other, each keeping its own rhythm?
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+
+def _entry_next(n: int, p: float) -> np.ndarray:
+    """u(j), j = 0..n - 1 blocks that stick after an exit: the chance that the next event is an entry."""
+    j = np.arange(n)
+    return p * (n - j) / (p * (n - j) + (1 - p) * j)
+
+
+def _share(n: int, mean: float) -> float:
+    if n < 2:
+        raise ValueError(f"n: expected two blocks or more, got {n!r}")
+    if not 0 < mean < n:
+        raise ValueError(f"mean: expected a mean of n_stick in (0, {n}), got {mean!r}")
+    return mean / n
+
+
+def gamma(n: int, mean: float) -> float:
+    """gamma by `events` of a pool of n blocks of which `mean` stick on average.
+
+    Raises
+    ------
+    ValueError
+        If n < 2, or the mean is not in (0, n).
+    """
+    p = _share(n, mean)
+    return float(-np.log1p(-stats.binom.pmf(np.arange(n), n - 1, p) @ _entry_next(n, p)))
+
+
+def law(n: int, mean: float, k_max: int) -> np.ndarray:
+    """P(size = k), k = 1..k_max, of the pool's cascades by `events`; sums to one where k_max = n.
+
+    A cascade begins with an exit that follows an entry. The law of the number of blocks that stick is carried from
+    exit to exit: where j stick after one, the next event is an exit, to j - 1, with probability 1 - u(j).
+
+    Raises
+    ------
+    ValueError
+        As for `gamma`.
+    """
+    p = _share(n, mean)
+    entry = _entry_next(n, p)
+    # The chain is reversible: as many stick after an entry as before an exit, J + 1. An exit next begins a cascade.
+    stuck = np.arange(1, n + 1)
+    exit_next = (1 - p) * stuck / (p * (n - stuck) + (1 - p) * stuck)
+    after = stats.binom.pmf(np.arange(n), n - 1, p) * exit_next
+    after /= after.sum()
+    found = np.zeros(k_max)
+    for k in range(k_max):
+        found[k] = after @ entry
+        after = np.append((after * (1 - entry))[1:], 0.0)
+    return found
+
+
+def excess(n: int, mean: float) -> float:
+    """Variance of the sizes over m (m - 1), minus one: what `dispersion.excess` is for the pool.
+
+    Raises
+    ------
+    ValueError
+        As for `gamma`.
+    """
+    sizes, shares = np.arange(1, n + 1), law(n, mean, n)
+    m = sizes @ shares
+    return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)

@@ -1,0 +1,403 @@
+"""Planted studies: bias of the estimators of `stickslip.analysis.stats`, and coverage of their 95% intervals.
+
+python -m tests.analysis.studies                      # all of them, some minutes; a new seed each time
+python -m tests.analysis.studies dispersion growth    # some
+python -m tests.analysis.studies --seed 1 --ensembles 500
+"""
+
+import argparse
+import secrets
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal, special
+
+from stickslip.analysis.stats import (
+    components,
+    dispersion,
+    effective,
+    enough,
+    escape,
+    growth,
+    multiplicity,
+    pool,
+    slow_mode,
+)
+from stickslip.analysis.stats.cascades import Law, Window, sizes, window
+from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices, ratio
+from stickslip.analysis.stats.nulls import BlockSteps
+
+CONFIDENCE = 0.95
+MATRICES = 20
+
+
+@dataclass(frozen=True)
+class Row:
+    """One planted answer: mean error of the estimate, its scatter, and the share of intervals that hold it."""
+
+    study: str
+    planted: str
+    answer: float
+    bias: float
+    scatter: float
+    coverage: float
+    ensembles: int
+
+    def is_covered(self, low=0.93, high=0.97):
+        """Whether the share lies within bounds, give or take four standard errors of it."""
+        slack = 4 * np.sqrt(0.05 * 0.95 / self.ensembles)
+        return low - slack <= self.coverage <= high + slack
+
+    def is_unbiased(self, share=0.1):
+        """Whether the bias is less than a share of the scatter, give or take four standard errors."""
+        return abs(self.bias) <= (share + 4 / np.sqrt(self.ensembles)) * self.scatter
+
+
+def judged(study, planted, answer, estimates: list[Estimate], log=False):
+    values = np.array([one.value for one in estimates])
+    held = [one.low <= answer <= one.high for one in estimates]
+    errors = np.log(values / answer) if log else values - answer
+    return Row(study, planted, answer, errors.mean(), errors.std(ddof=1), float(np.mean(held)), len(held))
+
+
+# ----------------------------------------------------------------------------------------------- cascades
+
+
+def of_law(rng, shares, shape):
+    """Independent sizes 1, 2, ... with the probabilities `shares`."""
+    edges = np.cumsum(shares)
+    return 1 + np.minimum(np.searchsorted(edges, rng.random(shape) * edges[-1]), len(shares) - 1)
+
+
+def excess_of(shares):
+    k = np.arange(1, len(shares) + 1)
+    m = shares @ k / shares.sum()
+    return (shares @ k**2 / shares.sum() - m**2) / (m * (m - 1)) - 1
+
+
+def geometric(rate, k_max=400):
+    return (1 - np.exp(-rate)) * np.exp(-rate * np.arange(k_max))
+
+
+#: By name: probabilities of sizes 1, 2, ...
+LAWS = {
+    "exponential, gamma 0.7": geometric(0.7),
+    "exponential, gamma 0.3": geometric(0.3),
+    "thinner: pool of 200 blocks": pool.law(200, 32.5, 200),
+    "thinner: pool of 40 blocks": pool.law(40, 6.5, 40),
+    "thicker: gamma 0.55 or 0.95": (geometric(0.55) + geometric(0.95)) / 2,
+}
+
+
+def dispersion_study(rng, ensembles):
+    """One-parameter test of the exponential; 20 matrices of 1,000 cascades, and 6 of 300."""
+    for name, shares in LAWS.items():
+        for g, count in ((MATRICES, 1000), (6, 300)):
+            found = []
+            for _ in range(ensembles):
+                k = of_law(rng, shares, (g, count)).astype(np.float64)
+                rows = np.column_stack([np.full(g, count), k.sum(axis=1), (k**2).sum(axis=1)])
+                found.append(dispersion.dispersion(rows, CONFIDENCE))
+            yield judged("dispersion", f"{name}; {g} x {count}", excess_of(shares), found)
+
+
+def pooled_run(rng, n, mean, changes):
+    """A pool of independent two-state blocks, event by event, from equilibrium: unit times between events."""
+    p, k = mean / n, rng.binomial(n, mean / n)
+    step = np.empty(changes, dtype=np.int64)
+    for i, u in enumerate(rng.random(changes)):
+        out = (1 - p) * k
+        step[i] = -1 if u * (out + p * (n - k)) < out else 1
+        k += step[i]
+    return Window(0.0, float(changes), 0, np.arange(changes) + 0.5, step)
+
+
+def pool_study(rng, ensembles):
+    """Closed form of gamma, and of the dispersion, of the finite pool against simulated pools."""
+    for n, mean in ((200, 32.5), (100, 3.0)):
+        runs = [sizes(pooled_run(rng, n, mean, 2000), Law("events")) for _ in range(max(ensembles // 2, 100))]
+        rates = np.array([[k.sum(), len(k)] for k in runs])
+        spread = np.array([dispersion.moments(k) for k in runs])
+        picks = rng.integers(len(runs), size=(ensembles, MATRICES))
+        found = [over_matrices(gamma, rates[some], CONFIDENCE) for some in picks]
+        yield judged("pool: gamma", f"{n} blocks, {mean:g} stick", pool.gamma(n, mean), found)
+        found = [dispersion.dispersion(spread[some], CONFIDENCE) for some in picks]
+        yield judged("pool: dispersion", f"{n} blocks, {mean:g} stick", pool.excess(n, mean), found)
+
+
+# ---------------------------------------------------------------------------------------------- slow mode
+
+SPAN = 600.0
+PERIODS, LENGTHS = (5.0, 15.0, 50.0, 100.0, 250.0), (1.0, 5.0, 20.0, 40.0)
+
+
+def blocks_run(rng, n=40, depth=0.0, period=200.0, shape=3):
+    """Blocks that stick and slip by turns, sojourns of gamma-distributed length, each with its own rates.
+
+    With `depth` a common clock runs faster and slower by that share, its phase wandering at random: all blocks then
+    move together.
+    """
+    begin, end = -100.0, SPAN
+    fine = np.linspace(begin, 3 * end, 4001)
+    phase = 2 * np.pi * fine / period + rng.uniform(0, 2 * np.pi)
+    phase += np.cumsum(rng.standard_normal(len(fine))) * np.sqrt(np.diff(fine)[0] / period)
+    t, of_block, step = [], [], []
+    for block in range(n):
+        means = np.array([1.0, 5.0]) * np.exp(0.5 * rng.standard_normal())
+        stays = rng.gamma(shape, 1 / shape, (int(4 * SPAN / means.sum()) + 50, 2)) * means
+        if depth:
+            at, first = begin, int(rng.integers(2))
+            times = []
+            for k, stay in enumerate(
+                stays.ravel()
+            ):  # a stay that begins while the clock is fast is short where it slips
+                if (k + first) % 2:
+                    stay *= np.exp(depth * np.sin(np.interp(at, fine, phase)))
+                at += stay
+                times.append(at)
+                if at > end:
+                    break
+            times = np.array(times)
+        else:
+            times, first = begin + np.cumsum(stays.ravel()), int(rng.integers(2))
+        side = np.where((np.arange(len(times)) + first) % 2 == 0, -1, 1)  # the even stays are those that stick
+        inside = (times > 0) & (times <= end)
+        t.append(times[inside])
+        step.append(side[inside])
+        of_block.append(np.full(inside.sum(), block))
+    t, of_block, step = (np.concatenate(x) for x in (t, of_block, step))
+    order = np.argsort(t)
+    return BlockSteps(0.0, SPAN, t[order], of_block[order], step[order])
+
+
+def slow_mode_study(rng, ensembles):
+    """Power, variance, Fano factors over rotation; the answer is 1 without a common clock, else that of all runs."""
+    which = slow_mode.parts(PERIODS, LENGTHS)
+    for name, depth in (("independent", 0.0), ("common slow clock", 0.5)):
+        runs = np.array([
+            slow_mode.measure(blocks_run(rng, depth=depth), PERIODS, LENGTHS) for _ in range(max(ensembles // 2, 200))
+        ])  # fmt: skip
+        picks = rng.integers(len(runs), size=(ensembles, MATRICES))
+        found = {part: [] for part in which}
+        for some in picks:
+            for effect in slow_mode.effects(which, runs[some], slow_mode.ROTATION, CONFIDENCE):
+                found[effect.part].append(effect.ratio)
+        sums = runs.sum(axis=0)
+        for k, part in enumerate(which):
+            where = f"{part.kind} {part.period or part.length or ''}".strip()
+            answer = sums[k, 0] / sums[k, 1] if depth else 1.0
+            yield judged("slow mode", f"{name}: {where}", answer, found[part], log=True)
+
+
+# ------------------------------------------------------------------------------------------ effective samples
+
+FAST, DECAY, PERIOD = 5.0, 400.0, 500.0
+
+
+def wandering(rng, runs, t_end, fast=FAST, oscillation=0.0, slow=0.0):
+    """Series of variance one, dt = 1: a fast wander, a share that oscillates slowly, a share that is slow."""
+    m = int(t_end)
+
+    def wander(factor):
+        x = rng.standard_normal((runs, m)) + 1j * rng.standard_normal((runs, m))
+        x[:, 1:] *= np.sqrt(1 - abs(factor) ** 2)
+        return signal.lfilter([1.0], [1.0, -factor], x, axis=1).real
+
+    x = np.sqrt(1 - oscillation - slow) * wander(np.exp(-1 / fast))
+    x += np.sqrt(oscillation) * wander(np.exp(-1 / DECAY + 2j * np.pi / PERIOD))
+    return x + np.sqrt(slow) * wander(np.exp(-1 / 300.0))
+
+
+def wandering_tau(t_end, fast=FAST, oscillation=0.0, slow=0.0):
+    """T var(mean) / (2 var) of these series: the sum of (1 - s / T) rho(s)."""
+    s = np.arange(int(t_end))
+    rho = (1 - oscillation - slow) * np.exp(-s / fast) + slow * np.exp(-s / 300.0)
+    rho += oscillation * np.exp(-s / DECAY) * np.cos(2 * np.pi * s / PERIOD)
+    return 0.5 + np.sum((1 - s[1:] / t_end) * rho[1:])
+
+
+#: By name: of `wandering`, and whether tau can be told from 2,400 units.
+WANDERS = {
+    "fast": ({}, True),
+    "fast, a tenth oscillates slowly": ({"oscillation": 0.1}, True),
+    "fast, a third oscillates slowly": ({"oscillation": 0.3}, True),
+    "fast, a fifth slower than batches": ({"slow": 0.2}, False),
+}
+
+
+def effective_study(rng, ensembles, t_end=2400.0):
+    """tau of 20 runs; coverage is of the mean of one run by its effective samples, at least 95% where they hold.
+
+    The last planted motion is too slow for the window: `is_short` must say so, in the share in the last row.
+    """
+    for name, (shares, _) in WANDERS.items():
+        runs = max(ensembles // 4, 200)
+        x = np.rint(100 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
+        rows = np.array([effective.row(window(np.arange(t_end), one, 0.0, t_end)) for one in x])
+        means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)
+        taus, held, short = [], [], []
+        for some in rng.integers(runs, size=(ensembles, MATRICES)):
+            one = effective.effective(rows[some], t_end, CONFIDENCE)
+            taus.append(one.tau.value)
+            half = 1.96 * np.sqrt(rows[some, 0].mean() / one.samples * MATRICES)
+            held.append(abs(means[some[0]] - 100) <= half)
+            short.append(one.is_short)
+        errors = np.array(taus) - answer
+        yield Row("effective: tau, mean", name, answer, errors.mean(), errors.std(), np.mean(held), ensembles)
+        yield Row("effective: is_short", name, np.nan, np.nan, np.nan, np.mean(short), ensembles)
+
+
+# ------------------------------------------------------------------------------------------- growth rates
+
+
+def separating(rng, rate, g=MATRICES, spread=0.002, noise=0.3, walk=0.02, start=1e-6, t_end=1000.0):
+    """Distances exp(rate t): a rate of each matrix, noise correlated over 20 units, and a random walk."""
+    times = np.arange(0, t_end + 1, 5.0)
+    rates = rate + spread * rng.standard_normal(g)
+    hold = np.exp(-5.0 / 20)
+    fresh = rng.standard_normal((g, len(times))) * noise * np.sqrt(1 - hold**2)
+    wander = signal.lfilter([1.0], [1.0, -hold], fresh, axis=1)
+    wander += np.cumsum(rng.standard_normal((g, len(times))), axis=1) * walk * np.sqrt(5.0)
+    log = np.log(start) + rates[:, None] * times + wander
+    distance = np.sqrt(np.exp(2 * log) + 1e-24 * rng.chisquare(1, log.shape))  # error of integration
+    return times, np.minimum(distance, 0.3 * np.exp(0.2 * rng.standard_normal(log.shape)))  # saturation
+
+
+def growth_study(rng, ensembles):
+    """Mean growth rate with its sign; displacements of 1e-6, errors of 1e-12, saturation at 0.3."""
+    for rate in (0.012, 0.0036, 0.0, -0.0036, -0.0128):
+        found = []
+        for _ in range(ensembles):
+            times, distances = separating(rng, rate)
+            one = growth.growth(times, distances, range(MATRICES), 100.0, 200.0, (1e-11, 3e-2), CONFIDENCE)
+            found.append(one.rate)
+        yield judged("growth rate", f"{rate:g}", rate, found)
+
+
+# --------------------------------------------------------------------------------------- variance components
+
+
+def matrices(rng, correlation, theta, g=MATRICES, k=2, shift=0.5, heavy=False):
+    """Base and replicates (g, k), one changed run (g, 1); the mean square of the change is theta 2 var b."""
+    draw = (
+        (lambda *shape: rng.standard_t(5, shape) / np.sqrt(5 / 3)) if heavy else (lambda *s: rng.standard_normal(s))
+    )
+    b, e = np.sqrt(correlation), np.sqrt(1 - correlation)
+    own = b * draw(g, 1)
+    size = np.sqrt(2 * theta) * b
+    change = size * (np.sqrt(shift) + np.sqrt(1 - shift) * draw(g, 1))
+    return own + e * draw(g, k), own + change + e * draw(g, 1)
+
+
+def components_study(rng, ensembles):
+    """Intraclass correlation of replicates, and the change against a redraw; part of the change is common."""
+    for correlation, k in ((0.1, 2), (0.31, 2), (0.8, 2), (0.31, 3)):
+        found = [components.intraclass(matrices(rng, correlation, 0.0, k=k)[0], CONFIDENCE) for _ in range(ensembles)]
+        yield judged("intraclass correlation", f"{correlation:g}, {k} runs a matrix", correlation, found)
+    for correlation, theta, heavy in (
+        (0.8, 0.0, False), (0.8, 0.2, False), (0.8, 1.0, False),
+        (0.5, 0.2, False), (0.1, 0.2, False), (0.8, 0.2, True),
+    ):  # fmt: skip
+        every = [components.against_redraw(*matrices(rng, correlation, theta, heavy=heavy), CONFIDENCE)
+                 for _ in range(ensembles)]  # fmt: skip
+        bounded = np.array([one.kind == components.BOUNDED for one in every])
+        held = [
+            not known or one.theta.low <= theta <= one.theta.high for one, known in zip(every, bounded, strict=True)
+        ]
+        errors = np.array([one.theta.value - theta for one, known in zip(every, bounded, strict=True) if known])
+        name = f"{theta:g}, correlation {correlation:g}{', heavy tails' * heavy}; bounded in {bounded.mean():.2f}"
+        yield Row("change over redraw", name, theta, np.median(errors), errors.std(), np.mean(held), ensembles)
+
+
+# ------------------------------------------------------------------------------ escape, many tests, stationarity
+
+
+def escape_study(rng, ensembles):
+    """Median time of escape by size, 20 and 60 runs a size, watched for 1,000 units; medians 80, 400 and 900."""
+    for n_runs in (MATRICES, 60):
+        found = {0.1: [], 0.05: [], 0.03: []}
+        medians = dict(zip(found, (80.0, 400.0, 900.0), strict=True))
+        for _ in range(max(ensembles // 4, 100)):
+            at = {size: m * (rng.exponential(1.0, n_runs) / np.log(2)) ** 0.5 for size, m in medians.items()}
+            of_size = np.repeat(list(at), n_runs)
+            t = np.concatenate(list(at.values()))
+            ends = np.where(t < 1000, "diverged", "sustained")
+            for one in escape.by_size(of_size, np.minimum(t, 1000.0), ends, CONFIDENCE):
+                found[one.size].append(one.median)
+        for size, some in found.items():
+            inner = [Estimate(e.value or 1000.0, e.low or 0.0, e.high or np.inf) for e in some]
+            yield judged("escape: median", f"{medians[size]:g}, {n_runs} runs", medians[size], inner)
+
+
+def multiplicity_study(rng, ensembles):
+    """Share of sets of tests without a false rejection, at least 95%: 3 primary and 20 others, some with effects."""
+    ensembles = 10 * ensembles
+    for name, effects in (
+        ("no effects", np.zeros(23)),
+        ("first and half of the others", np.r_[9, 0, 0, [9, 0] * 10]),
+    ):
+        z = rng.standard_normal((ensembles, 23)) + effects
+        z[:, 3:] = np.sqrt(0.7) * z[:, 3:] + np.sqrt(0.3) * rng.standard_normal((ensembles, 1))
+        p = 2 * special.ndtr(-np.abs(z))
+        true = effects == 0
+        clean = np.zeros(2)
+        for row in p:
+            first, rest = multiplicity.adjusted(row[:3], row[3:])
+            clean += [not (first[true[:3]] < 0.05).any(), not (rest[true[3:]] < 0.05).any()]
+        for family, share in zip(("primary", "others"), clean / ensembles, strict=True):
+            yield Row(f"multiplicity: {family}", name, np.nan, np.nan, np.nan, share, ensembles)
+
+
+def drift_study(rng, ensembles, t_end=2400.0):
+    """Drift of the mean from half to half in standard deviations, 20 and 6 runs with slow motion."""
+    runs = max(ensembles // 4, 200)
+    for drift in (0.0, 0.3, 1.0):
+        x = wandering(rng, runs, t_end, oscillation=0.3)
+        x[:, int(t_end) // 2 :] += drift
+        x = np.rint(100 + 20 * x).astype(np.int64)
+        rows = np.array([enough.halves(window(np.arange(t_end), one, 0.0, t_end)) for one in x])
+        answer = float(ratio(np.column_stack([rows[:, 1] - rows[:, 0], np.ones(runs)]).sum(axis=0, keepdims=True))[0])
+        answer /= np.sqrt(rows[:, 2].mean())
+        for g in (MATRICES, 6):
+            every = [enough.basis(rows[some], 10_000, CONFIDENCE) for some in rng.integers(runs, size=(ensembles, g))]
+            codes = ", ".join(
+                f"{c} {sum(o.code == c for o in every) / ensembles:.2f}" for c in enough.CODES[:1] + enough.CODES[3:]
+            )
+            yield judged("drift", f"{drift:g}, {g} runs: {codes}", answer, [one.drift for one in every])
+
+
+STUDIES = {
+    "dispersion": dispersion_study,
+    "pool": pool_study,
+    "slow_mode": slow_mode_study,
+    "effective": effective_study,
+    "growth": growth_study,
+    "components": components_study,
+    "escape": escape_study,
+    "multiplicity": multiplicity_study,
+    "drift": drift_study,
+}
+
+
+def study(name, seed, ensembles):
+    """The rows of one study."""
+    return list(STUDIES[name](np.random.default_rng([seed, list(STUDIES).index(name)]), ensembles))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", choices=[*STUDIES, []], metavar="STUDY", help=", ".join(STUDIES))
+    parser.add_argument("--seed", type=int, default=secrets.randbits(32))
+    parser.add_argument("--ensembles", type=int, default=2000)
+    asked = parser.parse_args()
+    print(f"--seed {asked.seed} --ensembles {asked.ensembles}")
+    for name in asked.names or STUDIES:
+        print(f"\n## {name}: {' '.join((STUDIES[name].__doc__ or '').split())}\n")
+        print("| what | planted | answer | bias | scatter | coverage |\n|---|---|---|---|---|---|")
+        for row in study(name, asked.seed, asked.ensembles):
+            numbers = ["" if np.isnan(x) else f"{x:.4g}" for x in (row.answer, row.bias, row.scatter)]
+            print(f"| {row.study} | {row.planted} | {' | '.join(numbers)} | {row.coverage:.3f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
