@@ -161,7 +161,7 @@ def test_exits_of_figure_2(measured):
 def test_eq_8_as_printed_is_no_corner(measured):
     """AUDIT, misprints, (8): wrong for either sign, by more than the whole width of the region at s = +1."""
     for one in measured.parallelograms:
-        assert min(one.misprint()) > 1.5
+        assert min(corner.misprint for corner in one.corners) > 1.5
 
 
 def test_modes_of_figure_6(measured):

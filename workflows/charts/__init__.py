@@ -55,14 +55,12 @@ class Shown:
 
 
 class ChartScene(StrictTable):
-    """The keys that every chart has, and what each of them does.
-
-    A subclass names itself in a key `chart`, the only value of which is the chart's name.
-    """
+    """The keys that every chart has, and what it does; `chart` of a subclass takes the chart's name alone."""
 
     #: Distributions that take part, beside those that always do: the page names their versions.
     libraries: ClassVar[tuple[str, ...]] = ()
 
+    chart: str = Field(description="kind of the chart")
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])

@@ -126,9 +126,8 @@ def report(scene: ChartScene, found: Measurement) -> Report:
     environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
     environment.filters |= FORMS
     environment.globals |= FORMS
-    page = environment.get_template(f"{scene.chart}.html").render(  # type: ignore[attr-defined]
-        shown.facts, scene=scene, measured=measured, versions=found.versions
-    )
+    template = environment.get_template(f"{scene.chart}.html")
+    page = template.render(shown.facts, scene=scene, measured=measured, versions=found.versions)
     return Report(page, shown.tables, [scene.title, *_headline(page)])
 
 
@@ -140,7 +139,7 @@ def _headline(page: str) -> list[str]:
         text = " ".join(html.unescape(re.sub(r"<[^>]*>", "", content)).split())
         if tag == "h3":
             heading = text
-        else:
+        elif text:
             lines.append(f"{heading}: {text}")
     return lines
 

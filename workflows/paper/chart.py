@@ -17,8 +17,8 @@ from stickslip.workflows.charts import Say, Shown
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5
 from stickslip.workflows.paper.claims import Certified, Claim, OneBlock, Pair, Survival
-from stickslip.workflows.paper.figure_6 import BlowUp, Branches, SlowRun, Undetermined
-from stickslip.workflows.paper.figures_1_2 import ONE, Parallelogram, Portrait
+from stickslip.workflows.paper.figure_6 import BlowUp, Branches, SlowEvent, SlowRun, Undetermined
+from stickslip.workflows.paper.figures_1_2 import ONE, Corner, Parallelogram, Portrait
 from stickslip.workflows.paper.figures_3_to_5 import Cascades, Change, Draw, Sizes, Trace
 from stickslip.workflows.paper.systems import LAWS, PaperSystems
 
@@ -129,17 +129,8 @@ class PaperScene(PaperSystems):
         return Shown(facts, self._tables(measured))
 
     def _tables(self, measured: Measured) -> dict[str, pd.DataFrame]:
-        corners = [
-            {"sign": one.sign, "lambda_1": a, "lambda_2": b, "z_1": x, "z_2": y, "fold_1": f, "fold_2": g}
-            for one in measured.parallelograms
-            for a, b, x, y, f, g in one.corners
-        ]
-        hidden = [
-            {"from_side": run.side, "t": t, "kind": kind, "cause": cause, "block": block}
-            | {f"lambda_{k + 1}_{when}": lam[k] for when, lam in (("before", a), ("after", b)) for k in range(2)}
-            for run in measured.slow_runs
-            for t, kind, cause, block, a, b in run.events
-        ]
+        corners = [corner for one in measured.parallelograms for corner in one.corners]
+        slow = [event for run in measured.slow_runs for event in run.events]
         futures = [
             {"ratio": one.ratio, "v": one.v, "z": one.z, "begins": future.begins, "t_end": future.t[-1]}
             | {"t_events": [t for t, _ in future.events], "events": [kind for _, kind in future.events]}
@@ -147,11 +138,11 @@ class PaperScene(PaperSystems):
             for future in one.futures
         ]
         of_figures: dict[int, dict[str, Any]] = {
-            2: {"corners": pd.DataFrame(corners)},
+            2: {"corners": frame(corners, Corner)},
             3: {"figure3": frame(measured.figure3, Draw)},
             4: {"figure4": frame(measured.figure4, Change)},
             5: {"cascades": frame(measured.cascades, Cascades)},
-            6: {"hidden": pd.DataFrame(hidden), "futures": pd.DataFrame(futures)},
+            6: {"hidden": frame(slow, SlowEvent), "futures": pd.DataFrame(futures)},
         }
         tables = {name: table for number in self.figures for name, table in of_figures.get(number, {}).items()}
         if self.claims:

@@ -39,16 +39,31 @@ class BlowUp:
 
 
 @dataclass(frozen=True)
+class SlowEvent:
+    """What happens to two blocks on the belt: a row of the table `hidden`; `block` is -1 where it is none's alone."""
+
+    from_side: int
+    t: float
+    kind: str
+    cause: str
+    block: int
+    lambda_1_before: float
+    lambda_2_before: float
+    lambda_1_after: float
+    lambda_2_after: float
+
+
+@dataclass(frozen=True)
 class SlowRun:
     """Two blocks that reach the belt at one instant, t = 0, from slip to one side, under the modified law.
 
-    `lam` are lambda_1, lambda_2 at the times `t`. Events: (t, kind, cause, block or -1, lambda before, lambda after).
+    `lam` are lambda_1, lambda_2 at the times `t`.
     """
 
     side: int
     t: list[float]
     lam: list[list[float]]
-    events: list[tuple[float, str, str, int, list[float], list[float]]]
+    events: list[SlowEvent]
 
 
 @dataclass(frozen=True)
@@ -127,8 +142,9 @@ def slow_run(side: int) -> SlowRun:
     held_by = [(segment, *_mode_of(system, blow_up, segment)) for segment in run.segments if not segment.slip.any()]
     times = [float(t) - BEFORE for _, when, _ in held_by for t in when]
     lam = [one for _, _, path in held_by for one in path]
-    events: list[tuple[float, str, str, int, list[float], list[float]]] = [
-        (_tidy(e.t - BEFORE), e.kind, e.cause, e.block, _tidy(e.lam_before), _tidy(e.lam)) for e in run.events
+    events = [
+        SlowEvent(side, _tidy(e.t - BEFORE), e.kind, e.cause, e.block, *_tidy(e.lam_before), *_tidy(e.lam))
+        for e in run.events
     ]
     return SlowRun(side, times, np.array(lam).T.tolist(), events)
 

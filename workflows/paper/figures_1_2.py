@@ -48,23 +48,39 @@ class Path2:
 
 
 @dataclass(frozen=True)
-class Parallelogram:
-    """Figure 2 under one sign: corners, in order around, as (lambda_1, lambda_2, z_1, z_2, fold 1, fold 2)."""
+class Corner:
+    """Where both blocks are at the edge of sticking: a row of the table `corners`; folds are visible or invisible."""
 
     sign: int
-    corners: list[tuple[int, int, float, float, str, str]]
+    lambda_1: int
+    lambda_2: int
+    z_1: float
+    z_2: float
+    fold_1: str
+    fold_2: str
+
+    @property
+    def label(self) -> str:
+        """The signs of lambda."""
+        return "".join("+" if side > 0 else "-" for side in (self.lambda_1, self.lambda_2))
+
+    @property
+    def kind(self) -> str:
+        return ("double entry", "mixed", "double exit")[(self.fold_1, self.fold_2).count("visible")]
+
+    @property
+    def misprint(self) -> float:
+        """How far eq. (8) as printed is off it."""
+        return float(np.abs(printed_corner(self.lambda_1, self.lambda_2) - (self.z_1, self.z_2)).max())
+
+
+@dataclass(frozen=True)
+class Parallelogram:
+    """Figure 2 under one sign: corners, in order around, and the cases (a), (b), (c)."""
+
+    sign: int
+    corners: list[Corner]
     paths: list[Path2]
-
-    def named_corners(self) -> list[tuple[str, float, float, str]]:
-        """(signs of lambda, z_1, z_2, kind by how many of its folds are visible), in order around."""
-        return [
-            ("".join("+" if side > 0 else "-" for side in (a, b)), x, y, _KINDS[folds.count("visible")])
-            for a, b, x, y, *folds in self.corners
-        ]
-
-    def misprint(self) -> list[float]:
-        """How far eq. (8) as printed is off each corner."""
-        return [float(np.abs(printed_corner(a, b) - (x, y)).max()) for a, b, x, y, *_ in self.corners]
 
     def exits(self) -> list[tuple[int, float]]:
         """(block, t) of what leaves in case (a)."""
@@ -75,8 +91,6 @@ class Parallelogram:
         return [w[1] > w[0] for w in self.paths[2].w]
 
 
-#: Kind of a corner by how many of its two folds are visible; its look.
-_KINDS = ("double entry", "mixed", "double exit")
 _LOOKS = {"double exit": ("o", ORANGE), "mixed": ("D", "white"), "double entry": ("s", BLUE)}
 
 
@@ -120,10 +134,10 @@ def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
 def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     """Corners and the paths (a), (b), (c) under one sign of the coupling."""
     system = pair(sign)
-    corners = []
+    corners: list[Corner] = []
     for one in strata.parallelogram(system):
         (a, b), (x, y), (first, second) = one.sides, one.point, one.visibility()
-        corners.append((a, b, float(x), float(y), str(first), str(second)))
+        corners.append(Corner(sign, a, b, float(x), float(y), str(first), str(second)))
     lead = 0.5  # time on the belt before the corner
     belt = np.full(2, V)
     starts = {"a": np.zeros(2), "b": corner(system, (1, 1)) - lead * belt, "c": corner(system, (1, -1))}
@@ -220,15 +234,14 @@ def parallelograms(signs: Sequence[Parallelogram]) -> Figure:
 
 
 def _region(ax: Axes, one: Parallelogram) -> None:
-    corners = one.named_corners()
-    z = np.array([corner[1:3] for corner in corners])
+    z = np.array([(corner.z_1, corner.z_2) for corner in one.corners])
     span = np.ptp(z, axis=0)
     ax.fill(*z.T, color=GREY, alpha=0.15, linewidth=0)
-    for k, (label, *_) in enumerate(corners):
-        after = (k + 1) % len(corners)
+    for k, corner in enumerate(one.corners):
+        after = (k + 1) % len(one.corners)
         # of two neighbours one lambda is the same: that block's fold is the edge between them
-        block = 0 if label[0] == corners[after][0][0] else 1
-        leaves = (label[block] == "+") == (V < 0)
+        block = 0 if corner.lambda_1 == one.corners[after].lambda_1 else 1
+        leaves = (corner.label[block] == "+") == (V < 0)
         ax.plot(*z[[k, after]].T, color="black", linewidth=1.4, linestyle="-" if leaves else "--",
                 label="visible fold" if leaves else "invisible fold")  # fmt: skip
         along = (z[after] - z[k]) / span
@@ -237,12 +250,13 @@ def _region(ax: Axes, one: Parallelogram) -> None:
         slope = np.degrees(np.arctan2(z[after, 1] - z[k, 1], z[after, 0] - z[k, 0]))
         ax.text(x, y, f"fold of {block + 1}", fontsize=7, ha="center", va="center", rotation_mode="anchor",
                 rotation=(slope + 90) % 180 - 90, transform_rotates_text=True)  # fmt: skip
-    for label, x, y, kind in corners:
-        marker, colour = _LOOKS[kind]
+    for corner in one.corners:
+        marker, colour = _LOOKS[corner.kind]
+        x, y = corner.z_1, corner.z_2
         ax.plot([x], [y], marker, color=colour, markeredgecolor="black", markersize=7, linestyle="none", zorder=5,
-                label=kind)  # fmt: skip
+                label=corner.kind)  # fmt: skip
         right = x > z[:, 0].mean()
-        ax.annotate(f"{{{label[0]},{label[1]}}}".replace("-", "−"), (x, y), xytext=(9 if right else -9, 5),
+        ax.annotate(f"{{{','.join(corner.label)}}}".replace("-", "−"), (x, y), xytext=(9 if right else -9, 5),
                     textcoords="offset points", ha="left" if right else "right", va="bottom", fontsize=8)  # fmt: skip
     for k, path in enumerate(one.paths):
         colour = (BLUE, ORANGE, PURPLE)[k % 3]
