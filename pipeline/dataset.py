@@ -22,7 +22,7 @@ from stickslip.pipeline.storage import DATA, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
 
 # pandas' plain types have no null but NaN; these do, and keep integers integers
-NULLABLE = {
+_NULLABLE = {
     pa.int32(): pd.Int32Dtype(),
     pa.int64(): pd.Int64Dtype(),
     pa.float64(): pd.Float64Dtype(),
@@ -84,7 +84,7 @@ def _check(place: Place, shards: Mapping[str, Shard | None]) -> None:
         for (name, shard), content in zip(new.items(), place.read_each([files[name] for name in new]), strict=True):
             problem = shard.damage(content) if shard is not None else "not in the manifest any more"
             if shard is None or problem:
-                raise StoreError(f"{place.named(files[name])}: {problem}; run the scene again to rebuild it")
+                raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
             _found_whole[place.named(files[name])] = (shard.sha256, marks[name])
 
 
@@ -111,18 +111,19 @@ def unreadable(path: Where, error: Exception) -> StoreError:
     """The refusal of a dataset of which a shard cannot be read."""
     place = place_of(path)
     first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
-    return StoreError(f"{place}: a shard cannot be read ({error}); {first}run the scene again to rebuild it")
+    return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
 
 
-def frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame: a column that holds nulls has a nullable type (NA, never NaN), others a plain one."""
-    plain = [name for name in table.column_names if table[name].null_count == 0]
-    nullable = table.to_pandas(types_mapper=NULLABLE.get)
-    types = {name: table.schema.field(name).type for name in plain}
-    return nullable.astype({name: plain_type(kind) for name, kind in types.items() if kind in NULLABLE})
+def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFrame:
+    """A table as a data frame: columns that hold nulls, or those named, have a nullable type (NA, never NaN)."""
+    if nullable is None:
+        nullable = [name for name in table.column_names if table[name].null_count]
+    found = table.to_pandas(types_mapper=_NULLABLE.get)
+    plain = [field for field in table.schema if field.name not in nullable and field.type in _NULLABLE]
+    return found.astype({field.name: _plain(field.type) for field in plain})
 
 
-def plain_type(kind: pa.DataType) -> type:
+def _plain(kind: pa.DataType) -> type:
     """Pandas' own type of a column without nulls."""
     return str if pa.types.is_string(kind) else kind.to_pandas_dtype()  # which would be `object`
 

@@ -170,7 +170,7 @@ def run_scene(
                 if result.program != program():
                     raise ScheduleError(
                         f"expected workers with this version of the program ({program()}), got {result.program} on "
-                        f"{result.host}; install the same there, then run the same scene again"
+                        f"{result.host}; install the same there, then rerun the scene"
                     )
                 tally = tally.plus(store.commit(result), todo[result.name])
                 report(result.name)
@@ -229,15 +229,15 @@ def _results(
                 lost = yield from _submit(client, lost, _compute_alone, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
             raise ScheduleError(
-                "expected the scheduler to stay until the end, lost it; start it again, then run the same scene "
-                "again: the shards that are done are kept"
+                "expected the scheduler to stay until the end, lost it; start it again, then rerun the scene: "
+                "finished shards are kept"
             ) from error
     if lost:
         first = lost[0][0].members
         raise ScheduleError(
             f"expected workers to stay alive, got {len(lost)} batches whose workers died {_ATTEMPTS + 1} times, but "
             f"not of their members; the first holds {first[0].member_id} to {first[-1].member_id}; see who kills "
-            f"them, then run the same scene again: the shards that are done are kept"
+            f"them, then rerun the scene: finished shards are kept"
         )
 
 
@@ -273,7 +273,7 @@ def _submit(
         except (ImportError, AttributeError) as error:
             raise ScheduleError(
                 f"expected workers with this version of the program ({program()}), got one that cannot run it "
-                f"({error}); install the same there, then run the same scene again"
+                f"({error}); install the same there, then rerun the scene"
             ) from error
         else:
             yield result
@@ -300,8 +300,8 @@ class _Watch:
             if not is_connected:
                 raise CommClosedError
             raise ScheduleError(
-                f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then run the "
-                f"same scene again: the shards that are done are kept"
+                f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then rerun "
+                f"the scene: finished shards are kept"
             )
 
 

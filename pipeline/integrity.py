@@ -56,7 +56,7 @@ def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mappin
         # a thread of Arrow's may outlive its library, and end the process
         table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
     except (OSError, pa.ArrowException) as error:
-        return f"cannot be read ({error}); run the scene again to rebuild it"
+        return f"cannot be read ({error}); rerun the scene to rebuild it"
     if not table.schema.equals(schema, check_metadata=True):
         return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others"
     if table.num_rows != len(ids):

@@ -139,9 +139,7 @@ def read_commits(path: Where) -> Iterator[Commit]:
                 yield commit
 
 
-_HEALED_BY_RUNNING = (
-    f"run the scene again with this directory: what {TIMINGS} confirms is kept, the rest computed anew"
-)
+_HEALED_BY_RUNNING = f"rerun the scene with this directory: what {TIMINGS} confirms is kept, the rest is recomputed"
 
 
 class DamagedManifest(StoreError):
@@ -215,8 +213,8 @@ def _same_version(file: str, content: bytes, is_whole: bool) -> None:
         return
     if version != SCHEMA_VERSION and (is_whole or not is_checked):
         raise StoreError(
-            f"{file}: expected a dataset of schema version {SCHEMA_VERSION}, got one of version {version}; go on "
-            f"with the version of stickslip that began it, or choose another directory"
+            f"{file}: expected a dataset of schema version {SCHEMA_VERSION}, got one of version {version}; use "
+            f"the version of stickslip that began it, or choose another directory"
         )
 
 
@@ -298,6 +296,6 @@ def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
         return tasks(scene, manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
-            f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; go on with the "
+            f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
             f"version of stickslip that began it, or choose another directory"
         ) from None

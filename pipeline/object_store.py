@@ -256,7 +256,7 @@ class _Lease(Hold):
         if self._lost is not None:
             raise StoreError(
                 f"{self.place}: expected to be its only writer, lost the lock to {self._lost}, after more than "
-                f"{LEASE:.0f} s without a sign of life from here; what is done is kept: run the same scene again "
+                f"{LEASE:.0f} s without a sign of life from here; finished shards are kept: rerun the scene "
                 f"when the other has ended"
             )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -16,14 +15,11 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.dataset import (
-    NULLABLE,
     dataset,
     frame,
     near,
     not_recorded,
-    plain_type,
     reading,
-    rows_that_failed,
 )
 from stickslip.pipeline.errors import QueryError
 from stickslip.pipeline.ledger import dataset_scene, read_manifest
@@ -44,7 +40,6 @@ __all__ = [
     "events",
     "members",
     "n_stick",
-    "reasons",
     "separations",
     "series",
     "sql",
@@ -142,9 +137,7 @@ def _part(
 ) -> pd.DataFrame:
     """One part of a dask frame; of no shards: its columns and their types."""
     found = _chosen(path, dataset(path, part), names, condition) if part else schema.empty_table()
-    never_null = [field for field in schema if not field.nullable and field.type in NULLABLE]
-    plain = {field.name: plain_type(field.type) for field in never_null}
-    return found.to_pandas(types_mapper=NULLABLE.get).astype(plain)
+    return frame(found, [field.name for field in schema if field.nullable])
 
 
 def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
@@ -236,12 +229,8 @@ def series(path: Where) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.i
 
     Failed members, which have no series, are left out: `members` lists them.
     """
-    for fragment in dataset(path).get_fragments():
-        with reading(path):
-            table = fragment.to_table(columns=["member_id", "t", "n_stick"])
-        for member_id, t, counts in zip(*table.columns, strict=True):
-            if t.is_valid:
-                yield member_id.as_py(), _array(t), _array(counts)
+    for row in _rows(path, "t", ["t", "n_stick"]):
+        yield row["member_id"].as_py(), _array(row["t"]), _array(row["n_stick"])
 
 
 def all_events(path: Where) -> Iterator[tuple[str, sim.EventSeries]]:
@@ -269,13 +258,8 @@ def by_threshold(path: Where) -> Iterator[tuple[str, float, NDArray[np.float64],
             yield row["member_id"].as_py(), entry["threshold"].as_py(), _array(entry["t"]), _array(entry["n_stick"])
 
 
-def reasons(path: Where, shard: str) -> dict[str, int]:
-    """Why members of one shard failed, and how many for each reason, the most frequent first."""
-    return dict(Counter(reason for _, reason in rows_that_failed(path, [shard])).most_common())
-
-
 def _rows(path: Where, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:
-    """The rows of a dataset in which a column that a scene may record is not null, one shard in memory at a time."""
+    """The rows of a dataset in which a column is there and not null, one shard in memory at a time."""
     source = dataset(path)
     if recorded not in source.schema.names:
         return

@@ -197,7 +197,7 @@ def place_of(where: Where) -> Place:
     if protocol in ("file", "local"):
         return Directory(Path(path))
     if not path.strip("/"):
-        raise StoreError(f"{where}: expected an address such as s3://bucket/dir, got no more than its beginning")
+        raise StoreError(f"{where}: expected an address such as s3://bucket/dir, got only its beginning")
     import fsspec  # with what it loads, a tenth of a second
 
     from stickslip.pipeline.object_store import Prefix

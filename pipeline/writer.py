@@ -243,7 +243,7 @@ class Store:
         foreign = sorted(manifest.shards.keys() - {batch.name for batch, _ in self.tasks})
         if foreign:
             raise StoreError(
-                f"{self.place}: expected the shards of this scene, got {foreign[0]}; go on with the version of "
+                f"{self.place}: expected the shards of this scene, got {foreign[0]}; use the version of "
                 f"stickslip that began it, or choose another directory"
             )
         shards = list(manifest.shards.items())
@@ -251,7 +251,7 @@ class Store:
         for (name, shard), content in zip(shards, contents, strict=True):
             problem = shard.damage(content)
             if problem:
-                log.warning("%s: %s; computing it again", self.place.named(f"{DATA}/{name}"), problem)
+                log.warning("%s: %s; recomputing it", self.place.named(f"{DATA}/{name}"), problem)
                 del manifest.shards[name]
         again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
         self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
@@ -259,8 +259,8 @@ class Store:
             if manifest.shards and not self._accept_version:
                 raise StoreError(
                     f"{self.place}: expected data of this version of the program ({program()}), got data of another "
-                    f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; go on with that, "
-                    f"choose another directory, or mix them by --accept-version"
+                    f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; use that version, "
+                    f"choose another directory, or mix them with --accept-version"
                 )
             manifest.programs = [*(manifest.programs if manifest.shards else []), program()]
 
@@ -268,7 +268,7 @@ class Store:
         manifest = self._manifest
         self._plan(manifest)
         if self._lost:
-            log.warning("%s: lost; made again from %s", self.place.named(MANIFEST), TIMINGS)
+            log.warning("%s: lost; rebuilt from %s", self.place.named(MANIFEST), TIMINGS)
         self._held.enter_context(last_act(self._sweep))
         with unbroken():
             for leftover in self._leftovers(manifest):
@@ -341,5 +341,5 @@ def _explained(path: Place) -> Iterator[None]:
     except OSError as error:
         raise StoreError(
             f"{error.filename or path}: cannot be written ({error.strerror}); make room or make {path} "
-            f"writable, then run the same scene again: the shards that are done are kept"
+            f"writable, then rerun the scene: finished shards are kept"
         ) from error

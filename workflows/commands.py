@@ -19,6 +19,7 @@ from stickslip.pipeline.processes import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
+    from stickslip.analysis import Report
     from stickslip.pipeline.storage import Place, Where
     from stickslip.workflows.drawing import Drawing
 
@@ -73,7 +74,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
     scene = parse_scene(source, str(file))
 
     def how_to_go_on() -> None:
-        print(f"\ninterrupted; what is done is kept. Go on with:\n  {_again(arguments, out)}", file=sys.stderr)
+        print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
 
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
@@ -105,7 +106,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
         alone = ["stickslip", "run", copy, "--only", str(status.first_failed)]
         print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
     if drawing is None:
-        print(f"report  none was asked for: {shlex.join(['stickslip', 'report', str(out)])} makes it")
+        print(f"report  not written; write it with: {shlex.join(['stickslip', 'report', str(out)])}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
     return _UNFINISHED if status.failures else _DONE
 
@@ -156,25 +157,24 @@ def _check_directory(out: Path, file: Path) -> None:
 
     place, here = out.resolve(), Path(__file__).resolve().parents[1]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
-        raise _Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; name another")
+        raise _Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; choose another")
     if place.exists() and not place.is_dir():
-        raise _Wrong(f"--out: expected a directory, got the file {out}; name another")
+        raise _Wrong(f"--out: expected a directory, got the file {out}; choose another")
     if place == file.resolve().parent and not (place / MANIFEST).exists():
-        raise _Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; name another")
+        raise _Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; choose another")
 
 
 def _check_no_ensemble(out: Place) -> None:
     from stickslip.pipeline.storage import MANIFEST
 
     if MANIFEST in out.names():
-        raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; name another directory")
+        raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; choose another directory")
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.storage import Directory
     from stickslip.workflows.charts import ChartError, load_chart
     from stickslip.workflows.charts.runner import measure, report
-    from stickslip.workflows.reporting import write
 
     scene = load_chart(file)
     if arguments.dry_run:
@@ -184,16 +184,13 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     try:
         if isinstance(out, Directory):
             out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
-        built = report(scene, measure(file, out))
-        page = write(built, out)
-    except (ChartError, OSError) as error:
+        _publish(report(scene, measure(file, out)), out)
+    except ChartError as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _UNFINISHED
     except Interrupted as interrupt:
         print("\ninterrupted; nothing was written", file=sys.stderr)
         return interrupt.exit_code
-    print("\n".join(built.headline))
-    print(f"report  {page}")
     return _DONE
 
 
@@ -204,15 +201,20 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 
 
 def _write_report(directory: Where, drawing: Drawing) -> None:
-    from stickslip.workflows.reporting import report, write
+    from stickslip.workflows.reporting import report
 
     gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
     built, status = report(directory, drawing)
-    page = write(built, directory)
     if not status.is_complete:
         print(f"note: {status.n_members - status.n_done} of {status.n_members} members are still to run")
-    print("\n".join(built.headline))
-    print(f"report  {page}")
+    _publish(built, directory)
+
+
+def _publish(built: Report, where: Where) -> None:
+    from stickslip.workflows.reporting import write
+
+    page = write(built, where)
+    print("\n".join([*built.headline, f"report  {page}"]))
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -230,7 +232,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
     from stickslip.pipeline.storage import place_of
-    from stickslip.workflows.reporting import compared, name_of, write
+    from stickslip.workflows.reporting import compared, name_of
 
     place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
     _check_no_ensemble(place)
@@ -238,9 +240,7 @@ def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
         built = compared(first, second)
     except ValueError as error:
         raise _Wrong(str(error)) from None
-    page = write(built, place)
-    print("\n".join(built.headline))
-    print(f"report  {page}")
+    _publish(built, place)
 
 
 def _status(arguments: argparse.Namespace) -> int:

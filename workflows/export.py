@@ -125,7 +125,7 @@ def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
     """
     place = place_of(dataset)
     if isinstance(place, Directory) and out.resolve().is_relative_to(place.path.resolve()):
-        raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; name another")
+        raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; choose another")
     if out.is_dir():
         raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")
     out = out.resolve()

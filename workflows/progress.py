@@ -5,11 +5,13 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from collections import Counter
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
+from stickslip.pipeline.dataset import rows_that_failed
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.monitor import Follower, Status, status
 from stickslip.pipeline.storage import Where
@@ -17,8 +19,6 @@ from stickslip.pipeline.storage import Where
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress
     from stickslip.pipeline.estimate import Estimate
-
-# What reads data loads pandas: only who is told of data waits for it, and no run does before it starts.
 
 #: Seconds between two lines where there is no terminal.
 _EVERY = 10.0
@@ -95,7 +95,7 @@ def _status_lines(found: Status) -> list[str]:
         lines.append(f"running {found.running.owner}, {elapsed}{_pace(found.rate, found.eta)}")
         lines += [f"dask    {found.running.dashboard}"] * (found.running.dashboard is not None)
     elif not found.is_complete:
-        lines.append("running nothing: run the scene again to go on")
+        lines.append("running nothing: rerun the scene to resume")
     return lines + [f"failed  {count}: {printable(reason)}" for reason, count in found.failures.items()]
 
 
@@ -130,9 +130,8 @@ class Watch:
         if self._last is not None and progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
-            from stickslip.pipeline.query import reasons
-
-            for reason, count in reasons(self._directory, progress.last_shard).items():
+            failed = rows_that_failed(self._directory, [progress.last_shard])
+            for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress
         if self._stream.isatty():

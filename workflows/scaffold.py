@@ -70,7 +70,7 @@ def new_scene(file: Path) -> list[str]:
             stream.write(_HEAD.format(schema=SCHEMA, file=file.name) + _body())
     except FileExistsError:
         raise NotWritten(
-            f"FILE: expected a name that is free, got {str(file)!r}, which exists; name another, or remove it"
+            f"FILE: expected a name that is free, got {str(file)!r}, which exists; choose another, or remove it"
         ) from None
     beside, named = file.with_name(SCHEMA), shlex.quote(str(file))
     if not beside.exists():

@@ -251,7 +251,7 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
         code, _, err = end_of(process, 100)
         # by the signal itself, which a shell shows as the same number, if Python was all but gone
         assert code in (128 + number, -number)[:times], (code, err)
-        assert f"Go on with:\n  stickslip {' '.join(arguments)}\n" in err, err
+        assert f"Resume with:\n  stickslip {' '.join(arguments)}\n" in err, err
         assert "Traceback" not in err, err
         world.check_no_strays(out)
         world.resume(out)

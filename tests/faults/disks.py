@@ -19,7 +19,7 @@ def _one_clear_refusal(words: str, reason: str) -> None:
     last = lines[-1]
     assert last.startswith("stickslip.pipeline.errors.StoreError: "), words
     assert reason in last, words
-    assert "run the same scene again: the shards that are done are kept" in last, words
+    assert "rerun the scene: finished shards are kept" in last, words
 
 
 @fault(quick=3, full=60, timeout=300)

@@ -101,7 +101,7 @@ def object_store_lost(world: World, count: int) -> int:
                 last = said.read_text().strip().splitlines()[-1]
                 assert last.startswith("stickslip.pipeline.errors.StoreError: s3://bucket/"), last
                 assert "Service is unable to handle request" in last or "(Service Unavailable)" in last, last
-                assert "run the same scene again: the shards that are done are kept" in last, last
+                assert "rerun the scene: finished shards are kept" in last, last
             cloud.resume(f"out{k}")
     return count
 
@@ -206,7 +206,7 @@ def object_store_interrupted(world: World, count: int) -> int:
             os.killpg(process.pid, number)
             code, _, err = end_of(process, 30)
             assert code == 128 + number, (code, err)
-            assert f"Go on with:\n  stickslip {' '.join(arguments)}\n" in err, err
+            assert f"Resume with:\n  stickslip {' '.join(arguments)}\n" in err, err
             assert "Traceback" not in err, err
             assert ".lock" not in cloud.content(name)
             cloud.resume(name)

@@ -79,7 +79,7 @@ def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished
     found = [line.split(": ")[0] for line in verify(stored)]
     assert found == [f"{OUT}/{name}" for name in (
         names[1], names[3], "data/notes.txt", "data/shard-00099-0123456789ab.parquet")]  # fmt: skip
-    with pytest.raises(StoreError, match=r"shard-00001-.* expected \d+ bytes, got 1; run the scene again"):
+    with pytest.raises(StoreError, match=r"shard-00001-.* expected \d+ bytes, got 1; rerun the scene"):
         query.members(stored)
     seen: list[Progress] = []
     run_scene(scene, source, stored, workers=0, on_progress=seen.append)
@@ -186,7 +186,7 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
             leave_lock(60.0, "process 77 on elsewhere")
             time.sleep(0.25)
 
-    with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*run the same scene again when"):
+    with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*rerun the scene when"):
         run_scene(scene, source, OUT, workers=0, on_progress=stopped_for_a_while)
     assert memory["/bucket/out/.lock"].getvalue().startswith(b"process 77")
     assert status(OUT).n_shards_done == 2
@@ -247,7 +247,7 @@ def test_what_goes_on_failing_is_one_clear_error_and_resumes(
         if progress.n_shards_done == 3:
             requests["from now on"] = (TimeoutError("no answer"), False)
 
-    with pytest.raises(StoreError, match=r"shard-00003-.* cannot be written \(no answer\).*run the same scene again"):
+    with pytest.raises(StoreError, match=r"shard-00003-.* cannot be written \(no answer\).*rerun the scene"):
         run_scene(scene, source, OUT, workers=0, on_progress=lost)
     requests.clear()
     assert status(OUT).n_shards_done == 3

@@ -134,7 +134,7 @@ def test_a_shard_that_is_not_in_the_manifest_is_not_read(copy):
     (copy / "data" / "shard-00099-0123456789ab.parquet").write_bytes(first.read_bytes())
     assert not query.members(copy)["member_id"].duplicated().any()
     first.unlink()
-    with pytest.raises(StoreError, match=rf"{first.name}: missing; run the scene again"):
+    with pytest.raises(StoreError, match=rf"{first.name}: missing; rerun the scene"):
         query.members(copy)
 
 
@@ -165,9 +165,7 @@ def test_a_shard_is_what_was_written_or_no_answer(way, reader, copy):
     victim.unlink()
     if way != "missing":
         victim.write_bytes(other.read_bytes() if way == "another shard" else spoilt)
-    with pytest.raises(
-        StoreError, match=rf"^[^\n]*{victim.name}: (expected|missing)[^\n]*; run the scene again[^\n]*$"
-    ):
+    with pytest.raises(StoreError, match=rf"^[^\n]*{victim.name}: (expected|missing)[^\n]*; rerun the scene[^\n]*$"):
         READERS[reader](copy)
 
 

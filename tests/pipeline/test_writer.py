@@ -189,7 +189,7 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(StoreError, match=r"No space left on device.*run the same scene again"):
+    with pytest.raises(StoreError, match=r"No space left on device.*rerun the scene"):
         run_scene(scene, source, out, workers=0)
     monkeypatch.undo()
     monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 3.5e-3)
@@ -354,10 +354,10 @@ def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy
     victim.write_bytes(content)
     forge(copy, victim.name)
     assert ["CRC checksum" in problem for problem in verify(copy)] == [True]
-    with pytest.raises(StoreError, match=r"CRC checksum.*run the scene again"):
+    with pytest.raises(StoreError, match=r"CRC checksum.*rerun the scene"):
         query.members(copy, columns=["member_id"])
     for more in ("", ", range(20000)"):  # found before the first rows, and after
-        with pytest.raises(StoreError, match=r"a shard cannot be read.*CRC checksum.*run the scene again"):
+        with pytest.raises(StoreError, match=r"a shard cannot be read.*CRC checksum.*rerun the scene"):
             query.sql(copy, f"SELECT member_id FROM members{more}")
 
 
@@ -428,7 +428,7 @@ def test_shards_of_other_members_are_refused_and_kept(copy, scene, source):
     manifest.shards[foreign.name] = manifest.shards.pop(victim.name)
     (copy / "manifest.json").write_bytes(manifest.to_bytes())
     kept = {file: file.read_bytes() for file in shards(copy)}
-    with pytest.raises(StoreError, match=r"got shard-00099.*go on with the version of stickslip that began it"):
+    with pytest.raises(StoreError, match=r"got shard-00099.*use the version of stickslip that began it"):
         run_scene(scene, source, copy, workers=0)
     assert {file: file.read_bytes() for file in shards(copy)} == kept
     assert "not a shard of this scene" in "".join(verify(copy))
@@ -534,7 +534,7 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     for spoilt in (record.replace(b'"rows"', b'"rowz"'), lines[0][:-5]):
         (copy / "timings.jsonl").write_bytes(spoilt)
         for look in (status, verify, query.members):
-            with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; run the scene again"):
+            with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):
                 look(copy)
     (copy / "timings.jsonl").write_bytes(record.replace(b'"rows"', b'"rowz"', 2))
     run_scene(scene, source, copy, workers=0)
@@ -548,7 +548,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
     (copy / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 2}))
     before = listing(copy)
     for look in (status, verify, query.members, lambda path: run_scene(scene, source, path, workers=0)):
-        with pytest.raises(StoreError, match=r"expected a dataset of schema version 3, got one of version 2; go on"):
+        with pytest.raises(StoreError, match=r"expected a dataset of schema version 3, got one of version 2; use"):
             look(copy)
     assert listing(copy) == before
 

@@ -419,10 +419,10 @@ def test_a_directory_where_data_do_not_belong_is_refused(small_scene, tmp_path, 
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     source = Path(workflows.__file__).parents[1]
     for out, words in (
-        (source / "pipeline", ["--out", "inside the program", "name another"]),
+        (source / "pipeline", ["--out", "inside the program", "choose another"]),
         (source / "workflows" / "scenes" / "data", ["--out", "inside the program"]),
-        (tmp_path / "file", ["--out", "got the file", "name another"]),
-        (tmp_path, ["--out", "where the scene file is", "name another"]),
+        (tmp_path / "file", ["--out", "got the file", "choose another"]),
+        (tmp_path, ["--out", "where the scene file is", "choose another"]),
     ):
         for more in ([], ["--dry-run"]):
             refused(["run", str(scene), "--out", str(out), *more], words, capsys)
@@ -470,7 +470,7 @@ def test_a_run_without_a_report(small_scene, dataset, tmp_path, monkeypatch, cap
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "stickslip.workflows.reporting", None)  # nothing of it is loaded
         assert main(["run", str(small_scene), "--out", str(out), "--workers", "1", "--no-report"]) == 0
-    assert f"stickslip report '{out}' makes it" in capsys.readouterr().out
+    assert f"write it with: stickslip report '{out}'" in capsys.readouterr().out
     assert not (out / "report.html").exists()
     assert main(["report", str(out)]) == 0
     assert (out / "report.html").read_bytes() == (dataset / "report.html").read_bytes()

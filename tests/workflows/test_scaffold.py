@@ -102,7 +102,7 @@ def test_init_writes_a_scene_that_runs_and_refuses_to_write_over_it(name, tmp_pa
     assert sorted(file.name for file in tmp_path.iterdir()) == ["mine.toml", SCHEMA]
     (tmp_path / "mine.toml").write_text("mine")
     assert main(["init", name]) == 2
-    assert "which exists; name another" in capsys.readouterr().err
+    assert "which exists; choose another" in capsys.readouterr().err
     assert (tmp_path / "mine.toml").read_text() == "mine"
     (tmp_path / "scenes").mkdir()
     assert main(["init", "scenes"]) == 2
