@@ -13,6 +13,7 @@ import numpy as np
 from scipy import signal, special
 
 from stickslip.analysis.stats import (
+    clustering,
     components,
     dispersion,
     effective,
@@ -25,7 +26,8 @@ from stickslip.analysis.stats import (
 )
 from stickslip.analysis.stats.cascades import Law, Window, sizes, window
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices, ratio
-from stickslip.analysis.stats.nulls import BlockSteps
+from stickslip.analysis.stats.nulls import BlockSteps, triggered
+from tests.analysis import law_studies
 
 CONFIDENCE = 0.95
 MATRICES = 20
@@ -101,6 +103,18 @@ def dispersion_study(rng, ensembles):
             yield judged("dispersion", f"{name}; {g} x {count}", excess_of(shares), found)
 
 
+def gamma_study(rng, ensembles):
+    """Rate of the exponential; sizes that depend on each other within a matrix, and rates that differ."""
+    for name, make in law_studies.TRUE.items():
+        for g in (4, MATRICES):
+            found = []
+            for _ in range(ensembles):
+                k = make(rng, g)
+                sums = np.column_stack([k.sum(axis=1), np.full(g, k.shape[1])])
+                found.append(over_matrices(gamma, sums, CONFIDENCE))
+            yield judged("gamma", f"{name}; {g} matrices", law_studies.GAMMA, found)
+
+
 def pooled_run(rng, n, mean, changes):
     """A pool of independent two-state blocks, event by event, from equilibrium: unit times between events."""
     p, k = mean / n, rng.binomial(n, mean / n)
@@ -115,7 +129,7 @@ def pooled_run(rng, n, mean, changes):
 def pool_study(rng, ensembles):
     """Closed form of gamma, and of the dispersion, of the finite pool against simulated pools."""
     for n, mean in ((200, 32.5), (100, 3.0)):
-        runs = [sizes(pooled_run(rng, n, mean, 2000), Law("events")) for _ in range(max(ensembles // 2, 100))]
+        runs = [sizes(pooled_run(rng, n, mean, 8000), Law("events")) for _ in range(max(ensembles // 4, 100))]
         rates = np.array([[k.sum(), len(k)] for k in runs])
         spread = np.array([dispersion.moments(k) for k in runs])
         picks = rng.integers(len(runs), size=(ensembles, MATRICES))
@@ -187,6 +201,27 @@ def slow_mode_study(rng, ensembles):
             where = f"{part.kind} {part.period or part.length or ''}".strip()
             answer = sums[k, 0] / sums[k, 1] if depth else 1.0
             yield judged("slow mode", f"{name}: {where}", answer, found[part], log=True)
+
+
+def triggering_study(rng, ensembles):
+    """Pairs of exits within tau over rotation, less one: 0 for independent blocks, else that of all runs.
+
+    A share of the exits follows another after a tenth of the mean gap.
+    """
+    taus = (0.05, 0.2, 1.0)
+    for share in (0.0, 0.02, 0.1):
+        rows = []
+        for _ in range(max(ensembles // 2, 200)):
+            steps = blocks_run(rng)
+            if share:
+                steps = triggered(steps, share, 0.1 * SPAN / np.sum(steps.step < 0), rng)
+            rows.append(clustering.measure(steps, taus, ()).pairs)
+        rows = np.array(rows)
+        picks = rng.integers(len(rows), size=(ensembles, MATRICES))
+        for k, tau in enumerate(taus):
+            answer = float(clustering.excess(rows[:, k].sum(axis=0, keepdims=True))[0]) if share else 0.0
+            found = [over_matrices(clustering.excess, rows[some, k], CONFIDENCE) for some in picks]
+            yield judged("triggering: pairs", f"{share:g} follow, tau = {tau:g}", answer, found)
 
 
 # ------------------------------------------------------------------------------------------ effective samples
@@ -360,16 +395,17 @@ def drift_study(rng, ensembles, t_end=2400.0):
         answer /= np.sqrt(rows[:, 2].mean())
         for g in (MATRICES, 6):
             every = [enough.basis(rows[some], 10_000, CONFIDENCE) for some in rng.integers(runs, size=(ensembles, g))]
-            codes = ", ".join(
-                f"{c} {sum(o.code == c for o in every) / ensembles:.2f}" for c in enough.CODES[:1] + enough.CODES[3:]
-            )
-            yield judged("drift", f"{drift:g}, {g} runs: {codes}", answer, [one.drift for one in every])
+            shares = {code: np.mean([one.code == code for one in every]) for code in enough.CODES}
+            told = ", ".join(f"{code} {share:.2f}" for code, share in shares.items() if share)
+            yield judged("drift", f"{drift:g}, {g} runs: {told}", answer, [one.drift for one in every])
 
 
 STUDIES = {
+    "gamma": gamma_study,
     "dispersion": dispersion_study,
     "pool": pool_study,
     "slow_mode": slow_mode_study,
+    "triggering": triggering_study,
     "effective": effective_study,
     "growth": growth_study,
     "components": components_study,
@@ -386,10 +422,12 @@ def study(name, seed, ensembles):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", choices=[*STUDIES, []], metavar="STUDY", help=", ".join(STUDIES))
+    parser.add_argument("names", nargs="*", metavar="STUDY", help=", ".join(STUDIES))
     parser.add_argument("--seed", type=int, default=secrets.randbits(32))
     parser.add_argument("--ensembles", type=int, default=2000)
     asked = parser.parse_args()
+    if unknown := set(asked.names) - set(STUDIES):
+        parser.error(f"STUDY: expected some of {', '.join(STUDIES)}, got {', '.join(sorted(unknown))}")
     print(f"--seed {asked.seed} --ensembles {asked.ensembles}")
     for name in asked.names or STUDIES:
         print(f"\n## {name}: {' '.join((STUDIES[name].__doc__ or '').split())}\n")
