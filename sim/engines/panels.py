@@ -1,0 +1,89 @@
+"""Products of one matrix with several vectors at once.
+
+One product is bound by memory: each entry of K is read for one multiplication. Five vectors share the reading. K is
+kept in panels of rows; the sums of a panel, for every vector, stay in registers while K streams by.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import DTypeLike, NDArray
+
+from stickslip.sim.engines.compile import inner
+
+#: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
+HEIGHT, SINGLE_HEIGHT = 8, 16
+
+
+def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
+    """A square matrix, by panels of `height` rows, each by columns; rows of zeros are added to fill the last panel.
+
+    Shape (number of panels, n, height).
+    """
+    n = len(matrix)
+    rows = np.zeros((-(-n // height) * height, n), dtype)
+    rows[:n] = matrix
+    return np.ascontiguousarray(rows.reshape(-1, height, n).transpose(0, 2, 1))
+
+
+def _panel(n_vectors: int, height: int, single: bool) -> Any:
+    """The code for one panel: ``f(panels, p, x, y)`` puts rows p height ... of K x_k into y_k, k < n_vectors."""
+    number = ir.FloatType() if single else ir.DoubleType()
+    vector, index = ir.VectorType(number, height), ir.IntType(64)
+    ones = ir.Constant(ir.VectorType(ir.IntType(32), height), [0] * height)
+
+    @intrinsic
+    def apply(typing_context, panels, p, x, y):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            k, xs, ys = (context.make_array(signature.args[a])(context, builder, arguments[a]) for a in (0, 2, 3))
+            n = cgutils.unpack_tuple(builder, k.shape)[1]
+            x_stride, y_stride = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (xs, ys))
+            name = f"llvm.fmuladd.v{height}f{32 if single else 64}"
+            fused = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector] * 3), name)
+            sums = [cgutils.alloca_once(builder, vector) for _ in range(n_vectors)]
+            for place in sums:
+                builder.store(ir.Constant(vector, [0.0] * height), place)
+            first = builder.mul(arguments[1], builder.mul(n, index(height)))
+            with cgutils.for_range(builder, n) as loop:
+                at = builder.gep(k.data, [builder.add(first, builder.mul(loop.index, index(height)))])
+                column = builder.load(builder.bitcast(at, vector.as_pointer()))
+                column.align = 4 if single else 8
+                for v, place in enumerate(sums):
+                    one = builder.load(
+                        builder.gep(xs.data, [builder.add(builder.mul(x_stride, index(v)), loop.index)])
+                    )
+                    undefined = ir.Constant(vector, ir.Undefined)
+                    spread = builder.insert_element(undefined, one, ir.IntType(32)(0))
+                    spread = builder.shuffle_vector(spread, undefined, ones)
+                    builder.store(builder.call(fused, [column, spread, builder.load(place)]), place)
+            row = builder.mul(arguments[1], index(height))
+            for v, place in enumerate(sums):
+                at = builder.gep(ys.data, [builder.add(builder.mul(y_stride, index(v)), row)])
+                store = builder.store(builder.load(place), builder.bitcast(at, vector.as_pointer()))
+                store.align = 4 if single else 8
+            return context.get_dummy_value()
+
+        return types.void(panels, types.intp, x, y), codegen
+
+    return apply
+
+
+def products(n_vectors: int, single: bool = False) -> Any:
+    """For kernels: ``f(panels, x, y)`` makes y_k = K x_k for the `n_vectors` rows of x and y.
+
+    x and y, shape (n_vectors, m), are as long as the panels are high, at least; panels are made by `panels` with
+    `HEIGHT` and float64, or with `SINGLE_HEIGHT` and float32 if `single`.
+    """
+    panel = _panel(n_vectors, SINGLE_HEIGHT if single else HEIGHT, single)
+
+    @inner
+    def apply(panels, x, y):  # type: ignore[no-untyped-def]
+        for p in range(len(panels)):
+            panel(panels, p, x, y)
+
+    return apply
