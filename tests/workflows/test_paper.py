@@ -12,9 +12,10 @@ import pytest
 from stickslip.pipeline import run_scene
 from stickslip.sim import EventSeries, simulate
 from stickslip.workflows.charts import load_chart, runner
+from stickslip.workflows.charts.peers import random_ratios
 from stickslip.workflows.commands import main
 from stickslip.workflows.paper import claims, figures_1_2, figures_3_to_5
-from stickslip.workflows.scenes import chart_of, shipped
+from stickslip.workflows.scenes import shipped
 
 TINY = """
 chart = "paper"
@@ -80,16 +81,10 @@ def report(scene, measured, page):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_shipped_scenes_explain_each_key(name):
-    file = shipped()[name]
-    assert chart_of(file) == "paper"
-    scene = load_chart(file)
+def test_shipped_scenes_have_their_figures(name):
+    scene = load_chart(shipped()[name])
     assert scene.figures == (tuple(range(1, 7)) if name == "paper" else (int(name[3:]),))
     assert scene.claims == (name == "paper")
-    lines = [line for line in file.read_text().splitlines() if " = " in line and not line.startswith("#")]
-    assert all("#" in line for line in lines)
-    if name == "paper":
-        assert {line.split(" = ")[0] for line in lines} == set(type(scene).model_fields)
 
 
 def test_the_shipped_certificate_is_tried_often_enough():
@@ -102,7 +97,6 @@ def test_the_shipped_certificate_is_tried_often_enough():
 
 BAD = {
     "no such figure": ("figures = [1, 2, 3, 4, 5, 6]", "figures = [1, 7]", "figures[1]: expected", "got 7"),
-    "unknown key": ("draws = 2\n", "draw = 2\n", "draw: unknown key", "did you mean 'draws'"),
     "shown beyond the end": ("t_shown = 20.0", "t_shown = 40.0", "t_shown: expected", "got 40"),
     "nothing after the burn": ("t_burn = 5.0", "t_burn = 60.0", "t_burn: expected", "got 60"),
     "no such flag": ("claims = true", 'claims = "yes"', "claims: expected", "got 'yes'"),
@@ -112,13 +106,6 @@ BAD = {
 @pytest.mark.parametrize("mistake", BAD)
 def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, refuse):
     refuse(TINY, *BAD[mistake])
-
-
-def test_dry_run_computes_and_writes_nothing(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "fig3", "--dry-run"]) == 0
-    assert "figure 3 of the paper" in capsys.readouterr().out
-    assert list(tmp_path.iterdir()) == []
 
 
 # ---------------------------------------------------------------------------------------------- known values
@@ -276,7 +263,7 @@ def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
     small, large = (scene.perturbed(20, size, 0).stiffness - base.stiffness for size in (0.01, 0.1))
     np.testing.assert_allclose(large, 10 * small, atol=1e-12)
     assert 0 < np.abs(small).max() <= 0.01 * 0.2 * (1 + 1e-12)
-    r = scene.ratios(200, 1)
+    r = random_ratios(scene.seed, 200, 1)
     assert (r > 0).all()
     assert (r <= 1).all()
 

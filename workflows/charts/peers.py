@@ -85,17 +85,25 @@ class Problem:
         return np.concatenate((np.full(self.system.n, self.z0), np.full(self.system.n, self.w0)))
 
 
-def random_problem(
-    seed: int, n: int, t_end: float, eps: float, ratio: Ratio, matrix: int = 0, patience: float = math.inf
-) -> Problem:
-    """The system and the first draw of the ratios that an ensemble with this seed has at `n` and `matrix`."""
+def seed_of(seed: int, *words: int) -> np.random.SeedSequence:
+    """The seed of one draw, as an ensemble with this seed has it."""
+    return np.random.SeedSequence(seed, spawn_key=words)
 
-    def key(*words: int) -> np.random.SeedSequence:
-        return np.random.SeedSequence(seed, spawn_key=words)
 
-    r = np.ones(n) if ratio == "one" else 1.0 - np.random.default_rng(key(RATIO, n, matrix, 0)).random(n)
-    system = sim.draw_system("antisymmetric", n, key(MATRIX, n, matrix))
-    return Problem(system, r * eps, Z0, W0, t_end, patience)
+def random_system(seed: int, n: int, matrix: int, **scales: float) -> sim.System:
+    """The system that an ensemble with this seed has at `n` and `matrix`."""
+    return sim.draw_system("antisymmetric", n, seed_of(seed, MATRIX, n, matrix), **scales)
+
+
+def random_ratios(seed: int, n: int, draw: int) -> Floats:
+    """The ratios r_i that it draws for matrix 0, uniform in (0, 1]."""
+    return 1.0 - np.random.default_rng(seed_of(seed, RATIO, n, 0, draw)).random(n)
+
+
+def random_problem(seed: int, n: int, t_end: float, eps: float, ratio: Ratio, patience: float = math.inf) -> Problem:
+    """Matrix 0 and its first draw of the ratios, from the paper's start."""
+    r = np.ones(n) if ratio == "one" else random_ratios(seed, n, 0)
+    return Problem(random_system(seed, n, 0), r * eps, Z0, W0, t_end, patience)
 
 
 def ensemble(system: dict[str, Any], run: dict[str, Any], engine: dict[str, Any]) -> bytes:

@@ -34,7 +34,7 @@ from stickslip.pipeline.design import MATRIX
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed
-from stickslip.workflows.charts.peers import W0, Z0, Floats, ensemble
+from stickslip.workflows.charts.peers import W0, Z0, Floats, ensemble, random_system, seed_of
 from stickslip.workflows.charts.runner import frame
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
@@ -129,13 +129,9 @@ class ScalingScene(ChartScene):
         """The scale of the stiffnesses that couples n blocks as strongly as `kappa` couples `KAPPA_AT`."""
         return self.kappa * math.sqrt(KAPPA_AT / n)
 
-    def key(self, n: int, matrix: int) -> np.random.SeedSequence:
-        """The seed of that matrix, as an ensemble with this seed has it."""
-        return np.random.SeedSequence(self.seed, spawn_key=(MATRIX, n, matrix))
-
     def random(self, n: int, matrix: int) -> sim.System:
         """A random system; at n = `KAPPA_AT` that of an ensemble with this seed."""
-        return sim.draw_system("antisymmetric", n, self.key(n, matrix), kappa=self.kappa_at(n))
+        return random_system(self.seed, n, matrix, kappa=self.kappa_at(n))
 
     def chain(self, n: int, matrix: int) -> sim.System:
         """Blocks in a row, each coupled to its neighbours alone; K is sparse.
@@ -143,7 +139,7 @@ class ScalingScene(ChartScene):
         K_ii and R as in the random systems at n = `KAPPA_AT`; K_i,i+1 = -K_i+1,i uniform in
         [-chain_kappa, chain_kappa]. Not reciprocal, as those are not: springs that pull both ways alike come to rest.
         """
-        rng = np.random.default_rng(self.key(n, matrix))
+        rng = np.random.default_rng(seed_of(self.seed, MATRIX, n, matrix))
         damping, ground = rng.uniform(3.5, 7.0, n), np.abs(rng.uniform(-self.kappa, self.kappa, n))
         coupling = rng.uniform(-self.chain_kappa, self.chain_kappa, n - 1)
         stiffness = scipy.sparse.diags_array([-coupling, ground, coupling], offsets=[-1, 0, 1], format="csc")

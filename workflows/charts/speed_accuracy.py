@@ -224,7 +224,7 @@ def _curve(
             continue
         start = time.perf_counter()
         try:
-            found, timing = timed(lambda s=setting: solve(s), product, scene.repeats, scene.seconds_a_run)  # type: ignore[misc]
+            found, timing = timed(partial(solve, setting), product, scene.repeats, scene.seconds_a_run)
             error = float(np.abs(found.z - z).max())
             if not np.isfinite(error):
                 raise MethodError("z at t_end is not finite")

@@ -33,7 +33,7 @@ from stickslip.analysis.stats.estimates import Estimate, gamma, gamma_difference
 from stickslip.pipeline.toml import Blocks, Natural, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed
-from stickslip.workflows.charts.peers import W0, Z0, Model, random_problem
+from stickslip.workflows.charts.peers import W0, Z0, Model, random_system
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.charts.steppers import moreau_jean
 
@@ -108,7 +108,7 @@ class StatisticsScene(ChartScene):
         asked = [*REFERENCES.values(), *asked]
         runs: list[Ran] = []
         for matrix in range(self.matrices):
-            system = random_problem(self.seed, self.n, self.t_end, self.eps, "one", matrix).system
+            system = random_system(self.seed, self.n, matrix)
             if matrix == 0:
                 for method, setting in asked:  # what is compiled at a first call is not timed
                     _run(self, system, method, setting, 1e-3 * self.t_end)

@@ -20,7 +20,7 @@ from stickslip.analysis.stats.compare import wilson
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.query import members as read_members
 from stickslip.pipeline.query import series as read_series
-from stickslip.workflows.charts.peers import Floats, ensemble
+from stickslip.workflows.charts.peers import Floats, ensemble, seed_of
 from stickslip.workflows.paper.figures_1_2 import V, corner, pair
 from stickslip.workflows.paper.figures_3_to_5 import Fate, fate
 from stickslip.workflows.paper.systems import PaperSystems
@@ -117,7 +117,7 @@ def one_block(scene: PaperSystems) -> OneBlock:
     """Single blocks with random constants and starts: does one ever stick again after its exit?"""
     n_exits = n_again = 0
     for block in range(scene.blocks):
-        rng = np.random.default_rng(scene.key(_ONE_BLOCK, block))
+        rng = np.random.default_rng(seed_of(scene.seed, _ONE_BLOCK, block))
         rho, kappa, mu = rng.uniform(0.05, 4.0), rng.uniform(0.05, 2.0), rng.uniform(0.2, 2.0)
         v = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 1.0)
         reach = mu / kappa

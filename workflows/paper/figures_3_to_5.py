@@ -18,6 +18,7 @@ from stickslip.analysis.report.words import PAPER_GAMMA
 from stickslip.analysis.stats import cascades, estimates, fates
 from stickslip.analysis.stats.nulls import NullTally, random_order
 from stickslip.pipeline.design import MATRIX
+from stickslip.workflows.charts.peers import random_ratios, seed_of
 from stickslip.workflows.paper.systems import LAWS, Law, PaperSystems
 
 Fate = Literal["certified", "silent", "sustained", "diverged", "failed"]
@@ -168,7 +169,7 @@ def sensitivity(scene: PaperSystems) -> Iterator[tuple[Trace, Change | None]]:
     for n, panel in ratio_panels:
         yield base_of(panel, n)
         for draw in range(scene.sets):
-            run = scene.run(scene.system(n, 0), scene.t_end, "sigmoid", ratio=scene.ratios(n, draw))
+            run = scene.run(scene.system(n, 0), scene.t_end, "sigmoid", ratio=random_ratios(scene.seed, n, draw))
             yield changed(panel, n, f"r, draw {draw}", None, run)
     panels = {
         f"(iii) n = {last}, constants moved by {100 * smallest:g} %": [
@@ -200,7 +201,7 @@ def long_runs(scene: PaperSystems, law: Law) -> tuple[list[Cascades], list[Trace
     chance: dict[cascades.Law, NullTally] = {}
     shown: list[Trace] = []
     sizes: list[Sizes] = []
-    rng = np.random.default_rng(scene.key(MATRIX, scene.long_n))
+    rng = np.random.default_rng(seed_of(scene.seed, MATRIX, scene.long_n))
     for matrix in range(scene.long_matrices):
         run = scene.run(scene.system(scene.long_n, matrix), scene.long_t_end, law, "statistics")
         if matrix < scene.sets and law == LAWS[0]:

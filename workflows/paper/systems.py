@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from stickslip import sim
-from stickslip.pipeline.design import MATRIX, PERTURBATION, RATIO
+from stickslip.pipeline.design import PERTURBATION
 from stickslip.pipeline.scene import TOLERANCES
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
 from stickslip.sim.engines.contract import Purpose
 from stickslip.workflows.charts import ChartScene, Several
-from stickslip.workflows.charts.peers import W0, Z0, Floats
+from stickslip.workflows.charts.peers import W0, Z0, Floats, random_system, seed_of
 
 Law = Literal["coulomb", "sigmoid"]
 LAWS: tuple[Law, ...] = get_args(Law)
-COUPLING: Literal["antisymmetric"] = "antisymmetric"
 
 
 class PaperSystems(ChartScene):
@@ -77,20 +75,14 @@ class PaperSystems(ChartScene):
                 )
         return self
 
-    def key(self, *words: int) -> np.random.SeedSequence:
-        """Seed of one draw, keyed as in an ensemble with this seed."""
-        return np.random.SeedSequence(self.seed, spawn_key=words)
-
     def system(self, n: int, matrix: int) -> sim.System:
-        return sim.draw_system(COUPLING, n, self.key(MATRIX, n, matrix))
+        return random_system(self.seed, n, matrix)
 
     def perturbed(self, n: int, size: float, draw: int) -> sim.System:
         """Matrix 0 with every constant moved; one draw goes the same way at every size."""
-        return sim.perturb_system(self.system(n, 0), COUPLING, size, self.key(PERTURBATION, n, 0, draw))
-
-    def ratios(self, n: int, draw: int) -> Floats:
-        """r_i of matrix 0, uniform in (0, 1]."""
-        return 1.0 - np.random.default_rng(self.key(RATIO, n, 0, draw)).random(n)
+        return sim.perturb_system(
+            self.system(n, 0), "antisymmetric", size, seed_of(self.seed, PERTURBATION, n, 0, draw)
+        )
 
     def run(
         self, system: sim.System, t_end: float, law: Law, purpose: Purpose = "paths", ratio: Floats | float = 1.0

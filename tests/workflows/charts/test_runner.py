@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from pydantic import Field, TypeAdapter
 
 from stickslip.workflows import charts
-from stickslip.workflows.charts import ChartScene, Shown, cost, runner
+from stickslip.workflows.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.commands import main
+from stickslip.workflows.scenes import chart_of, shipped
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Measured:
 
 class PlantedScene(ChartScene):
     chart: Literal["planted"] = Field(description="kind of the chart")
-    n: int = Field(description="number of blocks")
+    n: int = Field(description="number of blocks", examples=[20])
+    eps: Several[float] = Field(default=(), description="widths")
 
     def extent(self):
         return "nothing"
@@ -106,6 +108,51 @@ def test_what_was_measured_is_kept_for_the_same_scene_and_program(planted, capsy
     damaged = run(planted, capsys).err
     assert "is not readable, measuring again" in damaged
     assert "measuring 6" in damaged
+
+
+BAD = {
+    "unknown chart": (
+        '"planted"',
+        '"plant"',
+        "chart: expected 'paper' or 'scaling' or 'speed_accuracy'",
+        "got 'plant'",
+    ),
+    "unknown key": ("n = 5", "n = 5\nnumber = 5", "number: unknown key", "remove it"),
+    "missing key": ("n = 5\n", "", "n: expected the number of blocks", "add `n = 20`"),
+    "wrong type": ("n = 5", 'n = "five"', "n: expected", "e.g. `n = 20`"),
+    "twice the same": ("n = 5", "n = 5\neps = [0.1, 0.1]", "eps: expected each value once", "0.1"),
+}
+
+
+@pytest.mark.parametrize("mistake", BAD)
+def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, planted, refuse):
+    refuse(planted[0].read_text(), *BAD[mistake])
+
+
+@pytest.mark.parametrize("name", sorted(name for name, file in shipped().items() if chart_of(file)))
+def test_what_ships_explains_its_keys(name):
+    file = shipped()[name]
+    lines = [line for line in file.read_text().splitlines() if " = " in line and not line.startswith("#")]
+    assert all("#" in line for line in lines)
+    if not name.startswith("fig"):  # one of the paper's, which leaves most to the defaults
+        assert {line.split(" = ")[0] for line in lines} == set(type(charts.load_chart(file)).model_fields)
+
+
+@pytest.mark.parametrize(
+    ("name", "extent"),
+    [
+        ("fig3", "figure 3 of the paper"),
+        ("scaling", "7 random systems and 5 chains"),
+        ("speed_accuracy", "12 methods on 6 problems"),
+        ("stability", "cells and the hard cases"),
+        ("statistics", "18 settings of 3 methods on 40 matrices"),
+    ],
+)
+def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", name, "--dry-run"]) == 0
+    assert extent in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_process_of_its_own_measures_the_same(tmp_path):

@@ -24,7 +24,6 @@ from stickslip.workflows.charts.scaling import (
     growth,
 )
 from stickslip.workflows.commands import main
-from stickslip.workflows.scenes import chart_of, shipped
 
 TINY = """
 chart = "scaling"
@@ -79,20 +78,8 @@ def silent(line):
 # ---------------------------------------------------------------------------------------------- the scene
 
 
-def test_shipped_chart_explains_each_key():
-    file = shipped()["scaling"]
-    assert chart_of(file) == "scaling"
-    scene = load_chart(file)
-    assert scene.chain_n[-1] == 10_000
-    assert set(ScalingScene.model_fields) <= set(
-        line.split(" = ")[0] for line in file.read_text().splitlines() if "=" in line and "#" in line
-    )
-
-
 BAD = {
-    "unknown key": ("repeats = 2", "repeat = 2", "repeat: unknown key", "did you mean 'repeats'"),
     "no blocks": ("n = [4, 60, 80, 120]", "n = [4, 0]", "n[1]: expected", "got 0"),
-    "missing key": ("events = 60\n", "", "events: expected the number of events", "add `events = 2000`"),
     "no worker": ("workers = 1", "workers = 0", "workers: expected a value greater", "got 0"),
     "no vector": ("vectors = [1, 3]", "vectors = []", "vectors: expected at least one value", "got []"),
     "tolerance too fine": ("members = 2", "tol = 1e-17", "tol: expected a value greater", "got 1e-17"),
@@ -102,13 +89,6 @@ BAD = {
 @pytest.mark.parametrize("mistake", BAD)
 def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mistake, refuse):
     refuse(TINY, *BAD[mistake])
-
-
-def test_dry_run_measures_and_writes_nothing(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "scaling", "--dry-run"]) == 0
-    assert "7 random systems and 5 chains" in capsys.readouterr().out
-    assert list(tmp_path.iterdir()) == []
 
 
 # ---------------------------------------------------------------------------------------------- the systems

@@ -32,7 +32,7 @@ from stickslip.workflows.charts.statistics import (
 )
 from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, moreau_jean, whole_steps
 from stickslip.workflows.commands import main
-from stickslip.workflows.scenes import chart_of, shipped
+from stickslip.workflows.scenes import shipped
 
 TINY = """
 chart = "statistics"
@@ -263,13 +263,8 @@ def test_whole_steps(t_end, longest, expected):
 # ---------------------------------------------------------------------------------------------- the scene
 
 
-def test_the_shipped_scene_states_every_key():
-    file = shipped()["statistics"]
-    assert chart_of(file) == "statistics"
-    scene = load_chart(file)
-    lines = file.read_text().splitlines()
-    assert set(type(scene).model_fields) <= {line.split(" = ")[0] for line in lines if "=" in line and "#" in line}
-    # the tightest settings are the defaults of the shipped ensembles
+def test_the_tightest_settings_are_the_defaults_of_the_shipped_ensembles():
+    scene = load_chart(shipped()["statistics"])
     assert [scene.coulomb_tolerances[0], scene.sigmoid_tolerances[0]] == [1e-10, 1e-6]
 
 
@@ -278,9 +273,6 @@ BAD = {
     "one matrix": ("matrices = 4", "matrices = 1", "matrices: expected a value greater", "got 1"),
     "too loose": ("1e-3]", "1e-2]", "coulomb_tolerances[1]: expected a value less", "got 0.01"),
     "too tight": ("[1e-6,", "[1e-8,", "sigmoid_tolerances[0]: expected a value greater", "got 1e-08"),
-    "unknown key": ("steps =", "step =", "step: unknown key", "did you mean 'steps'"),
-    "missing key": ("study = 3\n", "", "study: expected the number of matrices", "add `study = 20`"),
-    "twice the same": ("[0.1, 0.01]", "[0.1, 0.1]", "steps: expected each value once", "0.1"),
 }
 
 
@@ -414,10 +406,3 @@ def test_a_diverged_run_is_on_the_page_with_its_reason(scene, page, undrawn):
     html = page(scene, replace(measured, runs=[*measured.runs, lost])).html
     assert "diverged: |z| passed 1e+12" in html
     assert "No setting of Moreau-Jean" in html
-
-
-def test_dry_run_measures_and_writes_nothing(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "statistics", "--dry-run"]) == 0
-    assert "settings of 3 methods on 40 matrices" in capsys.readouterr().out
-    assert list(tmp_path.iterdir()) == []
