@@ -19,6 +19,7 @@ from scipy import optimize, special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife
+from stickslip.analysis.stats.multiplicity import holm
 
 EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
 POWER = 0.8  # of the equivalence test, for the number of matrices that would be needed
@@ -136,16 +137,6 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
         return float(moved), float(np.sqrt((gained + lost) / n - moved**2) / np.sqrt(n)), np.inf
     p, q = (first.sum() + 1) / (n_a + 2), (second.sum() + 1) / (n_b + 2)
     return float(q - p), float(np.sqrt(p * (1 - p) / (n_a + 2) + q * (1 - q) / (n_b + 2))), np.inf
-
-
-def holm(p: Sequence[float]) -> np.ndarray:
-    """p-values adjusted by Holm's step-down rule: the family-wise error is at most alpha where adjusted p < alpha."""
-    values = np.asarray(p, dtype=np.float64)
-    order = np.argsort(values, kind="stable")
-    steps = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
-    adjusted = np.empty_like(values)
-    adjusted[order] = np.minimum(steps, 1.0)
-    return adjusted
 
 
 def verdict(p_equivalent: float, p_different: float, alpha: float) -> str:

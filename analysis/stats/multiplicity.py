@@ -12,8 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stickslip.analysis.stats.compare import holm
-
 
 def adjusted(primary: Sequence[float], others: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
     """p-values that may be held against alpha as they are.
@@ -36,3 +34,13 @@ def adjusted(primary: Sequence[float], others: Sequence[float] = ()) -> tuple[np
         if not ((p >= 0) & (p <= 1)).all():
             raise ValueError(f"{name}: expected p-values in [0, 1], got {p.tolist()}")
     return np.maximum.accumulate(first), holm(others)
+
+
+def holm(p: Sequence[float]) -> np.ndarray:
+    """p-values adjusted by Holm's step-down rule: the family-wise error is at most alpha where adjusted p < alpha."""
+    values = np.asarray(p, dtype=np.float64)
+    order = np.argsort(values, kind="stable")
+    steps = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(steps, 1.0)
+    return adjusted

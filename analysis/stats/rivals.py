@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import holm
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error, over_matrices, ratio
 from stickslip.analysis.stats.families import EXPONENTIAL, RIVALS, Family, Fit, derivatives, maximise
+from stickslip.analysis.stats.multiplicity import holm
 
 
 @dataclass(frozen=True)

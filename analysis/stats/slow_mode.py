@@ -28,8 +28,8 @@ from scipy import fft, signal
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.clustering import fano, n_windows, own_gaps
-from stickslip.analysis.stats.compare import holm
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife
+from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.nulls import BlockSteps
 
 POWER, VARIANCE, FANO = "power", "variance", "fano"

@@ -16,7 +16,6 @@ from stickslip.analysis.stats.compare import (
     EQUIVALENT,
     OPEN,
     equivalence_test,
-    holm,
     matrices_needed,
     mean_difference,
     power,
@@ -24,6 +23,7 @@ from stickslip.analysis.stats.compare import (
     wilson,
 )
 from stickslip.analysis.stats.estimates import ratio
+from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import band_share
 from stickslip.analysis.stats.robustness import summary, time_shares, wasserstein
 
