@@ -109,8 +109,9 @@ def parse_toml(source: bytes, name: str) -> dict[str, Any]:
         text = source.decode()
     except UnicodeDecodeError as error:
         line = source.count(b"\n", 0, error.start) + 1
-        raise SceneError(f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; "
-                         f"save the file as UTF-8") from None  # fmt: skip
+        raise SceneError(
+            f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; save the file as UTF-8"
+        ) from None
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length

@@ -50,8 +50,11 @@ def attempt(name: str, count: int, seed: int, timeout: float) -> tuple[int, str]
 
 def main(argv: list[str] | None = None) -> int:
     """Make the faults that are asked for; 0 if all were shown, 1 if not."""
-    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=sys.modules["tests.faults"].__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.faults",
+        description=sys.modules["tests.faults"].__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"which, in full: {', '.join(FAULTS)}")
     parser.add_argument("--all", action="store_true", help="all, in full")
     parser.add_argument("--seed", type=int, default=0, help="of the random moments and places")

@@ -190,10 +190,22 @@ def scheduler_lost(world: World, count: int) -> int:
 
     def started(what: str, file: Path, *options: str) -> subprocess.Popen:
         return subprocess.Popen(
-            [sys.executable, "-c", f"from distributed.cli import dask_{what}; dask_{what}.main()",
-             "--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard", *options],
-            env=environment, cwd=world.directory, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-c",
+                f"from distributed.cli import dask_{what}; dask_{what}.main()",
+                "--scheduler-file",
+                str(file),
+                "--host",
+                "127.0.0.1",
+                "--no-dashboard",
+                *options,
+            ],
+            env=environment,
+            cwd=world.directory,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
 
     def cluster(k: int) -> tuple[str, list[subprocess.Popen]]:
         file = world.directory / f"scheduler{k}.json"

@@ -197,9 +197,16 @@ def test_settings_reach_the_engine(source, monkeypatch):
     assert n == 5
     assert settings.pop("ratio").shape == (5,)
     assert settings == {
-        "t_end": 8.0, "t_eval": (), "engine": "sigmoid", "thresholds": (), "eps": 0.03, "rtol": 1e-7, "atol": 1e-9,
-        "stick": "threshold", "threshold": 1.0,
-    }  # fmt: skip
+        "t_end": 8.0,
+        "t_eval": (),
+        "engine": "sigmoid",
+        "thresholds": (),
+        "eps": 0.03,
+        "rtol": 1e-7,
+        "atol": 1e-9,
+        "stick": "threshold",
+        "threshold": 1.0,
+    }
 
 
 def test_batches_hold_every_member_once_in_order(scene):

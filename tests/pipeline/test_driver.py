@@ -181,7 +181,10 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
 
 def test_each_kernel_is_compiled_once(tmp_path):
     """Two processes that need a kernel at once: one compiles, the other waits and loads what it kept."""
-    command = [sys.executable, "-c", f"""
+    command = [
+        sys.executable,
+        "-c",
+        f"""
 import sys
 from numba.core import event
 from stickslip.pipeline import expand, parse_scene, worker
@@ -190,7 +193,8 @@ with event.install_recorder("numba:compile") as compiled:
     worker.load_kernels(members)
 worker.load_kernels(members)
 print(any("_advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.is_cold("coulomb"))
-"""]  # fmt: skip
+""",
+    ]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     said = [process.communicate(timeout=120)[0].split() for process in running]

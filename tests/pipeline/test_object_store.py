@@ -77,8 +77,9 @@ def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished
     store.pipe_file("/bucket/out/data/shard-00099-0123456789ab.parquet", b"x")
     store.pipe_file("/bucket/out/data/notes.txt", b"mine")
     found = [line.split(": ")[0] for line in verify(stored)]
-    assert found == [f"{OUT}/{name}" for name in (
-        names[1], names[3], "data/notes.txt", "data/shard-00099-0123456789ab.parquet")]  # fmt: skip
+    assert found == [
+        f"{OUT}/{name}" for name in (names[1], names[3], "data/notes.txt", "data/shard-00099-0123456789ab.parquet")
+    ]
     with pytest.raises(StoreError, match=r"shard-00001-.* expected \d+ bytes, got 1; rerun the scene"):
         query.members(stored)
     seen: list[Progress] = []

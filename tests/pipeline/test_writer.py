@@ -374,8 +374,13 @@ def test_another_scene_is_refused_with_the_difference(copy, source):
     scene = parse_scene(changed)
     with pytest.raises(StoreError) as caught:
         run_scene(scene, changed, copy, workers=0)
-    for words in (scene.hash[:12], parse_scene(source).hash[:12], "run.seed: 8 here, 7 there", "start.z: -0.8 here",
-                  "choose another directory"):  # fmt: skip
+    for words in (
+        scene.hash[:12],
+        parse_scene(source).hash[:12],
+        "run.seed: 8 here, 7 there",
+        "start.z: -0.8 here",
+        "choose another directory",
+    ):
         assert words in str(caught.value)
     assert listing(copy) == before
 

@@ -303,7 +303,9 @@ BAD = {
     "number in quotes": ("t_end = 40.0", 't_end = "4e1"', ["run.t_end", "number", "write it without quotes: 4e1"]),
     "half a matrix in quotes": ("matrices = 3", 'matrices = "3.5"', ["run.matrices", "integer", "`matrices = 20`"]),
     "several eps": (
-        'name = "sigmoid"', 'name = "sigmoid"\neps = [0.03, 0.01]', ["engine[1].eps", "table [[engine]] of its own"],
+        'name = "sigmoid"',
+        'name = "sigmoid"\neps = [0.03, 0.01]',
+        ["engine[1].eps", "table [[engine]] of its own"],
     ),
     "half a matrix": ("matrices = 3", "matrices = 3.5", ["run.matrices", "integer", "3.5"]),
     "true for a number": ("t_end = 40.0", "t_end = true", ["run.t_end", "number"]),
@@ -326,7 +328,9 @@ BAD = {
     "seed of 5000 digits": ("seed = 1", "seed = " + "9" * 5000, ["TOML", "correct that line"]),
     "a thousand million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "lower `matrices`"]),
     "members by ratio draws": (
-        'name = "sigmoid"', 'name = "sigmoid"\nratio = "uniform"\nratio_draws = 1000000000', ["number of draws"],
+        'name = "sigmoid"',
+        'name = "sigmoid"\nratio = "uniform"\nratio_draws = 1000000000',
+        ["number of draws"],
     ),
     "unknown ensemble": ('"antisymmetric"', '"antisymetric"', ["system.coupling", "did you mean 'antisymmetric'"]),
     "unknown engine": ('name = "coulomb"', 'name = "colomb"', ["engine[0].name", "did you mean 'coulomb'"]),
@@ -338,19 +342,25 @@ BAD = {
     "separation of nothing": ("events = true", "separation = 1.0", ["record.separation", "add [perturbation]"]),
     "steps without end": ("dt = [0.5]", "dt = [1e-300]", ["analysis.dt", "at least 4e-06, run.t_end / 10000000"]),
     "steps without number": (
-        "dt = [0.5]", f"dt = {list(range(1, 300_001))}", ["analysis.dt", "at most 1000 values, got 300000"],
+        "dt = [0.5]",
+        f"dt = {list(range(1, 300_001))}",
+        ["analysis.dt", "at most 1000 values, got 300000"],
     ),
     "distances without number": (
-        "[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 1e-300", ["record.separation", "at least 4e-06"],
+        "[record]",
+        "[twins]\nsizes = 0.1\n[record]\nseparation = 1e-300",
+        ["record.separation", "at least 4e-06"],
     ),
     "twins that are one": ("[record]", "[twins]\nsizes = [1e-17]\n[record]", ["twins.sizes", "float64 resolves"]),
     "changes of nothing": (
-        "[record]", "[perturbation]\nsizes = 1e-300\n[record]", ["perturbation.sizes", "float64 resolves"],
+        "[record]",
+        "[perturbation]\nsizes = 1e-300\n[record]",
+        ["perturbation.sizes", "float64 resolves"],
     ),
     "doubled key": ("seed = 1", "seed = 1\nseed = 2", ["TOML", "correct that line"]),
     "doubled table": ("[start]", "[system]\nn = 3\n[start]", ["TOML", "correct that line"]),
     "not TOML": ("[system]", "[system", ["TOML", "line", "correct that line"]),
-}  # fmt: skip
+}
 
 # whole files that are no scenes
 BAD_FILES = {
