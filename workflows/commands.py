@@ -15,7 +15,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.processes import Interrupted, interruptible
+from stickslip.pipeline.processes import Interrupted, interruptible, one_thread
 from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
@@ -317,26 +317,34 @@ class _Wrong(ValueError):
     """A mistake in what was asked for that no room below sees."""
 
 
-#: Commands that need no data, and load nothing of what reads it.
-_BEFORE = {"scenes": _scenes, "init": _init, "schema": _schema, "completion": _completion}
-
-_ON_DATA = {"run": _run, "status": _status, "verify": _verify, "report": _report, "query": _query}
+_COMMANDS = {
+    "run": _run,
+    "status": _status,
+    "verify": _verify,
+    "report": _report,
+    "query": _query,
+    "scenes": _scenes,
+    "init": _init,
+    "schema": _schema,
+    "completion": _completion,
+}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     arguments = parser().parse_args(argv)
-    from stickslip.pipeline.processes import one_thread
-
     try:
         with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's
-            return _BEFORE.get(arguments.command, _on_data)(arguments)
+            return _COMMANDS[arguments.command](arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)
         return interrupt.exit_code
-    except _Wrong as error:
+    except (_Wrong, SceneError, QueryError, AddressError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return _WRONG
+    except (StoreError, ScheduleError) as error:
+        print(f"stickslip: {error}", file=sys.stderr)
+        return _UNFINISHED
     except BrokenPipeError:  # the reader, `head` for one, has seen enough; nothing can be told it any more
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNFINISHED
@@ -344,17 +352,3 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
-
-
-def _on_data(arguments: argparse.Namespace) -> int:
-    try:
-        return _ON_DATA[arguments.command](arguments)
-    except (SceneError, QueryError, AddressError) as error:
-        raise _Wrong(error) from error
-    except (StoreError, ScheduleError) as error:
-        print(f"stickslip: {error}", file=sys.stderr)
-        return _UNFINISHED
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -28,7 +28,7 @@ from stickslip.pipeline import Progress, load_scene, query, status
 from stickslip.pipeline.ledger import open_dataset
 from stickslip.pipeline.monitor import Began, Follower, Tally
 from stickslip.workflows import export
-from stickslip.workflows.commands import _BEFORE, main
+from stickslip.workflows.commands import _COMMANDS, main
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
@@ -246,7 +246,7 @@ def test_who_reads_an_answer_may_stop_and_a_full_disk_is_called_so(form, dataset
 def test_a_command_has_one_thread_and_leaves_the_environment_as_it_was(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     seen = {}
-    monkeypatch.setitem(_BEFORE, "scenes", lambda arguments: seen.update(os.environ) or 0)
+    monkeypatch.setitem(_COMMANDS, "scenes", lambda arguments: seen.update(os.environ) or 0)
     before = dict(os.environ)
     assert main(["scenes"]) == 0
     assert seen["OMP_NUM_THREADS"] == seen["OPENBLAS_NUM_THREADS"] == "1"
@@ -259,7 +259,7 @@ def test_an_interrupted_query(number, dataset, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "stickslip.workflows.commands",
+        "stickslip",
         "query",
         str(dataset),
         endless,
@@ -636,9 +636,8 @@ def test_what_needs_no_data_loads_no_heavy_library(argv, heavy, words):
     assert words in done.stdout
 
 
-@pytest.mark.parametrize("module", ["stickslip", "stickslip.workflows.commands"])
-def test_as_a_module(module):
-    done = subprocess.run([sys.executable, "-m", module, "status", "nowhere"], capture_output=True, text=True)
+def test_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "stickslip", "status", "nowhere"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("stickslip: nowhere")
 
