@@ -115,21 +115,22 @@ def gamma_study(rng, ensembles):
             yield judged("gamma", f"{name}; {g} matrices", law_studies.GAMMA, found)
 
 
-def pooled_run(rng, n, mean, changes):
-    """A pool of independent two-state blocks, event by event, from equilibrium: unit times between events."""
-    p, k = mean / n, rng.binomial(n, mean / n)
-    step = np.empty(changes, dtype=np.int64)
-    for i, u in enumerate(rng.random(changes)):
+def pooled_runs(rng, n, mean, changes, runs):
+    """Pools of independent two-state blocks, event by event, from equilibrium; unit times between events."""
+    p, k = mean / n, rng.binomial(n, mean / n, runs)
+    step = np.empty((changes, runs), dtype=np.int8)
+    for row in step:
         out = (1 - p) * k
-        step[i] = -1 if u * (out + p * (n - k)) < out else 1
-        k += step[i]
-    return Window(0.0, float(changes), 0, np.arange(changes) + 0.5, step)
+        row[:] = np.where(rng.random(runs) * (out + p * (n - k)) < out, -1, 1)
+        k = k + row
+    at = np.arange(changes) + 0.5
+    return [Window(0.0, float(changes), 0, at, one.astype(np.int64)) for one in step.T]
 
 
 def pool_study(rng, ensembles):
     """Closed form of gamma, and of the dispersion, of the finite pool against simulated pools."""
     for n, mean in ((200, 32.5), (100, 3.0)):
-        runs = [sizes(pooled_run(rng, n, mean, 8000), Law("events")) for _ in range(max(ensembles // 4, 100))]
+        runs = [sizes(win, Law("events")) for win in pooled_runs(rng, n, mean, 8000, ensembles)]
         rates = np.array([[k.sum(), len(k)] for k in runs])
         spread = np.array([dispersion.moments(k) for k in runs])
         picks = rng.integers(len(runs), size=(ensembles, MATRICES))
@@ -151,14 +152,15 @@ def blocks_run(rng, n=40, depth=0.0, period=200.0, shape=3):
     With `depth` a common clock runs faster and slower by that share, its phase wandering at random: all blocks then
     move together.
     """
-    begin, end = -100.0, SPAN
-    fine = np.linspace(begin, 3 * end, 4001)
+    end = SPAN
+    fine = np.linspace(-300.0, 2 * end, 4001)
     phase = 2 * np.pi * fine / period + rng.uniform(0, 2 * np.pi)
     phase += np.cumsum(rng.standard_normal(len(fine))) * np.sqrt(np.diff(fine)[0] / period)
     t, of_block, step = [], [], []
     for block in range(n):
         means = np.array([1.0, 5.0]) * np.exp(0.5 * rng.standard_normal())
-        stays = rng.gamma(shape, 1 / shape, (int(4 * SPAN / means.sum()) + 50, 2)) * means
+        begin = -rng.uniform(100.0, 100.0 + 10 * means.sum())  # no two blocks in step
+        stays = rng.gamma(shape, 1 / shape, (int(4 * SPAN / means.sum()) + 60, 2)) * means
         if depth:
             at, first = begin, int(rng.integers(2))
             times = []
@@ -188,8 +190,9 @@ def slow_mode_study(rng, ensembles):
     """Power, variance, Fano factors over rotation; the answer is 1 without a common clock, else that of all runs."""
     which = slow_mode.parts(PERIODS, LENGTHS)
     for name, depth in (("independent", 0.0), ("common slow clock", 0.5)):
+        n_runs = ensembles // 2 if depth else ensembles  # against 1 the error of the pool counts
         runs = np.array([
-            slow_mode.measure(blocks_run(rng, depth=depth), PERIODS, LENGTHS) for _ in range(max(ensembles // 2, 200))
+            slow_mode.measure(blocks_run(rng, depth=depth), PERIODS, LENGTHS) for _ in range(n_runs)
         ])  # fmt: skip
         picks = rng.integers(len(runs), size=(ensembles, MATRICES))
         found = {part: [] for part in which}
@@ -211,7 +214,7 @@ def triggering_study(rng, ensembles):
     taus = (0.05, 0.2, 1.0)
     for share in (0.0, 0.02, 0.1):
         rows = []
-        for _ in range(max(ensembles // 2, 200)):
+        for _ in range(ensembles):
             steps = blocks_run(rng)
             if share:
                 steps = triggered(steps, share, 0.1 * SPAN / np.sum(steps.step < 0), rng)
