@@ -1,4 +1,5 @@
 from . import query as query
+from .dataset import dataset_scene as dataset_scene
 from .design import Batch as Batch
 from .design import Member as Member
 from .design import batches as batches
@@ -12,7 +13,6 @@ from .errors import SceneError as SceneError
 from .errors import ScheduleError as ScheduleError
 from .errors import StoreError as StoreError
 from .integrity import verify as verify
-from .ledger import dataset_scene as dataset_scene
 from .monitor import Status as Status
 from .monitor import status as status
 from .processes import Interrupted as Interrupted

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
-from stickslip.pipeline.errors import QueryError, StoreError
-from stickslip.pipeline.ledger import Shard, open_dataset
+from stickslip.pipeline.design import Task
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError
+from stickslip.pipeline.ledger import Manifest, Shard, planned, read_manifest, stored_scene
+from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording
-from stickslip.pipeline.storage import DATA, Directory, Place, Where, place_of
+from stickslip.pipeline.storage import DATA, SCENE, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
 
 # pandas' plain types have no null but NaN; these do, and keep integers integers
@@ -36,6 +39,53 @@ RECORDED_BY = {
     "separation": "`separation = 5.0` under [record]",
     "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
 }
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
+
+    place: Place
+    scene: Scene
+    manifest: Manifest
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The shards that it consists of, done or not.
+
+        Raises
+        ------
+        DamagedManifest
+            If the manifest's packing is not of the scene's members.
+        """
+        return planned(self.place, self.scene, self.manifest)
+
+
+def open_dataset(path: Where) -> Dataset:
+    """The dataset at `path`.
+
+    Raises
+    ------
+    StoreError
+        If there is none, its scene cannot be read, or it is not the one of the data.
+    """
+    place = place_of(path)
+    manifest = read_manifest(place)
+    try:
+        scene = stored_scene(place)
+    except SceneError as error:
+        raise StoreError(f"{error}; restore the scene by running it once more with this directory") from None
+    if scene.hash != manifest.scene_hash:
+        raise StoreError(
+            f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
+            f"got another (hash {scene.hash[:12]}); restore the file"
+        )
+    return Dataset(place, scene, manifest)
+
+
+def dataset_scene(path: Where) -> Scene:
+    """The scene of the dataset at `path`; raises as `open_dataset`."""
+    return open_dataset(path).scene
 
 
 def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:

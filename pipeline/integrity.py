@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset import reading
-from stickslip.pipeline.ledger import open_dataset
+from stickslip.pipeline.dataset import open_dataset, reading
 from stickslip.pipeline.schema import SCHEMA_VERSION
 from stickslip.pipeline.storage import DATA, TEMPORARY, Where
 

@@ -18,7 +18,6 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -235,53 +234,6 @@ def stored_scene(path: Where) -> Scene:
     except OSError as error:
         raise SceneError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
     return parse_scene(source, file)
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
-
-    place: Place
-    scene: Scene
-    manifest: Manifest
-
-    @property
-    def tasks(self) -> list[Task]:
-        """The shards that it consists of, done or not.
-
-        Raises
-        ------
-        DamagedManifest
-            If the manifest's packing is not of the scene's members.
-        """
-        return planned(self.place, self.scene, self.manifest)
-
-
-def open_dataset(path: Where) -> Dataset:
-    """The dataset at `path`.
-
-    Raises
-    ------
-    StoreError
-        If there is none, its scene cannot be read, or it is not the one of the data.
-    """
-    place = place_of(path)
-    manifest = read_manifest(place)
-    try:
-        scene = stored_scene(place)
-    except SceneError as error:
-        raise StoreError(f"{error}; restore the scene by running it once more with this directory") from None
-    if scene.hash != manifest.scene_hash:
-        raise StoreError(
-            f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
-            f"got another (hash {scene.hash[:12]}); restore the file"
-        )
-    return Dataset(place, scene, manifest)
-
-
-def dataset_scene(path: Where) -> Scene:
-    """The scene of the dataset at `path`; raises as `open_dataset`."""
-    return open_dataset(path).scene
 
 
 def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from stickslip.pipeline.dataset import rows_that_failed
+from stickslip.pipeline.dataset import open_dataset, rows_that_failed
 from stickslip.pipeline.design import Task
-from stickslip.pipeline.ledger import Shard, open_dataset
+from stickslip.pipeline.ledger import Shard
 from stickslip.pipeline.storage import DATA, LOCK, Lock, Where, place_of
 
 

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from stickslip import sim
 from stickslip.pipeline.dataset import (
     dataset,
+    dataset_scene,
     frame,
     near,
     not_recorded,
     reading,
 )
 from stickslip.pipeline.errors import QueryError
-from stickslip.pipeline.ledger import dataset_scene, read_manifest
+from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.schema import scalars
 from stickslip.pipeline.sql import answer, sql
 from stickslip.pipeline.storage import Where, place_of

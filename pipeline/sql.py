@@ -12,9 +12,8 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from stickslip.pipeline.dataset import RECORDED_BY, dataset, frame, not_recorded, unreadable
+from stickslip.pipeline.dataset import RECORDED_BY, dataset, dataset_scene, frame, not_recorded, unreadable
 from stickslip.pipeline.errors import QueryError, printable
-from stickslip.pipeline.ledger import dataset_scene
 from stickslip.pipeline.schema import scalars
 from stickslip.pipeline.storage import Where
 

@@ -25,7 +25,7 @@ import pytest
 from stickslip import workflows
 from stickslip.analysis import Report
 from stickslip.pipeline import Progress, load_scene, query, status
-from stickslip.pipeline.ledger import open_dataset
+from stickslip.pipeline.dataset import open_dataset
 from stickslip.pipeline.monitor import Began, Follower, Tally
 from stickslip.workflows import export
 from stickslip.workflows.commands import _COMMANDS, main
