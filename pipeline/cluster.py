@@ -1,7 +1,7 @@
 """The workers of a run: of this machine, or of a cluster that is there already.
 
-Dask runs whatever code it is sent. What is opened here listens on this machine alone, and obeys those who show a
-certificate that is made for the one run and never leaves its processes; its files lie where nobody else writes.
+Dask runs whatever code it is sent. So a cluster started here listens on this machine alone and obeys only a
+certificate that is made for the one run and never leaves its processes; its files lie where no other user writes.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def check_address(address: str) -> None:
         If it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
     """
     try:
-        # whoever refuses does so at once, where dask asks again and again
+        # a closed port is refused at once here; dask would retry
         socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
         with silence_logging_cmgr(logging.CRITICAL):
             identity = LoopRunner().run_sync(_who_is_at, address)
@@ -123,12 +123,12 @@ def connect(workers: int, scheduler: str | Client | None, dashboard: bool = Fals
 def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """A client of new workers on this machine, which live as long as the with-block.
 
-    `dashboard` opens dask's, which asks nobody on this machine who they are.
+    `dashboard` opens dask's, which any user of this machine may read.
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
         with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
-            loop = _deaf_loop()
+            loop = _loop_that_ignores_signals()
             opened.callback(loop.stop)
             cluster = _local_cluster(workers, dashboard, loop, opened)
             client = Client(cluster, set_as_default=False)
@@ -169,19 +169,19 @@ def _close(client: Client, cluster: SpecCluster) -> None:
 
 
 def _kill(cluster: SpecCluster) -> None:
-    """End the workers, idle or in the middle of what nobody waits for any more: asked to, they take seconds."""
+    """Kill the workers, whatever they are at: to end them in order takes seconds."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
             os.kill(nanny.pid, signal.SIGKILL)
 
 
-def _deaf_loop() -> LoopRunner:
-    """Dask's thread, and with it the workers that it starts, deaf to Ctrl-C and SIGTERM.
+def _loop_that_ignores_signals() -> LoopRunner:
+    """Dask's thread, which ignores Ctrl-C and SIGTERM, as do the workers that it starts.
 
     Both may reach every process of a group: the driver alone answers them, and ends its workers.
     """
-    resource_tracker.ensure_running()  # it would open the ears of the thread that starts it
+    resource_tracker.ensure_running()  # started later, it would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         loop = LoopRunner()
@@ -208,7 +208,7 @@ class QuietWorker(Worker):
 def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
     where = dask.config.get("temporary-directory") or tempfile.gettempdir()
     try:
-        # dask looks for modules in its directory, and takes one that is there already, whosever it is
+        # dask imports from its directory, and uses one that exists already, even another user's
         own = tempfile.TemporaryDirectory(prefix="stickslip-", dir=where, ignore_cleanup_errors=True)
         settings = {**_LOCAL_CLUSTER, "temporary-directory": opened.enter_context(own)}
         opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit

@@ -1,8 +1,7 @@
-"""Opening a dataset to read: the shards that the manifest lists, as they were written, and the words for what cannot
-be read or asked.
+"""Opening a dataset to read: its scene, its manifest, and the shards that the manifest lists.
 
-Parquet's own checksums cover its pages, not its footer, and no file knows that it took another's place. So a shard
-is held against the manifest before it is opened, whoever opens it.
+Parquet's own checksums cover its pages, not its footer, and cannot tell that a file took another's place. So every
+shard is checked against its sha256 in the manifest before it is read.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3
 _READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
 
 #: Work in a batch, in units of `Member.cost` (about a second each), and how many times as much in a scene of more
-#: than so many batches. Not chosen by the number of workers: so would be the shards' names and the dataset's bytes.
+#: than so many batches. Not chosen by the number of workers, on which the shards' names and bytes would then depend.
 TARGET_COST = 1.0
 _LARGER, _MANY = 5.0, 500
 

@@ -105,7 +105,7 @@ def run_scene(
     retry_failed : bool
         Whether to run shards with failed members again.
     accept_version : bool
-        Whether to go on with a dataset that another version of the program began; numbers may differ.
+        Whether to resume a dataset that another version of the program began; numbers may differ.
     dashboard : bool
         Whether local workers have dask's dashboard, which anybody on this machine may look at.
 
@@ -216,7 +216,7 @@ def _results(
         return
     n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
     with connect(n_workers, scheduler, dashboard) as client:
-        # side by side, where one batch would have them compiled one after the other; nobody waits for it
+        # side by side: one batch alone would compile them one after the other
         for member in cold.values():
             fire_and_forget(client.submit(load_kernels, [member], pure=False))
         connected(client)
@@ -254,7 +254,7 @@ def _submit(
     task_of: dict[Future[Any], Task] = {}
     lost: list[Task] = []
     while True:
-        # the window is measured anew each time, as clusters grow and shrink
+        # measured each time, as clusters grow and shrink
         for task in itertools.islice(waiting, max(0, window() - running.count())):
             # in bytes: the scheduler, in this process, would unpack and pack the members one by one
             future = client.submit(work, pickle.dumps(task), pure=False)

@@ -1,11 +1,11 @@
-"""The manifest of a dataset: the shards that are done, and whether their files still are what was written.
+"""The ledger of a dataset: which shards are done, and whether their files are what was written.
 
 OUT/scene.toml         exact copy of the scene file
-OUT/manifest.json      the shards that are done: sha256, rows, outcomes; how members are packed; which programs wrote.
-                       Written when a run begins and when it ends; between the two the record is the rest of it
+OUT/manifest.json      the shards that are done, with sha256, rows and outcomes; how members are packed; which
+                       programs wrote. Written when a run begins and when it ends; in between the record completes it
 OUT/data/*.parquet     the shards, one a batch
-OUT/timings.jsonl      the record, a line a commit: what the manifest is to say of the shard; and seconds, host and
-                       process, apart from the data, which ignore them. A lost manifest is made again from it
+OUT/timings.jsonl      the record, one line a commit: the shard's entry in the manifest; and seconds, host and
+                       process, which are no part of the data. A lost manifest is rebuilt from it
 OUT/.lock              held by the process that writes; a crash releases it
 
 OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.storage`).

@@ -1,13 +1,14 @@
 """A dataset in an object store: one put is the commit, and the right to write is a lease.
 
-A put replaces an object whole or not at all, and is the commit; there is no renaming. The lock is an object, created
-only where there is none, renewed while its owner lives, and void `LEASE` seconds after the last renewal, so that a
-crash releases it. Amazon's, Google's and Azure's stores can create so; some servers, and old packages, overwrite
-instead: whoever has the lock tries (`_Lease.probe`), and refuses these. A lease takes clocks that agree within some
-seconds, and is less than a lock of the kernel: a driver that was stopped for longer than its lease may find another
-at work; it sees so before its next commit, and ends. If two overlap for a moment all the same, no datum is wrong: a
-shard has the same bytes whoever puts it, and one that the manifest or the store has lost is computed again; so it is
-if the store took a manifest, failed to say so, and stayed away until the run gave up.
+A put replaces an object whole or not at all; there is no renaming. The lock is an object that is created only where
+there is none, renewed while its owner lives, and void `LEASE` seconds after the last renewal, so a crash releases it.
+Amazon's, Google's and Azure's stores can create so. Some servers, and old packages, overwrite instead: the owner of
+the lock tries it (`_Lease.probe`) and refuses these.
+
+A lease is less than a lock of the kernel, and needs clocks that agree within some seconds. A driver that was stopped
+for longer than its lease may find another at work; it sees so before its next commit, and ends. If two overlap for a
+moment, no datum is wrong: a shard has the same bytes whichever of them puts it, and one that is lost is computed
+again.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from stickslip.pipeline.storage import DATA, LOCK, TEMPORARY, Hold, Lock, Mark, 
 #: Seconds after its last renewal at which the lock of an object store is void.
 LEASE = 60.0
 
-#: Seconds after which whoever took over a void lock looks whether it is still his: another may have done the same.
+#: Seconds after which the process that took over a void lock checks that it still owns it: another may have too.
 SETTLE = 2.0
 
 #: Objects that are read at once.
@@ -113,7 +114,7 @@ class Prefix(Place):
 
     @contextlib.contextmanager
     def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
-        """As a directory's; objects do not grow, so that each line puts the last part anew, which is kept small."""
+        """As a directory's; objects cannot grow, so each line rewrites the last part, which is kept small."""
         number, lines = len(self._parts(name)), b""
 
         def append(line: bytes) -> None:

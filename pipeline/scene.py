@@ -32,7 +32,7 @@ from stickslip.sim.arguments import did_you_mean
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
 
-#: A scene may not hold more members than this: a slip of the pen, refused before anything is expanded.
+#: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
 MAX_MEMBERS = 1_000_000
 
 #: Nor may a series in time have more values than this.

@@ -35,7 +35,7 @@ class Hold(ABC):
 
     @abstractmethod
     def note(self, line: str) -> None:
-        """Leave a word in the lock, for those who look who is writing."""
+        """Add a line to the lock, for processes that look who is writing."""
 
     @abstractmethod
     def check(self) -> None:
@@ -75,7 +75,7 @@ class Lock:
 
     @property
     def is_held(self) -> bool:
-        """Whether it is, as far as it says."""
+        """Whether it is held, by what it says."""
         return self.until is None or self.remaining > 0.0
 
 
@@ -203,7 +203,7 @@ def place_of(where: Where) -> Place:
     from stickslip.pipeline.object_store import Prefix
 
     try:
-        # listings are asked for anew: others write there
+        # no cached listings: other processes write there
         system, root = fsspec.core.url_to_fs(address, use_listings_cache=False)
     except ImportError as error:
         remedy = 'run: pip install "stickslip[s3]"' if protocol == "s3" else str(error)
@@ -293,7 +293,7 @@ class Directory(Place):
         try:
             yield lock
         finally:
-            # removed while held: whoever opened it meanwhile sees that the name is gone, and tries again
+            # removed while held: a process that has opened it meanwhile sees that the name is gone, and retries
             lock.give_back()
             os.close(descriptor)
 
@@ -340,7 +340,7 @@ def _acquire(file: Path) -> int:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), os.stat(file)):
                 os.truncate(descriptor, 0)
-                with contextlib.suppress(OSError):  # a full disk: whoever is refused is not told by whom
+                with contextlib.suppress(OSError):  # a full disk: the lock then does not say whose it is
                     os.write(descriptor, f"{this_process()}\n".encode())
                 return descriptor
         os.close(descriptor)  # its last owner removed it between our opening and our locking

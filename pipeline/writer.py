@@ -42,7 +42,7 @@ from stickslip.pipeline.worker import Result, program
 
 log = logging.getLogger(__name__)
 
-#: Seconds that a program that is to end at once takes to leave no trace in a store that may not answer.
+#: Seconds that a program which ends at once spends on cleaning up in a store, which may not answer.
 _LAST_SECONDS = 1.5
 
 _LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
@@ -55,7 +55,7 @@ class Store:
     """The right to write the dataset at `path`, for the length of a with-block.
 
     Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed,
-    a lost manifest is made again from the record of the commits, damaged shards are forgotten (and so computed
+    a lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed
     again), and `todo` says what is to be computed.
 
     Parameters
@@ -68,7 +68,7 @@ class Store:
     retry_failed : bool
         Whether shards with failed members are to be computed again; they stay until they are replaced.
     accept_version : bool
-        Whether to go on with what another version of the program began, whose numbers may differ.
+        Whether to resume data that another version of the program began; numbers may differ.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class Store:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with unbroken(), self._held:
-            if error is None and self._record is not None:  # else the manifest and its record hold good
+            if error is None and self._record is not None:  # else the manifest and its record stand as they are
                 self._manifest.recorded_from = None
                 with _explained(self.place):
                     self._hold.check()
@@ -219,7 +219,7 @@ class Store:
         wanted = _flat(self.scene.data_keys())
         written = {key for source in (self.source, self.place.read(SCENE)) for key in _flat(parse_toml(source, ""))}
         differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
-        # first what somebody wrote, then what follows from it
+        # keys that were written first, then those that follow from them
         keys = sorted(differing, key=lambda key: (key not in written, key))
         shown = [f"; {key}: {wanted.get(key)!r} here, {stored.get(key)!r} there" for key in keys[:_SHOWN]]
         return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
@@ -230,7 +230,7 @@ class Store:
         Raises
         ------
         StoreError
-            As on entering, if a run would be refused for what is there.
+            As on entering, if a run would be refused.
         """
         with _explained(self.place):
             self._manifest = self._check()
@@ -282,7 +282,7 @@ class Store:
             self.place.replace(SCENE, self.source)
 
     def note(self, line: str) -> None:
-        """Leave a word in the lock, for those who look who is writing."""
+        """Add a line to the lock, for processes that look who is writing."""
         self._hold.note(line)
 
     def commit(self, result: Result) -> Shard:

@@ -248,7 +248,7 @@ def _status(arguments: argparse.Namespace) -> int:
 
     try:
         (watch if arguments.watch else say)(arguments.directory)
-    except Interrupted as interrupt:  # of the looking: the run goes on
+    except Interrupted as interrupt:  # ends the watching, not the run
         return interrupt.exit_code
     return _DONE
 

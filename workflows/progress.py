@@ -29,7 +29,7 @@ _LOOK = 2.0
 
 def clock(seconds: float) -> str:
     """Seconds as m:ss or h:mm:ss."""
-    return str(tqdm.format_interval(seconds))
+    return str(tqdm.format_interval(max(seconds, 0.0)))
 
 
 def in_words(found: Estimate) -> list[str]:
@@ -65,7 +65,7 @@ def say(directory: Where) -> None:
 
 
 def watch(directory: Where) -> None:
-    """Print the status of a dataset, again and again until nobody writes it any more."""
+    """Print the status of a dataset repeatedly until no process writes it."""
     follower = Follower(directory)
     last: list[str] = []
     while True:
