@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -21,9 +21,15 @@ from scipy.sparse.linalg import splu
 from stickslip.sim import show
 from stickslip.sim.arguments import Floats, floats, number, per_block
 
-#: K by columns as the kernels take it: K transposed, dense, in float64 and float32; or, when these are empty, CSC
-#: (indptr, indices, data)
-Columns: TypeAlias = tuple[Floats, NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], Floats]
+
+class Columns(NamedTuple):
+    """K by columns as the kernels take it: K transposed, in float64 and float32; or, when these are empty, CSC."""
+
+    dense: Floats
+    single: NDArray[np.float32]
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    data: Floats
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -106,13 +112,8 @@ class System:
             return _dense_columns(self.stiffness)
         csc = self.stiffness
         none = np.empty((0, 0))
-        return (
-            none,
-            none.astype(np.float32),
-            csc.indptr.astype(np.int32),
-            csc.indices.astype(np.int32),
-            csc.data.copy(),
-        )
+        indptr, indices = csc.indptr.astype(np.int32), csc.indices.astype(np.int32)
+        return Columns(none, none.astype(np.float32), indptr, indices, csc.data.copy())
 
     @cached_property
     def cross_columns(self) -> Columns:
@@ -232,4 +233,4 @@ def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
 def _dense_columns(matrix: Floats) -> Columns:
     transposed = np.ascontiguousarray(matrix.T)
     no_index = np.empty(0, dtype=np.int32)
-    return transposed, transposed.astype(np.float32), no_index, no_index, np.empty(0)
+    return Columns(transposed, transposed.astype(np.float32), no_index, no_index, np.empty(0))

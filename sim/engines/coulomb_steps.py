@@ -22,15 +22,29 @@ The series are explicit: a damping far above the other rates (R h about 5 limits
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop
+from stickslip.sim.arguments import Floats
+from stickslip.sim.engines import loop
 from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.loop import Law, State
 from stickslip.sim.engines.roots import roots
-from stickslip.sim.engines.taylor import ORDER_MAX, SPAN, UNDECIDED_BOTH, correct, expand, force_rounding, shift
+from stickslip.sim.engines.taylor import (
+    ORDER_MAX,
+    SPAN,
+    UNDECIDED_BOTH,
+    Expansion,
+    correct,
+    expand,
+    force_rounding,
+    shift,
+)
 from stickslip.sim.run import Run
 from stickslip.sim.system import require_diagonal_damping
 
@@ -57,13 +71,37 @@ _FOLLOWED = 1e-10
 _EXPOSURE, _CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
-@inner
-def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found):  # type: ignore[no-untyped-def]
-    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none.
+class _Goal(NamedTuple):
+    """How far to go, how closely, and the fastest rate there is."""
 
-    `reach[i]` receives how far block i's event function can stray within h from its tangent at the start.
-    """
-    _, _, damping, friction, v = law
+    t_end: float
+    tol: float
+    rate: float
+
+
+class _Search(NamedTuple):
+    """What the search for events keeps of n blocks, and room to work in."""
+
+    known_mode: NDArray[np.int8]  #: as recorded so far
+    initial_mode: NDArray[np.int8]
+    reach: Floats  #: how far a block's event function can stray in a step from its tangent at the start
+    near: Floats  #: what rounding does to w - v in a step
+    poly: Floats
+    found: Floats
+
+    @classmethod
+    def of(cls, mode: NDArray[np.int8]) -> _Search:
+        n = len(mode)
+        return cls(mode.copy(), mode.copy(), np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(1))
+
+
+@inner
+def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
+    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
+    damping, friction, v = law.damping, law.friction, law.belt_speed
+    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
+    zeros, side = expansion.zeros, expansion.side
+    reach, poly, found = search.reach, search.poly, search.found
     n = len(mode)
     for i in range(n):
         reach[i] = 0.0
@@ -116,14 +154,14 @@ def _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach,
 
 
 @inner
-def _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode):  # type: ignore[no-untyped-def]
+def _record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
     """Write down, by block, which modes are not those known; returns the events recorded, and whether all agree."""
     same = True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
-            event_t[n_recorded] = t
-            event_block[n_recorded] = i
-            event_mode[n_recorded] = mode[i]
+            events.t[n_recorded] = t
+            events.block[n_recorded] = i
+            events.mode[n_recorded] = mode[i]
             known_mode[i] = mode[i]
             n_recorded += 1
         same = same and mode[i] == mode[0]
@@ -146,29 +184,30 @@ def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
+def _sample(series, order, t, t_next, state):  # type: ignore[no-untyped-def]
     """Keep the state at all sample times up to t_next, from the series about t."""
-    k = counters[loop.N_SAMPLED]
-    while k < len(sample_t) and sample_t[k] <= t_next:
-        _evaluate(series, order, sample_t[k] - t, sample_z[k], sample_w[k])
+    samples = state.samples
+    k = state.counters[loop.N_SAMPLED]
+    while k < len(samples.t) and samples.t[k] <= t_next:
+        _evaluate(series, order, samples.t[k] - t, samples.z[k], samples.w[k])
         k += 1
-    counters[loop.N_SAMPLED] = k
+    state.counters[loop.N_SAMPLED] = k
 
 
 @inner
-def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching):  # type: ignore[no-untyped-def]
+def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ignore[no-untyped-def]
     """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
     With the forces of this instant known, sticking blocks with |F| = mu count too.
     """
-    _, _, damping, friction, v = law
+    v, mode, touching = law.belt_speed, expansion.mode, expansion.touching
     count = 0
     for i in range(len(mode)):
         touching[i] = mode[i] != 0 and mode[i] * (w[i] - v) <= near[i]
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            force = damping[i] * v + forces[0, i]
-            concerned = concerned or abs(force) >= friction[i] - force_rounding(law, i, z_max)
+            force = law.damping[i] * v + expansion.forces[0, i]
+            concerned = concerned or abs(force) >= law.friction[i] - force_rounding(law, i, z_max)
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0
@@ -176,76 +215,66 @@ def _on_the_edge(law, mode, z_max, w, forces, block, has_forces, near, touching)
 
 
 @kernel
-def _advance(  # type: ignore[no-untyped-def]
-    law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
-    sample_t, sample_z, sample_w, event_t, event_block, event_mode, series, forces,
-):  # fmt: skip
+def _advance(law, goal, state, expansion, search, events, bound):  # type: ignore[no-untyped-def]
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
     A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
     else it ends the window.
     """
-    v = law[4]
+    t_end, rate, v = goal.t_end, goal.rate, law.belt_speed
+    z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
+    series, touching, near = expansion.series, expansion.touching, search.near
     n = len(z)
-    zeros, side = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    reach, near, slips, column, last = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    moving = np.zeros(n, dtype=np.int64)
-    poly, change, found = np.zeros(ORDER_MAX + 1), np.zeros(ORDER_MAX + 1), np.zeros(1)
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     is_open, is_cut = False, False
     order, h, span, allowed = 0, 0.0, 0.0, 0.0
     for _ in range(loop.STEPS_A_SLICE):
-        if n_recorded + n > len(event_t):
+        if n_recorded + n > len(events.t):
             return loop.BUFFER_FULL, n_recorded
         t = clock[loop.TIME]
         remaining = t_end - t
         if not is_open:
             target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
             target = min(target, SPAN / rate) if rate > 0.0 else target
-            order, h, allowed, n_products = expand(
-                law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving
-            )  # fmt: skip
+            order, h, allowed, n_products = expand(law, expansion, z, w, target, remaining, goal.tol, rate)
             counters[loop.N_PRODUCTS] += n_products
             span = h
             is_open, is_cut = True, False
         if counters[loop.N_STEPS] == 0:
-            copy(mode, initial_mode)
-            copy(mode, known_mode)
+            copy(mode, search.initial_mode)
+            copy(mode, search.known_mode)
         before = n_recorded
-        n_recorded, same = _record(t, mode, known_mode, n_recorded, event_t, event_block, event_mode)
+        n_recorded, same = _record(t, mode, search.known_mode, events, n_recorded)
         if remaining <= 0.0:
-            _sample(series, order, t, t, counters, sample_t, sample_z, sample_w)  # of a run that has no length
+            _sample(series, order, t, t, state)  # of a run that has no length
             return loop.DONE, n_recorded
         if same and mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
             return loop.ALL_SLIP, n_recorded
 
-        step, block = _first_event(law, mode, slips, series, forces, zeros, side, order, h, reach, poly, found)
+        step, block = _first_event(law, expansion, search, order, h)
         counters[loop.N_STEPS] += 1
         if block >= 0:
             counters[loop.LAST_BLOCK] = block
-        for i in range(n):  # what rounding does to w - v in this step
-            near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + reach[i])
+        for i in range(n):
+            near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next = t_end if step == remaining else min(t + step, t_end)
-        _sample(series, order, t, t_next, counters, sample_t, sample_z, sample_w)
+        _sample(series, order, t, t_next, state)
         left = h - step
         is_inside = block >= 0 and left > 0.0
         if is_inside:
             shift(series, order, step)
-            shift(forces, order - 2, step)
+            shift(expansion.forces, order - 2, step)
             copy(series[0], z)
             copy(series[1], w)
             h = 0.0
-            if _on_the_edge(law, mode, largest(z), w, forces, block, is_inside, near, touching) == 1:
-                h = correct(
-                    law, block, mode, slips, series, forces, zeros, side, order, span, left, allowed, column, change,
-                    last,
-                )  # fmt: skip
+            if _on_the_edge(law, expansion, near, largest(z), w, block, is_inside) == 1:
+                h = correct(law, expansion, block, order, span, left, allowed)
                 touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same
             is_cut = is_cut or h < left
             is_open = h > _WORTH * clock[_EXPOSURE] / clock[_CUTS]
         else:
             _evaluate(series, order, step, z, w)
-            _on_the_edge(law, mode, 0.0, w, forces, block, is_inside, near, touching)
+            _on_the_edge(law, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[loop.TIME] = t_next
@@ -269,39 +298,23 @@ def _advance(  # type: ignore[no-untyped-def]
 
 def integrate(task: Task, tol: float) -> Run:
     """Run a task to the tolerance `tol`; IntegrationError if events accumulate at one instant."""
-    system, t_start, t_end, samples = task.system, task.t_start, task.t_end, task.samples
+    system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
-    n = system.n
-    v = system.belt_speed
-    law = (system.columns, system.row_sums, system.damping, system.friction, v)
-    z, w = task.z0.copy(), task.w0.copy()
-    mode = np.sign(w - v).astype(np.int8)
-    touching = mode == 0
-    known_mode, initial_mode = mode.copy(), mode.copy()
+    law, v = Law.of(system), system.belt_speed
     rate = float(system.rates.max())  # bounds |eigenvalues|
-    shortest = np.divide(_TOUCH * math.sqrt(tol), system.rates, out=np.zeros(n), where=system.rates > 0)
-    clock = np.zeros(loop.N_CLOCKS + 2)
-    clock[loop.TIME] = t_start
-    clock[loop.CHECK : loop.CHECK + 2] = -np.inf if task.stop_early else np.inf
-    clock[_EXPOSURE], clock[_CUTS] = (1.0 / rate if rate > 0 else max(t_end - t_start, 1.0)), 1.0
-    counters = np.zeros(loop.N_COUNTERS, dtype=np.int64)
-    collapse = certificates.Collapse(system, max(tol * abs(v), _FOLLOWED))
-    # NaN: a coefficient used before it was computed would show
-    series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
-
-    def advance(buffers: loop.Buffers, bound: float) -> tuple[int, int]:
-        return _advance(
-            law, z, w, mode, known_mode, initial_mode, touching, clock, counters, t_end, tol, rate, bound,
-            samples.t, samples.z, samples.w, *buffers, series, forces,
-        )  # fmt: skip
-
+    goal = _Goal(task.t_end, tol, rate)
+    mode = np.sign(task.w0 - v).astype(np.int8)
+    exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
+    state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
+    expansion, search = Expansion.blank(mode), _Search.of(mode)
     return loop.complete(
-        system,
-        advance,
-        certify=lambda slip: collapse.certify(z, w, slip),
+        task,
+        state,
+        lambda events, bound: _advance(law, goal, state, expansion, search, events, bound),
+        Collapse(system, max(tol * abs(v), _FOLLOWED)),
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
-        events_a_step=n,
-        t_start=t_start, t_end=t_end, z=z, w=w, mode=mode, initial_mode=initial_mode[np.newaxis],
-        clock=clock, counters=counters, samples=samples, stop_early=task.stop_early, shortest=shortest,
-    )  # fmt: skip
+        events_a_step=system.n,
+        initial_modes=search.initial_mode[np.newaxis],
+        shortest=np.divide(_TOUCH * math.sqrt(tol), system.rates, out=np.zeros(system.n), where=system.rates > 0),
+    )

@@ -5,15 +5,56 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.loop import Law
 from stickslip.sim.engines.roots import roots
+from stickslip.sim.system import Columns
 
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
 UNRESOLVED = 2.0
 #: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
 PASSES = 16
+
+
+class Smooth(NamedTuple):
+    """The smoothed law of a system, and how closely and how far it is followed."""
+
+    law: Law
+    delta: Floats
+    springs: Floats  #: K_ii, or 0 if that is negative
+    cross: Columns  #: N
+    rough: float  #: what K in float32 may cost, over the largest number that it is multiplied with
+    longest: float  #: step
+    rtol: float
+    atol: float
+    t_end: float
+
+
+class Point(NamedTuple):
+    """Where the blocks are at one instant, and what pulls them: K z + N w, and its rate."""
+
+    z: Floats
+    w: Floats
+    rate: Floats  #: w'
+    force: Floats
+    force_rate: Floats
+
+
+class Sticking(NamedTuple):
+    """Definitions of sticking, a row each, the run's own first: |w - v| < band and, or not, |F| < mu."""
+
+    bands: Floats
+    by_force: NDArray[np.bool_]
+    modes: NDArray[np.int8]
+    calm: NDArray[np.bool_]  #: room to work in: blocks whose mode does not change in a step
+    slope0: Floats  #: h w' at both ends of a step, cut where w - v is known to be monotone
+    slope1: Floats
 
 
 @inner
@@ -88,19 +129,20 @@ def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
 
 
 @inner
-def step_events(  # type: ignore[no-untyped-def]
-    law, band, by_force, h, w, rate, force, force_rate, new_w, new_rate, new_force, new_force_rate, mode, calm,
-    slope0, slope1, t, t_next, first, event_t, event_block, event_mode, n_recorded,
-):  # fmt: skip
-    """Record all changes of mode in a step from t to t_next, block by block; `mode` is brought up to date.
+def step_events(smooth, sticking, d, h, now, new, t, t_next, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record all changes of mode by definition d in a step from t to t_next, block by block.
 
-    Blocks are recorded from number `first` on. Returns the number of events recorded in all; slope0 and slope1
-    receive the end slopes of w in the step.
+    Returns the number of events recorded in all. The modes by this definition are brought up to date, and the slopes
+    of `sticking` are the end slopes of w in the step.
 
     w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
     places the mode is constant.
     """
-    _, damping, friction, delta, v = law
+    damping, friction, v, delta = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed, smooth.delta
+    band, by_force, mode = sticking.bands[d], sticking.by_force[d], sticking.modes[d]
+    calm, slope0, slope1 = sticking.calm, sticking.slope0, sticking.slope1
+    w, rate, force, force_rate = now.w, now.rate, now.force, now.force_rate
+    new_w, new_rate, new_force, new_force_rate = new.w, new.rate, new.force, new.force_rate
     n = len(w)
     for i in range(n):
         drag = damping[i] * v
@@ -137,11 +179,11 @@ def step_events(  # type: ignore[no-untyped-def]
             middle = 0.5 * (left + right)
             gap = between(gap0, rate0, gap1, rate1, middle)
             pull = between(force0, pull0, force1, pull1, middle)
-            new = _mode(gap, pull, friction[i], band[i], by_force)
-            if new != mode[i]:
-                event_t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
-                event_block[n_recorded] = first + i
-                event_mode[n_recorded] = new
-                mode[i] = new
+            after = _mode(gap, pull, friction[i], band[i], by_force)
+            if after != mode[i]:
+                events.t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
+                events.block[n_recorded] = d * n + i
+                events.mode[n_recorded] = after
+                mode[i] = after
                 n_recorded += 1
     return n_recorded

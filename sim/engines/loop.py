@@ -1,4 +1,4 @@
-"""What both engines share around their kernels: the loop that Python keeps, in slices, so that signals get through.
+"""What engines share around their kernels: the loop that Python keeps, in slices, so that signals get through.
 
 A kernel advances a run by a slice and returns ``(status, n_recorded)``; the run's state lives in the arrays it was
 given, so the next call goes on where the last one stopped.
@@ -7,16 +7,17 @@ given, so the next call goes on where the last one stopped.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates
-from stickslip.sim.run import IntegrationError, Outcome, Run, Samples, Stats
+from stickslip.sim.engines.contract import Task
+from stickslip.sim.run import IntegrationError, Outcome, Run, Stats
 from stickslip.sim.series import EventSeries, without_returns
-from stickslip.sim.system import System
+from stickslip.sim.system import Columns, System
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -30,25 +31,69 @@ N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, N_COUNTERS = 
 #: asked takes a step before it is asked again, or it would be asked for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
-Buffers: TypeAlias = tuple[Floats, NDArray[np.int32], NDArray[np.int8]]
+
+class Law(NamedTuple):
+    """What kernels know of a system. They take named tuples, which numba types by position and compiles away."""
+
+    columns: Columns
+    row_sums: Floats
+    damping: Floats
+    friction: Floats
+    belt_speed: float
+
+    @classmethod
+    def of(cls, system: System) -> Law:
+        return cls(system.columns, system.row_sums, system.damping, system.friction, system.belt_speed)
+
+
+class Events(NamedTuple):
+    """Room for the events of a slice; those of one block come in order."""
+
+    t: Floats
+    block: NDArray[np.int32]
+    mode: NDArray[np.int8]
+
+    def first(self, n: int) -> Events:
+        """A copy of the first n."""
+        return Events(self.t[:n].copy(), self.block[:n].copy(), self.mode[:n].copy())
+
+
+class Room(NamedTuple):
+    """The times of samples, shape (m,), and room for them, shape (m, n)."""
+
+    t: Floats
+    z: Floats
+    w: Floats
+
+
+class State(NamedTuple):
+    """Where a run is, all of it in arrays that kernels change in place."""
+
+    z: Floats
+    w: Floats
+    mode: NDArray[np.int8]
+    clock: Floats
+    counters: NDArray[np.int64]
+    samples: Room
+
+    @classmethod
+    def at_start(cls, task: Task, z: Floats, w: Floats, mode: NDArray[np.int8], *clocks: float) -> State:
+        """The state at the start of a task, in arrays of its own; `clocks` are the engine's."""
+        clock = np.array([0.0] * N_CLOCKS + list(clocks))
+        clock[TIME] = task.t_start
+        clock[CHECK : CHECK + 2] = -np.inf if task.stop_early else np.inf
+        samples = Room(task.samples.t, task.samples.z, task.samples.w)
+        return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
 
 def complete(
-    system: System,
-    advance: Callable[[Buffers, float], tuple[int, int]],
-    certify: Callable[[int], certificates.Certificate],
+    task: Task,
+    state: State,
+    advance: Callable[[Events, float], tuple[int, int]],
+    collapse: certificates.Collapse,
     stalled: str,
     events_a_step: int,
-    t_start: float,
-    t_end: float,
-    z: Floats,
-    w: Floats,
-    mode: NDArray[np.int8],
-    initial_mode: NDArray[np.int8],
-    clock: Floats,
-    counters: NDArray[np.int64],
-    samples: Samples,
-    stop_early: bool,
+    initial_modes: NDArray[np.int8],
     thresholds: tuple[float, ...] = (),
     shortest: Floats | None = None,
 ) -> Run:
@@ -56,58 +101,56 @@ def complete(
 
     Parameters
     ----------
+    task : Task
+    state : State
+        What `advance` works on.
     advance : callable
-        Runs a slice, writing events (t, block, mode) into the buffers it is given, until the state passes a bound.
-        Those of one block come in order; all are put in order of time and block here.
-    certify : callable
-        From the common direction of slip to a certificate of collapse.
+        Runs a slice, writing events into the room that it is given, until the state passes a bound.
+    collapse : Collapse
+        Asked for a certificate when the clocks say so.
     stalled : str
         What to say, after the time and the block, when the engine cannot go on.
     events_a_step : int
         The most events that a step can record.
-    z, w, mode, clock, counters, samples
-        The state that `advance` works on, and where it puts the samples.
-    stop_early : bool
-        Whether a run whose escape is certain, or past doubt, ends there; `certify` is asked when the clocks say so.
-    initial_mode : int8, shape (1 + m, n)
+    initial_modes : int8, shape (1 + m, n)
         The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
         definition d carry block + d n.
     shortest : ndarray, shape (n,), optional
         How long a change of each block's mode must last to be an event: see `without_returns`.
     """
+    system, (z, w, mode, clock, counters, _) = task.system, state
     capacity = max(2 * events_a_step, 4096)
-    buffers = (np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
-    recorded: list[Buffers] = []
+    events = Events(np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
+    recorded: list[Events] = []
     bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse = "", None
     while True:
-        status, n_recorded = advance(buffers, bound)
-        recorded.append(tuple(buffer[:n_recorded].copy() for buffer in buffers))  # type: ignore[arg-type]
+        status, n_recorded = advance(events, bound)
+        recorded.append(events.first(n_recorded))
         t = float(clock[TIME])
         if status == DONE:
             break
         if status == ALL_SLIP:
             slip = int(mode[0])
-            certificate = certify(slip)
+            certificate = collapse.certify(z, w, slip)
             if certificate.is_certain and t_collapse is None:
                 outcome, reason, t_collapse = "collapsed", certificate.reason, t
             if certificate.flow is not None:
-                _follow(certificate.flow, t, t_end, z, w, samples, int(counters[N_SAMPLED]))
-                t, counters[N_SAMPLED] = t_end, len(samples)
+                _follow(certificate.flow, t, task, state)
+                t = task.t_end
                 break
             clock[CHECK + (slip > 0)] = t + certificate.ask_again_after
         elif status == DIVERGED:
             speed = float(np.abs(w).max())
             size = max(float(np.abs(z).max()), speed)
+            is_past_doubt = task.stop_early and speed > diverged_beyond
             if not np.isfinite(size):
                 pass  # said below
-            elif stop_early and (reason := certificates.escape(system, z, w)):
+            elif task.stop_early and (reason := certificates.escape(system, z, w)):
                 outcome = "diverged"
                 break
-            elif size > certificates.BEYOND_NUMBERS or (
-                stop_early and speed > diverged_beyond and certificates.grows(system)
-            ):
+            elif size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
                 outcome, reason = "diverged", certificates.divergence_reason(z, w, t, min(size, diverged_beyond))
                 break
             else:
@@ -123,7 +166,7 @@ def complete(
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     definition, event_block = np.divmod(event_block, np.int32(system.n))
     series = [
-        EventSeries(event_t[of], event_block[of], event_mode[of], initial_mode[d], t_start, t)
+        EventSeries(event_t[of], event_block[of], event_mode[of], initial_modes[d], task.t_start, t)
         for d, of in enumerate(definition == d for d in range(1 + len(thresholds)))
     ]
     if shortest is not None:
@@ -138,15 +181,16 @@ def complete(
         reason=reason,
         stats=Stats(n_steps, n_rejected, n_products, len(series[0])),
         t_collapse=t_collapse,
-        samples=samples.first(int(counters[N_SAMPLED])),
+        samples=task.samples.first(int(counters[N_SAMPLED])),
         by_threshold=dict(zip(thresholds, series[1:], strict=True)),
     )
 
 
-def _follow(
-    flow: certificates.Flow, t: float, t_end: float, z: Floats, w: Floats, samples: Samples, n_sampled: int
-) -> None:
-    """Put the state at t_end, and the samples from number `n_sampled` on, in their places."""
-    at_end, sampled = (flow.at(times - t) for times in (np.array([t_end]), samples.t[n_sampled:]))
+def _follow(flow: certificates.Flow, t: float, task: Task, state: State) -> None:
+    """Put the state at the end, and the samples that are still wanted at time t, in their places."""
+    z, w, _, _, counters, samples = state
+    first = int(counters[N_SAMPLED])
+    at_end, sampled = (flow.at(times - t) for times in (np.array([task.t_end]), samples.t[first:]))
     z[:], w[:] = at_end[0][0], at_end[1][0]  # apart: a product of other shape rounds otherwise
-    samples.z[n_sampled:], samples.w[n_sampled:] = sampled
+    samples.z[first:], samples.w[first:] = sampled
+    counters[N_SAMPLED] = len(samples.t)

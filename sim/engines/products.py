@@ -76,7 +76,7 @@ def _two_in_one_pass(dense, x, u, y, z, moving, m):  # type: ignore[no-untyped-d
 
 @inner
 def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
-    _, _, indptr, indices, data = columns
+    indptr, indices, data = columns.indptr, columns.indices, columns.data
     for i in range(len(x)):
         y[i] = 0.0
     for j in range(len(x)):
@@ -88,10 +88,10 @@ def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
 @inner
 def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
     """y = K x; see `two_products`."""
-    if len(columns[0]) == 0:
+    if len(columns.dense) == 0:
         _sparse_product(columns, x, y)
     else:
-        _one_pass(columns[0], x, y, moving, _moving(x, x, moving))
+        _one_pass(columns.dense, x, y, moving, _moving(x, x, moving))
 
 
 @inner
@@ -100,11 +100,11 @@ def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
 
     Columns of blocks that do not move (x_j = u_j = 0) are not read; `moving` is work space, int64, shape (n,).
     """
-    if len(columns[0]) == 0:
+    if len(columns.dense) == 0:
         _sparse_product(columns, x, y)
         _sparse_product(columns, u, z)
     else:
-        _two_in_one_pass(columns[0], x, u, y, z, moving, _moving(x, u, moving))
+        _two_in_one_pass(columns.dense, x, u, y, z, moving, _moving(x, u, moving))
 
 
 @inner
@@ -114,11 +114,11 @@ def rough_product(columns, x, y, moving, single):  # type: ignore[no-untyped-def
     `single` is work space, float32, shape (2, n).
     """
     x_max = largest(x)
-    if len(columns[0]) == 0 or x_max == 0.0:
+    if len(columns.dense) == 0 or x_max == 0.0:
         one_product(columns, x, y, moving)
         return
     for i in range(len(x)):  # in units of the largest, or small numbers would leave the range of float32
         single[0, i] = x[i] / x_max
-    _one_pass(columns[1], single[0], single[1], moving, _moving(x, x, moving))
+    _one_pass(columns.single, single[0], single[1], moving, _moving(x, x, moving))
     for i in range(len(x)):
         y[i] = single[1, i] * x_max

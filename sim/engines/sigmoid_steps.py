@@ -23,18 +23,24 @@ When a block sticks: see `stickslip.sim.engines.sigmoid.Sigmoid`.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop
+from stickslip.sim.arguments import Floats
+from stickslip.sim.engines import loop
 from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest, tanh_positive
+from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from stickslip.sim.engines.layer import PASSES, UNRESOLVED, between, step_events
+from stickslip.sim.engines.layer import PASSES, UNRESOLVED, Point, Smooth, Sticking, between, step_events
+from stickslip.sim.engines.loop import Law, State
 from stickslip.sim.engines.products import ROUGH, one_product, rough_product, two_products
 from stickslip.sim.engines.sigmoid import Sigmoid
 from stickslip.sim.run import Run
+from stickslip.sim.system import System
 
 #: Step control: the embedded error is O(h^4); a step changes by a factor in [_SHRINK, _GROW].
 _EXPONENT = 1.0 / 4.0
@@ -61,17 +67,41 @@ _SWEEPS_MAX = 60
 _STEP, _LAST_ERROR = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
+class _Work(NamedTuple):
+    """Room for a step's stages, by rows, and for what is known of each block in one."""
+
+    stage_w: Floats
+    stage_rate: Floats
+    base: Floats  #: what w is without the stage's own w'
+    coupling: Floats  #: K z + N w with what is predicted
+    fixed: Floats  #: K z of it
+    guess: Floats  #: of w, with which z was predicted
+    change: Floats  #: of w since the start of the step, as guessed or last solved
+    x: Floats  #: (w - v) / delta; at the end of a step its error over tolerance
+    beta: Floats
+    low: Floats
+    moving: NDArray[np.int64]
+    single: NDArray[np.float32]
+
+    @classmethod
+    def blank(cls, n: int) -> _Work:
+        # NaN: a value used before it was computed would show
+        stages, rows = np.full((2, STAGES, n), np.nan), np.full((8, n), np.nan)
+        return cls._make([*stages, *rows, np.zeros(n, np.int64), np.zeros((2, n), np.float32)])
+
+
 @inner
-def _solve_stage(law, springs, guess, h, base, coupling, x, beta, low, w, rate, allowed):  # type: ignore[no-untyped-def]
-    """Solve w = base + h gamma w'(w) for all blocks from a guess x of (w - v) / delta.
+def _solve_stage(smooth, work, s, h, allowed):  # type: ignore[no-untyped-def]
+    """Solve w = base + h gamma w'(w) in stage s for all blocks from a guess x of (w - v) / delta.
 
-    `coupling` is K z with z by the speeds `guess`; each block's own spring in `springs` is taken at w itself.
-
-    In |x| the function a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to
-    the root, from the right its first step lands left of it, and `low` bounds how far left. `x`, `beta` and `low`
-    are work space.
+    Each block's own spring is taken at w itself, not at the guess. In |x| the function
+    a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to the root, from the
+    right its first step lands left of it, and `low` bounds how far left.
     """
-    _, damping, friction, delta, v = law
+    damping, friction, v = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed
+    delta, springs = smooth.delta, smooth.springs
+    base, coupling, guess, x, beta, low = work.base, work.coupling, work.guess, work.x, work.beta, work.low
+    w, rate = work.stage_w[s], work.stage_rate[s]
     n = len(w)
     step = h * GAMMA
     for i in range(n):
@@ -116,16 +146,18 @@ def _touches(y0, d0, y1, d1, wide):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _step(  # type: ignore[no-untyped-def]
-    law, springs, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low, new_z,
-    new_w, guess, fixed, change, rtol, atol, moving, single, counters,
-):  # fmt: skip
-    """One trial step. Returns the largest error over tolerance and its block."""
-    columns, damping, friction, delta, v = law
+def _step(smooth, work, band, h, now, new, counters):  # type: ignore[no-untyped-def]
+    """One trial step from `now` to `new`. Returns the largest error over tolerance and its block."""
+    columns, cross, rtol, atol = smooth.law.columns, smooth.cross, smooth.rtol, smooth.atol
+    damping, friction, v, delta = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed, smooth.delta
+    z, w, rate, force, new_z, new_w = now.z, now.w, now.rate, now.force, new.z, new.w
+    stage_w, stage_rate, base, x, beta = work.stage_w, work.stage_rate, work.base, work.x, work.beta
+    coupling, fixed, guess, change = work.coupling, work.fixed, work.guess, work.change
+    moving, single = work.moving, work.single
     n = len(z)
     copy(w, stage_w[0])
     copy(rate, stage_rate[0])
-    is_coupled = len(cross[0]) > 0
+    is_coupled = len(cross.dense) > 0
     for s in range(1, STAGES):
         for i in range(n):
             base[i] = w[i]
@@ -145,7 +177,7 @@ def _step(  # type: ignore[no-untyped-def]
             # the layer moves with its block: the last stage is the best guess inside it, harmless outside
             x[i] = (stage_w[s - 1, i] - v) / delta[i]
         # K z is known at the start of the step; K times what z moves is small, and may be rough
-        if h * rough * largest(new_w) <= _ROUGH_SHARE * atol:
+        if h * smooth.rough * largest(new_w) <= _ROUGH_SHARE * atol:
             rough_product(columns, new_w, coupling, moving, single)
         else:
             one_product(columns, new_w, coupling, moving)
@@ -158,9 +190,7 @@ def _step(  # type: ignore[no-untyped-def]
                 counters[loop.N_PRODUCTS] += 1
                 for i in range(n):
                     coupling[i] += fixed[i]
-            if not _solve_stage(
-                law, springs, guess, h, base, coupling, x, beta, low, stage_w[s], stage_rate[s], _SOLVED * atol
-            ):
+            if not _solve_stage(smooth, work, s, h, _SOLVED * atol):
                 return np.inf, 0
             is_solved = True
             if is_coupled:
@@ -217,51 +247,40 @@ def _step(  # type: ignore[no-untyped-def]
 
 
 @inner
-def _sample(h, z, w, new_z, new_w, slope0, slope1, t, t_next, counters, sample_t, sample_z, sample_w):  # type: ignore[no-untyped-def]
+def _sample(h, now, new, slope0, slope1, t, t_next, state):  # type: ignore[no-untyped-def]
     """Keep the state at all sample times up to t_next: cubics in each block's z, and quartics in w.
 
     The quartic has the values and slopes of w at both ends, and what z moves by as its integral.
     """
-    k = counters[loop.N_SAMPLED]
-    while k < len(sample_t) and sample_t[k] <= t_next:
-        x = min((sample_t[k] - t) / h, 1.0)
+    z, w, new_z, new_w, samples = now.z, now.w, new.z, new.w, state.samples
+    k = state.counters[loop.N_SAMPLED]
+    while k < len(samples.t) and samples.t[k] <= t_next:
+        x = min((samples.t[k] - t) / h, 1.0)
         for i in range(len(z)):
-            sample_z[k, i] = between(z[i], h * w[i], new_z[i], h * new_w[i], x)
-            sample_w[k, i] = between(w[i], slope0[i], new_w[i], slope1[i], x)
+            samples.z[k, i] = between(z[i], h * w[i], new_z[i], h * new_w[i], x)
+            samples.w[k, i] = between(w[i], slope0[i], new_w[i], slope1[i], x)
             mean = (new_z[i] - z[i]) / h - 0.5 * (w[i] + new_w[i]) - (slope0[i] - slope1[i]) / 12.0
-            sample_w[k, i] += 30.0 * (x * (1.0 - x)) ** 2 * mean
+            samples.w[k, i] += 30.0 * (x * (1.0 - x)) ** 2 * mean
         k += 1
-    counters[loop.N_SAMPLED] = k
+    state.counters[loop.N_SAMPLED] = k
 
 
 @kernel
-def _advance(  # type: ignore[no-untyped-def]
-    law, springs, cross, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes, clock, counters,
-    t_end, rtol, atol, bound, sample_t, sample_z, sample_w, event_t, event_block, event_mode, work, stage_w,
-    stage_rate,
-):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
-
-    Each row of `bands` and of `modes` belongs to one definition of sticking, the first to the run's own.
-    """
-    columns = law[0]
-    n = len(z)
-    band, mode = bands[0], modes[0]
-    coupling, base, x, beta, low, new_z, new_w, new_force, new_force_rate, fixed, change, guess = (
-        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10], work[11],
-    )  # fmt: skip
-    calm = np.empty(n, dtype=np.bool_)
-    moving = np.empty(n, dtype=np.int64)
-    single = np.empty((2, n), dtype=np.float32)
+def _advance(smooth, sticking, state, now, new, work, events, bound):  # type: ignore[no-untyped-def]
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    law, cross, t_end = smooth.law, smooth.cross, smooth.t_end
+    mode, clock, counters = state.mode, state.clock, state.counters
+    slope0, slope1 = sticking.slope0, sticking.slope1
+    n, n_definitions = len(mode), len(sticking.bands)
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     rejected = False
     for _ in range(loop.STEPS_A_SLICE):
         t = clock[loop.TIME]
         remaining = t_end - t
         if remaining <= 0.0:
-            _sample(1.0, z, w, z, w, rate, rate, t, t, counters, sample_t, sample_z, sample_w)  # a run of no length
+            _sample(1.0, now, now, now.rate, now.rate, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
-        if n_recorded + PASSES * n * len(bands) > len(event_t):
+        if n_recorded + PASSES * n * n_definitions > len(events.t):
             return loop.BUFFER_FULL, n_recorded
         if mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
             same = True
@@ -269,13 +288,10 @@ def _advance(  # type: ignore[no-untyped-def]
                 same = same and mode[i] == mode[0]
             if same:
                 return loop.ALL_SLIP, n_recorded
-        h = min(clock[_STEP], longest)
+        h = min(clock[_STEP], smooth.longest)
         if h >= 0.99 * remaining:  # not a last step of almost nothing
             h = remaining
-        worst, block = _step(
-            law, springs, cross, rough, band, h, z, w, rate, force, coupling, stage_w, stage_rate, base, x, beta, low,
-            new_z, new_w, guess, fixed, change, rtol, atol, moving, single, counters,
-        )  # fmt: skip
+        worst, block = _step(smooth, work, sticking.bands[0], h, now, new, counters)
         counters[loop.N_PRODUCTS] += STAGES - 1
         if not worst <= 1.0:
             counters[loop.N_REJECTED] += 1
@@ -287,102 +303,108 @@ def _advance(  # type: ignore[no-untyped-def]
                 return loop.STALLED, n_recorded
             continue
         counters[loop.N_STEPS] += 1
-        two_products(columns, new_z, new_w, new_force, new_force_rate, moving)
+        two_products(law.columns, new.z, new.w, new.force, new.force_rate, work.moving)
         counters[loop.N_PRODUCTS] += 2
-        if len(cross[0]) > 0:
+        if len(cross.dense) > 0:
             # two_products would save a pass over N, and cost a second of compilation in a second place
-            one_product(cross, new_w, fixed, moving)
-            one_product(cross, stage_rate[STAGES - 1], change, moving)
+            one_product(cross, new.w, work.fixed, work.moving)
+            one_product(cross, new.rate, work.change, work.moving)
             counters[loop.N_PRODUCTS] += 2
             for i in range(n):
-                new_force[i] += fixed[i]
-                new_force_rate[i] += change[i]
+                new.force[i] += work.fixed[i]
+                new.force_rate[i] += work.change[i]
         t_next = t_end if h == remaining else t + h
-        for d in range(len(bands) - 1, -1, -1):  # the run's own definition last: its slopes are the samples'
-            n_recorded = step_events(
-                law, bands[d], by_force[d], h, w, rate, force, force_rate, new_w, stage_rate[STAGES - 1], new_force,
-                new_force_rate, modes[d], calm, base, x, t, t_next, d * n, event_t, event_block, event_mode,
-                n_recorded,
-            )  # fmt: skip
-        _sample(h, z, w, new_z, new_w, base, x, t, t_next, counters, sample_t, sample_z, sample_w)
+        for d in range(n_definitions - 1, -1, -1):  # the run's own last: its slopes are the samples'
+            n_recorded = step_events(smooth, sticking, d, h, now, new, t, t_next, events, n_recorded)
+        _sample(h, now, new, slope0, slope1, t, t_next, state)
         for i in range(n):
-            z[i] = new_z[i]
-            w[i] = new_w[i]
-            rate[i] = stage_rate[STAGES - 1, i]
-            force[i] = new_force[i]
-            force_rate[i] = new_force_rate[i]
+            now.z[i] = new.z[i]
+            now.w[i] = new.w[i]
+            now.rate[i] = new.rate[i]
+            now.force[i] = new.force[i]
+            now.force_rate[i] = new.force_rate[i]
         clock[loop.TIME] = t_next
         worst = max(worst, 1e-4)
         factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
         clock[_LAST_ERROR] = worst
         clock[_STEP] = h * min(max(factor, _SHRINK), 1.0 if rejected else _GROW)
         rejected = False
-        if not max(largest(z), largest(w)) <= bound:
+        if not max(largest(now.z), largest(now.w)) <= bound:
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
 
 
 def integrate(task: Task, settings: Sigmoid) -> Run:
     """Run a task with these settings; IntegrationError if the step shrinks to rounding."""
-    system, t_start, t_end, samples = task.system, task.t_start, task.t_end, task.samples
-    n, rtol, atol = system.n, settings.rtol, settings.atol
-    is_manifold = settings.stick == "manifold"
+    system, v, n = task.system, task.system.belt_speed, task.system.n
     delta = Ratios.for_blocks("ratio", settings.ratio, n) * settings.eps
+    is_manifold = settings.stick == "manifold"
     if is_manifold and not (delta < 1).all():
         raise ValueError(
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
-    also = np.asarray(settings.thresholds)
     band = delta * np.log(1 / delta) if is_manifold else settings.threshold * delta
-    bands = np.vstack([band, np.multiply.outer(also, delta)])
-    by_force = np.array([is_manifold] + [False] * len(also))
-    v, friction, cross = system.belt_speed, system.friction, system.cross_damping
-    longest = math.inf
-    if cross is not None:
-        excess = np.linalg.norm(cross, 2) - _CONTRACTION * system.damping.min()
-        longest = float(_CONTRACTION / (GAMMA * excess)) if excess > 0 else math.inf
-    law = (system.columns, system.damping, friction, delta, v)
-    springs = np.maximum(np.asarray(system.stiffness.diagonal(), dtype=np.float64), 0.0)
-    rough = ROUGH * float(system.row_sums.max())
+    bands = np.vstack([band, np.multiply.outer(np.array(settings.thresholds, dtype=np.float64), delta)])
+    rtol, atol = settings.rtol, settings.atol
+    smooth = Smooth(
+        law=Law.of(system),
+        delta=delta,
+        springs=np.maximum(np.asarray(system.stiffness.diagonal(), dtype=np.float64), 0.0),
+        cross=system.cross_columns,
+        rough=float(ROUGH * float(system.row_sums.max())),
+        longest=_longest_step(system),
+        rtol=rtol,
+        atol=atol,
+        t_end=task.t_end,
+    )
+    now, n_products = _start(task, delta)
+    sticking = _sticking(system, now, bands, np.array([is_manifold] + [False] * len(settings.thresholds)))
+    speed = max(float(np.abs(now.w).max()), float(np.abs(now.rate).max()))
+    step = min(task.t_end - task.t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
+    state = State.at_start(task, now.z, now.w, sticking.modes[0], step, 1.0)
+    state.counters[loop.N_PRODUCTS] = n_products
+    work = _Work.blank(n)
+    blank = np.full((4, n), np.nan)
+    new = Point(z=blank[0], w=blank[1], rate=work.stage_rate[-1], force=blank[2], force_rate=blank[3])
+    return loop.complete(
+        task,
+        state,
+        lambda events, bound: _advance(smooth, sticking, state, now, new, work, events, bound),
+        Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta),
+        stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
+        " or use engine='coulomb'",
+        events_a_step=PASSES * bands.size,
+        initial_modes=sticking.modes.copy(),
+        thresholds=settings.thresholds,
+    )
 
-    z, w = task.z0.copy(), task.w0.copy()
+
+def _longest_step(system: System) -> float:
+    """The longest step with which the sweeps over N contract; infinite without it."""
+    if system.cross_damping is None:
+        return math.inf
+    excess = np.linalg.norm(system.cross_damping, 2) - _CONTRACTION * system.damping.min()
+    return float(_CONTRACTION / (GAMMA * excess)) if excess > 0 else math.inf
+
+
+def _start(task: Task, delta: Floats) -> tuple[Point, int]:
+    """The start of a task, and how many products with K and N it took to know what pulls there."""
+    system, z, w = task.system, task.z0.copy(), task.w0.copy()
+    cross = system.cross_damping
     force, force_rate = system.stiffness @ z, system.stiffness @ w
     if cross is not None:
         force += cross @ w
-    rate = -system.damping * w - force - friction * np.tanh((w - v) / delta)
+    rate = -system.damping * w - force - system.friction * np.tanh((w - system.belt_speed) / delta)
     if cross is not None:
         force_rate += cross @ rate
-    held = (friction > 0) & (np.abs(w - v) < bands)
-    held[by_force] &= np.abs(system.damping * v + force) < friction
-    side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
+    return Point(z, w, rate, force, force_rate), 2 if cross is None else 4
+
+
+def _sticking(system: System, now: Point, bands: Floats, by_force: NDArray[np.bool_]) -> Sticking:
+    """Who sticks at the start, by each definition."""
+    v, n = system.belt_speed, system.n
+    held = (system.friction > 0) & (np.abs(now.w - v) < bands)
+    held[by_force] &= np.abs(system.damping * v + now.force) < system.friction
+    side = np.where(now.w != v, np.sign(now.w - v), np.sign(now.rate))  # on the belt's speed, where it goes next
     modes = np.where(held, 0, side).astype(np.int8)
-    initial_mode = modes.copy()
-    clock = np.zeros(loop.N_CLOCKS + 2)
-    clock[loop.TIME], clock[_LAST_ERROR] = t_start, 1.0
-    clock[loop.CHECK : loop.CHECK + 2] = -np.inf if task.stop_early else np.inf
-    speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
-    clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
-    counters = np.zeros(loop.N_COUNTERS, dtype=np.int64)
-    counters[loop.N_PRODUCTS] = 2 if cross is None else 4
-    collapse = certificates.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
-    # NaN: a value used before it was computed would show
-    work, stage_w, stage_rate = (np.full((rows, n), np.nan) for rows in (12, STAGES, STAGES))
-
-    def advance(buffers: loop.Buffers, bound: float) -> tuple[int, int]:
-        return _advance(
-            law, springs, system.cross_columns, rough, longest, bands, by_force, z, w, rate, force, force_rate, modes,
-            clock, counters, t_end, rtol, atol, bound, samples.t, samples.z, samples.w, *buffers, work, stage_w,
-            stage_rate,
-        )  # fmt: skip
-
-    return loop.complete(
-        system,
-        advance,
-        certify=lambda slip: collapse.certify(z, w, slip),
-        stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
-        " or use engine='coulomb'",
-        events_a_step=PASSES * n * len(bands),
-        t_start=t_start, t_end=t_end, z=z, w=w, mode=modes[0], initial_mode=initial_mode,
-        clock=clock, counters=counters, samples=samples, stop_early=task.stop_early,
-        thresholds=settings.thresholds,
-    )  # fmt: skip
+    return Sticking(bands, by_force, modes, np.zeros(n, dtype=np.bool_), np.full(n, np.nan), np.full(n, np.nan))

@@ -6,12 +6,17 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
 
 and a sticking one c_1 = v and no more. `expand` builds the series with one product an order, two to a pass over K,
 and decides on the way which blocks with w = v stick. `correct` carries them over an event of one block without a
-product. Arrays shared by all: `series[k]` = c_k, `forces[k]` = K c_k; `zeros[i]`, `side[i]`: how many leading
-coefficients of block i's event function (on that side of its stick interval) vanish at the present instant.
+product.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.products import two_products
@@ -32,17 +37,44 @@ UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side
 IDENTICALLY_ZERO = 10 * ORDER_MAX
 
 
+class Expansion(NamedTuple):
+    """The series of n blocks about the present instant, who sticks from then on, and room to work in."""
+
+    series: Floats  #: c_k by rows
+    forces: Floats  #: K c_k
+    mode: NDArray[np.int8]
+    slips: Floats  #: 1 where a block slips, else 0
+    touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
+    zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
+    side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
+    moving: NDArray[np.int64]
+    column: Floats
+    last: Floats
+    change: Floats
+
+    @classmethod
+    def blank(cls, mode: NDArray[np.int8]) -> Expansion:
+        """No series yet; blocks of mode 0 are to be decided."""
+        n = len(mode)
+        # NaN: a coefficient used before it was computed would show
+        series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
+        zeros, side, moving = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+        rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1)
+        return cls(series, forces, mode, np.zeros(n), mode == 0, zeros, side, moving, *rows)
+
+
 @inner
 def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
     """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
-    _, row_sums, damping, friction, v = law
-    return ROUNDING * (abs(damping[i] * v) + row_sums[i] * z_max + friction[i])
+    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.friction[i])
 
 
 @inner
-def _settle(law, z_max, forces, mode, touching, zeros, side):  # type: ignore[no-untyped-def]
+def _settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
     """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
-    _, _, damping, friction, v = law
+    damping, friction, v = law.damping, law.friction, law.belt_speed
+    forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
+    zeros, side = expansion.zeros, expansion.side
     n_undecided = 0
     for i in range(len(mode)):
         zeros[i] = 0
@@ -64,14 +96,14 @@ def _settle(law, z_max, forces, mode, touching, zeros, side):  # type: ignore[no
 
 
 @inner
-def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[no-untyped-def]
+def _settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
     """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
-    _, row_sums, _, _, _ = law
+    forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
     n_decided = 0
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * row_sums[i] * c_max:
+            if abs(push) > ROUNDING * law.row_sums[i] * c_max:
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1
@@ -84,13 +116,15 @@ def _settle_by_order(law, k, c_max, forces, mode, zeros, side):  # type: ignore[
 
 
 @inner
-def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target, remaining, tol, rate, moving):  # type: ignore[no-untyped-def]
+def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
     the number of products.
     """
-    columns, _, damping, friction, v = law
+    columns, damping, friction, v = law.columns, law.damping, law.friction, law.belt_speed
+    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
+    touching, moving = expansion.touching, expansion.moving
     n = len(z)
     for i in range(n):
         if touching[i] or mode[i] == 0:
@@ -99,7 +133,7 @@ def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target
     copy(w, series[1])
     two_products(columns, series[0], series[1], forces[0], forces[1], moving)
     w_max = largest(w)
-    n_undecided = _settle(law, largest(z), forces, mode, touching, zeros, side)
+    n_undecided = _settle(law, largest(z), expansion)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
@@ -112,7 +146,7 @@ def expand(law, z, w, mode, slips, touching, series, forces, zeros, side, target
         if k % 2 == 0:
             two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
         if n_undecided > 0:
-            n_undecided -= _settle_by_order(law, k, largest(series[k]), forces, mode, zeros, side)
+            n_undecided -= _settle_by_order(law, k, largest(series[k]), expansion)
             for i in range(n):
                 slips[i] = 1.0 if mode[i] != 0 else 0.0
         factor = -1.0 / ((k + 2) * (k + 1))
@@ -153,9 +187,7 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
-def correct(  # type: ignore[no-untyped-def]
-    law, block, mode, slips, series, forces, zeros, side, order, span, h, allowed, column, change, last
-):  # fmt: skip
+def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
     From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
@@ -165,7 +197,11 @@ def correct(  # type: ignore[no-untyped-def]
 
     `span` is the length of the window, over which an error `allowed` of w becomes one of z.
     """
-    columns, row_sums, damping, friction, v = law
+    columns, row_sums, damping, friction = law.columns, law.row_sums, law.damping, law.friction
+    v = law.belt_speed
+    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
+    zeros, side = expansion.zeros, expansion.side
+    column, change, last = expansion.column, expansion.change, expansion.last
     i = block
     n = len(mode)
     mu = friction[i]
@@ -181,13 +217,12 @@ def correct(  # type: ignore[no-untyped-def]
     elif abs(force) <= mu + doubt:
         return 0.0
 
-    dense, _, indptr, indices, data = columns
-    if len(dense) == 0:
+    if len(columns.dense) == 0:
         column[:] = 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            column[indices[k]] = data[k]
+        for k in range(columns.indptr[i], columns.indptr[i + 1]):
+            column[columns.indices[k]] = columns.data[k]
     else:
-        copy(dense[i], column)
+        copy(columns.dense[i], column)
     own = column[i]
     column[i] = 0.0
     was_stuck = mode[i] == 0
