@@ -20,6 +20,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -111,9 +112,10 @@ class Numbers(Setting):
 
     def checked(self, name: str, value: ArrayLike) -> tuple[float, ...]:
         array = floats(name, value, "an array of numbers")
-        if array.ndim != 1 or not ((array > 0) & np.isfinite(array)).all() or len(set(array)) < len(array):
+        numbers = tuple(array.ravel().tolist())
+        if array.ndim != 1 or not all(0 < x < math.inf for x in numbers) or len(set(numbers)) < len(numbers):
             raise ValueError(f"{name}: expected different finite numbers > 0, got {value!r}")
-        return tuple(array.tolist())
+        return numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +125,8 @@ class Ratios(Setting):
     In an ensemble they are 1, or drawn uniform in (0, 1].
     """
 
-    def checked(self, name: str, value: ArrayLike) -> Floats:
-        return floats(name, value, "a number or one a block")
+    def checked(self, name: str, value: ArrayLike) -> ArrayLike:
+        return value  # what is right for a system, `for_blocks` can tell
 
     @staticmethod
     def for_blocks(name: str, value: ArrayLike, n: int) -> Floats:
@@ -139,6 +141,11 @@ class Ratios(Setting):
 def setting(default: Any, about: Setting) -> Any:
     """A field of an engine."""
     return field(default=default, metadata={"setting": about})
+
+
+@cache  # small systems run in a fraction of a millisecond
+def _settings(engine: type[Engine]) -> dict[str, Setting]:
+    return {one.name: one.metadata["setting"] for one in fields(engine)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,7 +180,7 @@ class Engine(ABC):
     @classmethod
     def settings(cls) -> dict[str, Setting]:
         """What there is to set, by name."""
-        return {one.name: one.metadata["setting"] for one in fields(cls)}
+        return _settings(cls)
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:

@@ -358,12 +358,12 @@ def integrate(task: Task, settings: Sigmoid) -> Run:
         t_end=task.t_end,
     )
     now, n_products = _start(task, delta)
-    sticking = _sticking(system, now, bands, np.array([is_manifold] + [False] * len(settings.thresholds)))
+    work = _Work.blank(n)
+    sticking = _sticking(system, now, bands, np.array([is_manifold] + [False] * len(settings.thresholds)), work)
     speed = max(float(np.abs(now.w).max()), float(np.abs(now.rate).max()))
     step = min(task.t_end - task.t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
     state = State.at_start(task, now.z, now.w, sticking.modes[0], step, 1.0)
     state.counters[loop.N_PRODUCTS] = n_products
-    work = _Work.blank(n)
     blank = np.full((4, n), np.nan)
     new = Point(z=blank[0], w=blank[1], rate=work.stage_rate[-1], force=blank[2], force_rate=blank[3])
     return loop.complete(
@@ -400,11 +400,11 @@ def _start(task: Task, delta: Floats) -> tuple[Point, int]:
     return Point(z, w, rate, force, force_rate), 2 if cross is None else 4
 
 
-def _sticking(system: System, now: Point, bands: Floats, by_force: NDArray[np.bool_]) -> Sticking:
+def _sticking(system: System, now: Point, bands: Floats, by_force: NDArray[np.bool_], work: _Work) -> Sticking:
     """Who sticks at the start, by each definition."""
     v, n = system.belt_speed, system.n
     held = (system.friction > 0) & (np.abs(now.w - v) < bands)
     held[by_force] &= np.abs(system.damping * v + now.force) < system.friction
     side = np.where(now.w != v, np.sign(now.w - v), np.sign(now.rate))  # on the belt's speed, where it goes next
     modes = np.where(held, 0, side).astype(np.int8)
-    return Sticking(bands, by_force, modes, np.zeros(n, dtype=np.bool_), np.full(n, np.nan), np.full(n, np.nan))
+    return Sticking(bands, by_force, modes, np.zeros(n, dtype=np.bool_), work.base, work.x)
