@@ -28,6 +28,7 @@ from stickslip.sim.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner, kernel
+from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.lanes import (
     ALL,
     WIDTH,
@@ -862,7 +863,7 @@ def integrate(
     thresholds: ArrayLike = (),
     stop_early: bool = True,
 ) -> Run:
-    """Run the collocation engine under the contract of `stickslip.sim.run`; settings as of the sigmoid engine."""
+    """Run the collocation engine under the rules of `sim.engines.contract`; settings as of the sigmoid engine."""
     eps, atol = number("eps", eps, above=0.0), number("atol", atol, above=0.0)
     rtol, threshold = number("rtol", rtol, 0.0, 0.1), number("threshold", threshold, above=0.0)
     stop_early = flag("stop_early", stop_early)
@@ -915,38 +916,36 @@ def integrate(
         np.zeros((STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32) for _ in range(2)
     )
     rough_rate = ROUGH * float(system.row_sums.max())
-    clock = np.zeros(loop.N_CLOCKS + 4)
-    clock[loop.TIME], clock[_KEPT], clock[_FROM] = t_start, 1.0, 1.0
-    clock[loop.CHECK : loop.CHECK + 2] = -np.inf if stop_early else np.inf
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
-    clock[_STEP] = min(t_end - t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
-    counters = np.zeros(loop.N_COUNTERS, dtype=np.int64)
-    counters[loop.N_PRODUCTS] = 1 if cross is None else 2
+    step = min(t_end - t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
+    task = Task(system, z0, w0, t_start, t_end, samples, stop_early)
+    state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 1.0, 0.0)
+    state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
     collapse = certificates.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
     n_pieces = 16 * n + 256
-    flags, listed, next_h = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, clock[_STEP] / 4)
+    flags, listed, next_h = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4)
     pieces, piece_block = np.empty((n_pieces, _PIECE)), np.zeros(n_pieces, dtype=np.int64)
     matrix, cross_matrix = _matrices(system)
     own = np.zeros((N_ROWS, WIDTH))
 
-    def advance(buffers: loop.Buffers, bound: float) -> tuple[int, int]:
+    def advance(events: loop.Events, bound: float) -> tuple[int, int]:
         return _advance(
             matrix, cross_matrix, rough_rate, bands, by_force, table, own, numbers, product, single,
-            single_product, modes, z, w, flags, listed, next_h, pieces, piece_block, clock,
-            counters, t_end, v, rtol, atol, boost, bound, samples.t, samples.z, samples.w, *buffers,
+            single_product, modes, z, w, flags, listed, next_h, pieces, piece_block,
+            state.clock, state.counters, t_end, v, rtol, atol, boost, bound, samples.t, samples.z, samples.w, *events,
         )  # fmt: skip
 
     return loop.complete(
-        system,
+        task,
+        state,
         advance,
-        certify=lambda slip: collapse.certify(z, w, slip),
+        collapse,
         stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=_PASSES * (n + n_pieces) * len(bands),
-        t_start=t_start, t_end=t_end, z=z, w=w, mode=modes[0], initial_mode=initial_mode,
-        clock=clock, counters=counters, samples=samples, stop_early=stop_early,
+        initial_modes=initial_mode,
         thresholds=tuple(also.tolist()),
-    )  # fmt: skip
+    )
 
 
 _MATRICES: WeakKeyDictionary[System, tuple[Any, Any]] = WeakKeyDictionary()

@@ -1,4 +1,4 @@
-"""The exact engine's settings; its method is in `stickslip.sim.engines.coulomb_steps`."""
+"""The exact engine's settings; its method is in ``coulomb_steps.py``."""
 
 from __future__ import annotations
 

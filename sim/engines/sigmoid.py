@@ -1,4 +1,4 @@
-"""The stiff engine's settings; its method is in `stickslip.sim.engines.sigmoid_steps`."""
+"""The stiff engine's settings; its method is in ``sigmoid_steps.py``."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
 STIFF = ("one", "stiff", "undamped stiff")
-BOUND = 100.0  # `stickslip.sim.engines.sigmoid.integrate` states it
+BOUND = 100.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
 
 
 def draw(family, rng, t_max):
