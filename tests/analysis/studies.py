@@ -149,37 +149,28 @@ PERIODS, LENGTHS = (5.0, 15.0, 50.0, 100.0, 250.0), (1.0, 5.0, 20.0, 40.0)
 def blocks_run(rng, n=40, depth=0.0, period=200.0, shape=3):
     """Blocks that stick and slip by turns, sojourns of gamma-distributed length, each with its own rates.
 
-    With `depth` a common clock runs faster and slower by that share, its phase wandering at random: all blocks then
-    move together.
+    With `depth` a common mode of wandering phase makes stays longer and shorter where they slip: all move together.
     """
-    end = SPAN
-    fine = np.linspace(-300.0, 2 * end, 4001)
+    fine = np.linspace(-300.0, 2 * SPAN, 4001)
     phase = 2 * np.pi * fine / period + rng.uniform(0, 2 * np.pi)
     phase += np.cumsum(rng.standard_normal(len(fine))) * np.sqrt(np.diff(fine)[0] / period)
     t, of_block, step = [], [], []
     for block in range(n):
-        means = np.array([1.0, 5.0]) * np.exp(0.5 * rng.standard_normal())
-        begin = -rng.uniform(100.0, 100.0 + 10 * means.sum())  # no two blocks in step
-        stays = rng.gamma(shape, 1 / shape, (int(4 * SPAN / means.sum()) + 60, 2)) * means
+        means = np.array([1.0, 5.0]) * np.exp(0.5 * rng.standard_normal())  # where it sticks, and where it slips
+        at = -rng.uniform(100.0, 100.0 + 10 * means.sum())  # no two blocks in step
+        stays = (rng.gamma(shape, 1 / shape, (int(4 * SPAN / means.sum()) + 60, 2)) * means).ravel()
         if depth:
-            at, first = begin, int(rng.integers(2))
-            times = []
-            for k, stay in enumerate(
-                stays.ravel()
-            ):  # a stay that begins while the clock is fast is short where it slips
-                if (k + first) % 2:
-                    stay *= np.exp(depth * np.sin(np.interp(at, fine, phase)))
-                at += stay
-                times.append(at)
-                if at > end:
+            times = np.full(len(stays), np.inf)
+            for k, stay in enumerate(stays):
+                at += stay * np.exp(depth * np.sin(np.interp(at, fine, phase))) if k % 2 else stay
+                times[k] = at
+                if at > SPAN:
                     break
-            times = np.array(times)
         else:
-            times, first = begin + np.cumsum(stays.ravel()), int(rng.integers(2))
-        side = np.where((np.arange(len(times)) + first) % 2 == 0, -1, 1)  # the even stays are those that stick
-        inside = (times > 0) & (times <= end)
+            times = at + np.cumsum(stays)
+        inside = (times > 0) & (times <= SPAN)
         t.append(times[inside])
-        step.append(side[inside])
+        step.append(np.where(np.arange(len(times)) % 2, 1, -1)[inside])
         of_block.append(np.full(inside.sum(), block))
     t, of_block, step = (np.concatenate(x) for x in (t, of_block, step))
     order = np.argsort(t)
@@ -187,9 +178,9 @@ def blocks_run(rng, n=40, depth=0.0, period=200.0, shape=3):
 
 
 def slow_mode_study(rng, ensembles):
-    """Power, variance, Fano factors over rotation; the answer is 1 without a common clock, else that of all runs."""
+    """Power, variance, Fano factors over rotation; the answer is 1 without a common mode, else that of all runs."""
     which = slow_mode.parts(PERIODS, LENGTHS)
-    for name, depth in (("independent", 0.0), ("common slow clock", 0.5)):
+    for name, depth in (("independent", 0.0), ("common slow mode", 0.5)):
         n_runs = ensembles // 2 if depth else ensembles  # against 1 the error of the pool counts
         runs = np.array([
             slow_mode.measure(blocks_run(rng, depth=depth), PERIODS, LENGTHS) for _ in range(n_runs)
