@@ -7,13 +7,14 @@ fair order         nothing                                  all: exits and entri
 random order       times of change, numbers of exits and    which of the changes are exits
                    entries
 independent        rates of exits and entries               all else: two Poisson processes
+finite pool        number of blocks, mean n_stick           all else: blocks with constant rates (`stats.pool`)
 rotation           each block's own series of events        the blocks' timing relative to each other
 =================  =======================================  =============================================
 
-Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`), in closed form; so does `independent`
-for every definition (`independent_sums`). The other two are simulated. Rotation is the null of "no coupling": it
-alone keeps that a block cannot let go twice without having stuck in between. `stats.pool` has one more in closed
-form, a finite pool of blocks, and says which null answers which question.
+Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`). The finite pool has gamma by `events` in
+closed form too, `independent` by every definition (`independent_sums`). Random order and rotation are simulated.
+Rotation is the null of "no coupling": it alone keeps that a block cannot let go twice without having stuck in between.
+`stats.pool` says which null answers which question.
 """
 
 from __future__ import annotations
