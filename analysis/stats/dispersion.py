@@ -4,8 +4,8 @@ P(k) = (1 - q) q^(k-1) has mean m = 1 / (1 - q) and variance m (m - 1). So
 
     excess = variance / (m (m - 1)) - 1
 
-is zero for the exponential, negative for a thinner tail and positive for a thicker one. It is the score test of the
-exponential within the negative binomial family (Fisher 1950, Biometrics 6, 17).
+is zero for the exponential, negative for a thinner tail and positive for a thicker one. Rates that differ between
+matrices or in time mix exponentials and make it positive; a finite pool of blocks makes it negative (`pool.excess`).
 """
 
 from __future__ import annotations

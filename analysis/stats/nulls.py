@@ -13,8 +13,8 @@ rotation           each block's own series of events        the blocks' timing r
 
 Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`). The finite pool has gamma by `events` in
 closed form too, `independent` by every definition (`independent_sums`). Random order and rotation are simulated.
-Rotation is the null of "no coupling": it alone keeps that a block cannot let go twice without having stuck in between.
-`stats.pool` says which null answers which question.
+Rotation is the null of "no coupling": it keeps that a block cannot let go twice without having stuck in between, and
+the block's own rhythm. `stats.pool` says which null answers which question.
 """
 
 from __future__ import annotations

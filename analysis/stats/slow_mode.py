@@ -12,7 +12,7 @@ sticks while it slips, both constant. With l = a + b and r = a b / l exits a uni
 
     power      4 r / (l^2 + w^2)   (one-sided, per unit of frequency; w = 2 pi f)
     variance   a b / l^2
-    counts     r L - 2 r^2 (L / l - (1 - exp(-l L)) / l^2)   in windows of length L (Cox 1962, Renewal Theory, 4.5).
+    counts     r L - 2 r^2 (L / l - (1 - exp(-l L)) / l^2)   in windows of length L (Cox 1962, Renewal Theory, ch. 4).
 
 A ratio to `rotation` says what blocks do together; one to `blocks` has the rhythm of single blocks in it too.
 """
