@@ -24,6 +24,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from stickslip.analysis.stats import estimates
+from stickslip.analysis.stats.estimates import Statistic
+
 
 def _entry_next(n: int, p: float) -> np.ndarray:
     """u(j), j = 0..n - 1 blocks that stick after an exit: the chance that the next event is an entry."""
@@ -87,3 +90,15 @@ def excess(n: int, mean: float) -> float:
     sizes, shares = np.arange(1, n + 1), law(n, mean, n)
     m = sizes @ shares
     return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)
+
+
+def against(n: int) -> Statistic:
+    """gamma of cascades less that of the pool with the same mean n_stick: a statistic of sums over matrices.
+
+    Its columns: total size and number of cascades by `events`, time mean of n_stick, 1 for each run; shape (m, 4).
+    """
+
+    def difference(sums: np.ndarray) -> np.ndarray:
+        return estimates.gamma(sums[:, :2]) - np.array([gamma(n, mean) for mean in estimates.ratio(sums[:, 2:])])
+
+    return difference
