@@ -82,8 +82,7 @@ class Setting(ABC):
 class Number(Setting):
     """A number in the open interval (above, below).
 
-    `picked` is what it is where only the purpose of a run is said. Of statistics the chart `statistics` found 1e-4
-    tight enough (n = 200, 20 matrices, eps = 0.03); what is picked is a decade tighter, and half the cost of paths.
+    `picked` is what it is where only the purpose of a run is said.
     """
 
     above: float = -math.inf

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stickslip.sim.engines.contract import Engine, Number, Task, setting
+from stickslip.sim.engines.contract import Engine, Task, setting
+from stickslip.sim.engines.tolerances import TOL
 from stickslip.sim.run import Run
 
 
@@ -31,13 +32,7 @@ class Coulomb(Engine):
     about = "exact, event-driven."
     takes_damping_matrix = False
 
-    tol: float = setting(
-        1e-10,
-        Number(
-            words="truncation error of a step", in_id="", above=1e-16, below=1e-2,
-            picked={"statistics": 1e-5, "paths": 1e-10},
-        ),
-    )  # fmt: skip
+    tol: float = setting(1e-10, TOL)
 
     def integrate(self, task: Task) -> Run:
         from stickslip.sim.engines import coulomb_steps  # it loads numba, half a second that settings do not need

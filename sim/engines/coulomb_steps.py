@@ -35,14 +35,13 @@ from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Law, State
 from stickslip.sim.engines.roots import roots
+from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding
 from stickslip.sim.engines.taylor import (
     ORDER_MAX,
     SPAN,
-    UNDECIDED_BOTH,
     Expansion,
     correct,
     expand,
-    force_rounding,
     shift,
 )
 from stickslip.sim.run import Run

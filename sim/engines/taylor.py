@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
-from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.products import two_products
+from stickslip.sim.engines.sticking import force_rounding, settle, settle_by_order
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
@@ -32,9 +33,6 @@ _PASSED_ON = 0.002
 
 #: An event is decided by a series if the force is this many times its error away from another decision.
 _DOUBT = 10.0
-
-UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
-IDENTICALLY_ZERO = 10 * ORDER_MAX
 
 
 class Expansion(NamedTuple):
@@ -64,58 +62,6 @@ class Expansion(NamedTuple):
 
 
 @inner
-def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
-    """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
-    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.friction[i])
-
-
-@inner
-def _settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
-    damping, friction, v = law.damping, law.friction, law.belt_speed
-    forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
-    zeros, side = expansion.zeros, expansion.side
-    n_undecided = 0
-    for i in range(len(mode)):
-        zeros[i] = 0
-        side[i] = 0
-        if touching[i] or mode[i] == 0:
-            mu = friction[i]
-            force = damping[i] * v + forces[0, i]
-            slack = force_rounding(law, i, z_max)
-            if abs(force) > mu + slack:
-                mode[i] = -1 if force > 0.0 else 1
-                zeros[i] = 1
-            else:
-                mode[i] = 0
-                if abs(force) >= mu - slack:
-                    n_undecided += 1
-                    zeros[i] = IDENTICALLY_ZERO
-                    side[i] = UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
-    return n_undecided
-
-
-@inner
-def _settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
-    forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
-    n_decided = 0
-    for i in range(len(mode)):
-        if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
-            push = -forces[k, i]
-            if abs(push) > ROUNDING * law.row_sums[i] * c_max:
-                n_decided += 1
-                if side[i] == UNDECIDED_BOTH:
-                    side[i] = 1 if push > 0.0 else -1
-                if push * side[i] > 0.0:
-                    mode[i] = side[i]
-                    zeros[i] = k + 1
-                else:
-                    zeros[i] = k
-    return n_decided
-
-
-@inner
 def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
@@ -133,7 +79,7 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
     copy(w, series[1])
     two_products(columns, series[0], series[1], forces[0], forces[1], moving)
     w_max = largest(w)
-    n_undecided = _settle(law, largest(z), expansion)
+    n_undecided = settle(law, largest(z), expansion)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
@@ -146,7 +92,7 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
         if k % 2 == 0:
             two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
         if n_undecided > 0:
-            n_undecided -= _settle_by_order(law, k, largest(series[k]), expansion)
+            n_undecided -= settle_by_order(law, k, largest(series[k]), expansion)
             for i in range(n):
                 slips[i] = 1.0 if mode[i] != 0 else 0.0
         factor = -1.0 / ((k + 2) * (k + 1))

@@ -1,0 +1,64 @@
+"""Which blocks stick, under the exact law: those at the belt's speed, decided from |F| against mu, all at once.
+
+Where |F| = mu, as at every exit, the first coefficient of the series of F that does not vanish decides.
+"""
+
+from __future__ import annotations
+
+from stickslip.sim.engines.arithmetic import ROUNDING
+from stickslip.sim.engines.compile import inner
+
+UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
+IDENTICALLY_ZERO = 320  # beyond every order of a series
+
+
+@inner
+def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
+    """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
+    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.friction[i])
+
+
+@inner
+def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
+    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
+    damping, friction, v = law.damping, law.friction, law.belt_speed
+    forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
+    zeros, side = expansion.zeros, expansion.side
+    n_undecided = 0
+    for i in range(len(mode)):
+        zeros[i] = 0
+        side[i] = 0
+        if touching[i] or mode[i] == 0:
+            mu = friction[i]
+            force = damping[i] * v + forces[0, i]
+            slack = force_rounding(law, i, z_max)
+            if abs(force) > mu + slack:
+                mode[i] = -1 if force > 0.0 else 1
+                zeros[i] = 1
+            else:
+                mode[i] = 0
+                if abs(force) >= mu - slack:
+                    n_undecided += 1
+                    zeros[i] = IDENTICALLY_ZERO
+                    side[i] = UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
+    return n_undecided
+
+
+@inner
+def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
+    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
+    forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
+    n_decided = 0
+    for i in range(len(mode)):
+        if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
+            push = -forces[k, i]
+            if abs(push) > ROUNDING * law.row_sums[i] * c_max:
+                n_decided += 1
+                if side[i] == UNDECIDED_BOTH:
+                    side[i] = 1 if push > 0.0 else -1
+                if push * side[i] > 0.0:
+                    mode[i] = side[i]
+                    zeros[i] = k + 1
+                else:
+                    zeros[i] = k
+    return n_decided
