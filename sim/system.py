@@ -231,6 +231,6 @@ def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
 
 
 def _dense_columns(matrix: Floats) -> Columns:
-    transposed = np.ascontiguousarray(matrix.T)
+    transposed = np.array(matrix.T, order="C")  # a copy always: kernels are compiled anew for what is read-only
     no_index = np.empty(0, dtype=np.int32)
     return Columns(transposed, transposed.astype(np.float32), no_index, no_index, np.empty(0))
