@@ -246,10 +246,13 @@ def test_the_code_says_what_is_missing(rng):
 @pytest.mark.parametrize("name", [name for name in studies.STUDIES if name not in ("effective", "multiplicity")])
 def test_intervals_cover_what_was_planted(name):
     seed = secrets.randbits(32)
-    rows = studies.study(name, seed, 1000)
-    told = "unbounded" if name == "components" else ""
-    missed = [row for row in rows if not row.is_covered(high=1.0 if told else 0.97)]
+    rows = studies.study(name, seed, 500)
+    most = 1.0 if name == "components" else 0.97  # an interval without ends, where there can be no other, holds all
+    missed = [row for row in rows if not row.is_covered(high=most)]
     assert not missed, f"seed {seed}: {missed}"
+    if name in ("gamma", "dispersion", "growth"):  # each ensemble drawn anew, the answer known exactly
+        biased = [row for row in rows if not row.is_unbiased()]
+        assert not biased, f"seed {seed}: {biased}"
 
 
 @pytest.mark.long
