@@ -18,17 +18,15 @@ doi:10.1137/S1064827501389722, calls such methods multi-adaptive; the sweeps are
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, get_args
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from stickslip.sim.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner, kernel
-from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.lanes import (
     ALL,
     WIDTH,
@@ -65,10 +63,9 @@ from stickslip.sim.engines.radau import (
     WEIGHTS,
 )
 from stickslip.sim.engines.roots import horner, roots
-from stickslip.sim.run import Run, Samples
+from stickslip.sim.engines.sigmoid import Sigmoid
+from stickslip.sim.run import Run
 from stickslip.sim.system import System
-
-Stick = Literal["manifold", "threshold"]
 
 #: What a formula reads and writes, by rows of a table: a column is a block, on the step that it is taking. First one
 #: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by.
@@ -85,8 +82,13 @@ _STEP_H, _V, _ATOL, _RTOL, _TO_TOLERANCE = range(5)
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
 #: The share of a step's tolerance that Newton's method may leave.
 _SOLVED = 0.05
-#: Of tolerance: what a sweep may still change w by, and what the leading coefficient of F may.
-_SWEPT, _TAIL = 0.3, 3.0
+#: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
+_CALIBRATION = 3.0
+#: Of tolerance: what the leading coefficient of F may change w by in a step, and what a sweep may still. What sweeps
+#: leave adds up step by step, and the steps for tight tolerances are many: then it is _SWEPT over the boost below.
+_TAIL, _SWEPT = 3.0, 20.0
+#: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
+_AT_ONCE = 0.1
 #: The share of tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
 #: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
@@ -96,7 +98,10 @@ _BOOST, _POWER = 3.0, 0.85
 _LAST_BUT_ONE = 0.05
 #: The defect at the start counts by this: extrapolated to there from the nodes, it is larger than between them.
 _AT_START = 0.3
-_SAFETY, _SHRINK, _GROW, _GROW_OWN = 0.9, 0.2, 1.5, 5.0
+#: A step changes by these factors at most. A prediction is good for little more than its own length: _GROW_FAST is
+#: for steps far below what is allowed.
+_SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
+_FAR_BELOW = 1e-2
 #: Pieces are t, h (of the macro step), z, u at the start, u at the nodes.
 _PIECE = 4 + STAGES
 #: Places on the bounds of a band that a block can pass in a piece: five polynomials of degree five, and the start.
@@ -762,6 +767,7 @@ def _advance(  # type: ignore[no-untyped-def]
             h_before[i] = next_h[i]
             flags[i] = False
         rough = _ROUGH_SHARE * least / (boost * macro * rough_rate)
+        swept_below = min(1.0, _SWEPT / boost)
         swept, tail, n_pieces = False, 0.0, np.int64(0)
         before = np.inf
         for sweep in range(_SWEEPS):
@@ -781,7 +787,8 @@ def _advance(  # type: ignore[no-untyped-def]
             if not tail < 100.0 * _TAIL:
                 break
             slow = clock[_SLOW] if sweep == 0 else min(moved / before, 0.9)
-            if moved < _SWEPT * (1.0 - slow) and _strayed(table, n, flags, numbers) == 0:
+            enough = swept_below * (1.0 - slow) * (_AT_ONCE if sweep == 0 else 1.0)
+            if moved < enough and _strayed(table, n, flags, numbers) == 0:
                 swept = True
                 break
             before = moved
@@ -839,49 +846,34 @@ def _advance(  # type: ignore[no-untyped-def]
         clock[loop.TIME] = t_next
         clock[_KEPT], clock[_FROM] = macro, 1.0
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
-        clock[_STEP] = macro * min(max(factor, _SHRINK), _GROW if grown else 1.0)
+        most = _GROW_FAST if tail < _FAR_BELOW * _TAIL else _GROW
+        clock[_STEP] = macro * min(max(factor, _SHRINK), most if grown else 1.0)
         grown = True
         if not max(largest(z), largest(w)) <= bound:
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
 
 
-def integrate(
-    system: System,
-    z0: Floats,
-    w0: Floats,
-    t_start: float,
-    t_end: float,
-    samples: Samples,
-    *,
-    eps: float = 0.03,
-    ratio: ArrayLike = 1.0,
-    rtol: float = 1e-6,
-    atol: float = 1e-6,
-    stick: Stick = "manifold",
-    threshold: float = 1.0,
-    thresholds: ArrayLike = (),
-    stop_early: bool = True,
-) -> Run:
-    """Run the collocation engine under the rules of `sim.engines.contract`; settings as of the sigmoid engine."""
-    eps, atol = number("eps", eps, above=0.0), number("atol", atol, above=0.0)
-    rtol, threshold = number("rtol", rtol, 0.0, 0.1), number("threshold", threshold, above=0.0)
-    stop_early = flag("stop_early", stop_early)
-    if stick not in get_args(Stick):
-        raise ValueError(f"stick: expected one of {', '.join(get_args(Stick))}, got {stick!r}")
+def integrate(task: Task, engine: Sigmoid) -> Run:
+    """Run a task under the rules of `stickslip.sim.engines.contract`.
+
+    Raises
+    ------
+    ValueError
+        If there is not one ratio a block, or the layer is too wide for its definition of sticking.
+    IntegrationError
+        If the step shrinks to rounding.
+    """
+    system, z0, w0, t_start, t_end, samples, _ = task
+    eps, stick, threshold = engine.eps, engine.stick, engine.threshold
+    rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
+    also = np.array(engine.thresholds, dtype=np.float64)
     n = system.n
-    ratio = per_block("ratio", ratio, n)
-    if not (ratio > 0).all():
-        block = int(np.flatnonzero(ratio <= 0)[0])
-        raise ValueError(f"ratio: expected r_i > 0, got {ratio[block]} for block {block}")
-    delta = ratio * eps
+    delta = Ratios.for_blocks("ratio", engine.ratio, n) * eps
     if stick == "manifold" and not (delta < 1).all():
         raise ValueError(
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
-    also = floats("thresholds", thresholds, "an array of numbers")
-    if also.ndim != 1 or not ((also > 0) & np.isfinite(also)).all() or len(set(also.tolist())) < len(also):
-        raise ValueError(f"thresholds: expected different finite numbers > 0, got {thresholds!r}")
     band = delta * np.log(1 / delta) if stick == "manifold" else threshold * delta
     bands = np.vstack([band, np.multiply.outer(also, delta)])
     by_force = np.array([stick == "manifold"] + [False] * len(also))
@@ -898,7 +890,7 @@ def integrate(
     held[by_force] &= np.abs(force) < friction
     side = np.where(w != v, np.sign(w - v), np.sign(rate))  # on the belt's speed, where it goes next
     modes = np.where(held, 0, side).astype(np.int8)
-    initial_mode = modes.copy()
+    initial_modes = modes.copy()
 
     width = -(-n // HEIGHT) * HEIGHT
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
@@ -918,10 +910,10 @@ def integrate(
     rough_rate = ROUGH * float(system.row_sums.max())
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     step = min(t_end - t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
-    task = Task(system, z0, w0, t_start, t_end, samples, stop_early)
     state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 1.0, 0.0)
     state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
-    collapse = certificates.Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta)
+    strays = engine.atol + engine.rtol * abs(v)
+    collapse = certificates.Collapse(system, strays, float(band.max()), float(bands.max()), delta)
     n_pieces = 16 * n + 256
     flags, listed, next_h = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4)
     pieces, piece_block = np.empty((n_pieces, _PIECE)), np.zeros(n_pieces, dtype=np.int64)
@@ -940,11 +932,11 @@ def integrate(
         state,
         advance,
         collapse,
-        stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
+        stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=_PASSES * (n + n_pieces) * len(bands),
-        initial_modes=initial_mode,
-        thresholds=tuple(also.tolist()),
+        initial_modes=initial_modes,
+        thresholds=engine.thresholds,
     )
 
 
