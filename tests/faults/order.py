@@ -38,7 +38,7 @@ def two_drivers(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=4, timeout=200)
+@fault(quick=0, full=4, timeout=400)
 def driver_with_workers_killed_then_another(world: World, count: int) -> int:
     """A driver is refused while another runs with workers; that one is killed; the next goes on at once."""
     for k in range(count):
