@@ -60,6 +60,7 @@ def test_simultaneous_exits_are_not_taken_as_given_by_chance():
     assert abs(rate - LN2) < 4 * error + 1 / 1500
 
 
+@pytest.mark.long
 def test_fair_series_are_rarely_called_different_from_chance(planted):
     n_ensembles, n_matrices = 400, 20
     alarms = 0

@@ -179,6 +179,7 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
     assert max(most) == 3
 
 
+@pytest.mark.long
 def test_each_kernel_is_compiled_once(tmp_path):
     """Two processes that need a kernel at once: one compiles, the other waits and loads what it kept."""
     command = [

@@ -133,6 +133,7 @@ def test_what_the_other_engine_missed(seed, number):
     assert verdict.worst < 2
 
 
+@pytest.mark.long
 def test_cross_damping():
     rng = np.random.default_rng(secrets.randbits(32))
     damping = np.diag(rng.uniform(0.5, 1.5, 6)) + rng.uniform(-0.4, 0.4, (6, 6))

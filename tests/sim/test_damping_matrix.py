@@ -127,6 +127,7 @@ def test_what_is_written_for_a_diagonal_says_so(call):
 # the engine
 
 
+@pytest.mark.long
 def test_the_error_follows_the_tolerance():
     """Against Radau IIA at 1e-11, over new systems: N weaker than R, as strong, and stronger; r_i equal or not.
 

@@ -217,6 +217,7 @@ def test_orders_not_stiff_and_stiff(name, mild, stiff):
 # ---------------------------------------------------------------------------------------------- end to end
 
 
+@pytest.mark.long
 def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
