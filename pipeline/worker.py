@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.schema import SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines.compile import cache_directory, source_digest
+from stickslip.version import __version__
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
 _PATIENCE = 180.0
@@ -54,7 +54,7 @@ _DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("design", "s
 
 def program() -> str:
     """What the numbers come from: the version of stickslip, and a digest of the sources that determine them."""
-    return f"{version('stickslip')}-{source_digest(*_DETERMINING)}"
+    return f"{__version__}-{source_digest(*_DETERMINING)}"
 
 
 def compute(batch: Batch, recording: Recording) -> Result:

@@ -24,9 +24,9 @@ class _Version(argparse.Action):
     """Looks the version up when it is asked for; argparse's own action wants it before."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
+        from stickslip.version import __version__
 
-        print(f"stickslip {version('stickslip')}")
+        print(f"stickslip {__version__}")
         parser.exit()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.metadata import version
 
 from stickslip.analysis import AnalysisSettings, Report, build
 from stickslip.analysis.report.comparison import Ensemble, compare
@@ -12,6 +11,7 @@ from stickslip.analysis.report.section import Data, Recipe
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
+from stickslip.version import __version__
 
 
 def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:
@@ -96,7 +96,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
 
 def _provenance(scene: Scene, found: Status) -> dict[str, str]:
     return {
-        "stickslip": version("stickslip"),
+        "stickslip": __version__,
         "scene": scene.hash,
         "seed": str(scene.run.seed),
         "members": f"{found.n_done} of {found.n_members}",

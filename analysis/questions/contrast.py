@@ -29,7 +29,7 @@ from stickslip.analysis.stats.compare import (
     share_difference,
     wilson,
 )
-from stickslip.analysis.stats.estimates import Estimate, Undefined, correlation_time, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, is_short, over_matrices, ratio
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -125,9 +125,11 @@ def sample(
                 _add(found, name, int(matrix), [ended in ends, 1.0])
         if outcome == "finished" and member_id in known:
             win = window(*known[member_id], t_burn, float(t_end))
-            for one in COMPARED.values():
-                _add(found, one.label, int(matrix), one.sums(win))
-            n_runs, n_short = n_runs + 1, n_short + bool(correlation_time(win).reason)
+            sums = {name: one.sums(win) for name, one in COMPARED.items()}
+            for name, row in sums.items():
+                _add(found, COMPARED[name].label, int(matrix), row)
+            tau, is_known = sums["correlation_time"]
+            n_runs, n_short = n_runs + 1, n_short + (not is_known or is_short(win, tau))
     if 2 * n_short > n_runs:
         found.reasons["correlation time"] = (
             f"in {n_short} of {words.count(n_runs, 'run')} the window is too short for it: fewer than "

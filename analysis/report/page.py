@@ -166,12 +166,6 @@ def build(
         about=about,
         panels=[] if leading else _panels(found, data.series, rows, settings, drawn_by),
         alerts=_alerts(rows),
-        contents=[
-            *(section.title for section in leading),
-            *("The cascade law", "What became of the members", "How many blocks stick", "How often each size occurs"),
-            *(section.title for section in answered if section not in leading),
-            *("Method", "Assumptions checked", "Groups and provenance"),
-        ],
         question=" ".join(section.question for section in leading) or QUESTION,
         alarms=alarms,
         lead=lead,

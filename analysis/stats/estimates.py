@@ -143,6 +143,11 @@ SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Soka
 SHORT_WINDOW = 20.0  # below so many correlation times in a window, tau itself is estimated too low
 
 
+def is_short(win: Window, tau: float) -> bool:
+    """Whether a window holds too few correlation times tau for tau itself."""
+    return win.t_stop - win.t_start < SHORT_WINDOW * tau
+
+
 def correlation_time(win: Window) -> Estimate:
     """Integrated autocorrelation time of n_stick, tau = int_0^inf rho(s) ds, with Sokal's automatic window.
 
@@ -168,6 +173,6 @@ def correlation_time(win: Window) -> Estimate:
     wide_enough = np.flatnonzero(np.arange(n) >= SOKAL_WINDOW * taus)
     # An oscillating series can sum to less than nothing; it never holds more than its own samples.
     tau = max(float(taus[wide_enough[0]]), 0.5) * dt
-    if span < SHORT_WINDOW * tau:
+    if is_short(win, tau):
         return Estimate(tau, reason=f"the window holds fewer than {SHORT_WINDOW:g} correlation times")
     return Estimate(tau)

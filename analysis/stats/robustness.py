@@ -17,7 +17,7 @@ from stickslip.analysis.pairs import Comparison
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import Compared, equivalence_test, relative_difference
-from stickslip.analysis.stats.estimates import Undefined, correlation_time, jackknife, jackknife_error
+from stickslip.analysis.stats.estimates import Undefined, is_short, jackknife, jackknife_error
 from stickslip.analysis.stats.quantities import DISTRIBUTION, QUANTITIES
 
 BAND_FACTOR = 2.0  # "period near 20": the band's share is more than so many times the base's
@@ -56,7 +56,7 @@ def summary(win: Window, n: int) -> Summary | None:
     if not (rows[:, [_INDEX["gamma"], _INDEX["correlation_time"]], 1] > 0).all():
         return None
     shares = np.array([time_shares(part, n) for part in parts])
-    return Summary(rows[0], rows[1:], shares[0], shares[1:], bool(correlation_time(win).reason))
+    return Summary(rows[0], rows[1:], shares[0], shares[1:], is_short(win, rows[0, _INDEX["correlation_time"], 0]))
 
 
 def time_shares(win: Window, n: int) -> np.ndarray:

@@ -62,8 +62,9 @@ from stickslip.sim.engines.radau import (
     TO_POWERS,
     WEIGHTS,
 )
-from stickslip.sim.engines.roots import horner, roots
+from stickslip.sim.engines.roots import horner, insert_roots
 from stickslip.sim.engines.sigmoid import Sigmoid
+from stickslip.sim.engines.sticking import mode_of
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
 
@@ -523,14 +524,6 @@ def _couple(table, n, matrix, cross, flags, is_first, rough, product, single, si
 
 
 @inner
-def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
-    """Mode of a block from w - v and F."""
-    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
-        return 0
-    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
-
-
-@inner
 def _marks(values, bernstein, bound, marks, n_marks, poly, found):  # type: ignore[no-untyped-def]
     """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
     above, below = False, False
@@ -543,17 +536,7 @@ def _marks(values, bernstein, bound, marks, n_marks, poly, found):  # type: igno
         for k in range(STAGES + 1):
             poly[p] += ALL_TO_POWERS[p, k] * values[k]
     poly[0] -= bound
-    skip = 0  # a root at the start belongs to the step before; the others count
-    while skip < STAGES and poly[skip] == 0.0:
-        skip += 1
-    for k in range(roots(poly[skip:], STAGES - skip, found)):
-        place = n_marks
-        while place > 0 and marks[place - 1] > found[k]:
-            marks[place] = marks[place - 1]
-            place -= 1
-        marks[place] = found[k]
-        n_marks += 1
-    return n_marks
+    return insert_roots(poly, STAGES, marks, n_marks, found)
 
 
 @inner
@@ -616,7 +599,7 @@ def _events_of_piece(  # type: ignore[no-untyped-def]
         if right <= left:
             continue
         middle = 0.5 * (left + right)
-        new = _mode(_at(u, middle), _at(force, middle), mu, band, by_force)
+        new = mode_of(_at(u, middle), _at(force, middle), mu, band, by_force)
         if new != mode:
             event_t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
             event_block[n_recorded] = label

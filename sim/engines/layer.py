@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.loop import Law
-from stickslip.sim.engines.roots import roots
+from stickslip.sim.engines.roots import insert_roots
+from stickslip.sim.engines.sticking import mode_of
 from stickslip.sim.system import Columns
 
 #: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
@@ -58,14 +59,6 @@ class Sticking(NamedTuple):
 
 
 @inner
-def _mode(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
-    """Mode of a block from w - v and F."""
-    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
-        return 0
-    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
-
-
-@inner
 def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
     """Add the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
     start, end = y0 - bound, y1 - bound
@@ -79,17 +72,7 @@ def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[
     poly[1] = d0
     poly[2] = 3.0 * (end - start) - 2.0 * d0 - d1
     poly[3] = 2.0 * (start - end) + d0 + d1
-    skip = 0  # a root at the start belongs to the step before; the others count
-    while skip < 3 and poly[skip] == 0.0:
-        skip += 1
-    for k in range(roots(poly[skip:], 3 - skip, where)):
-        place = n_marks  # in rising order
-        while place > 0 and marks[place - 1] > where[k]:
-            marks[place] = marks[place - 1]
-            place -= 1
-        marks[place] = where[k]
-        n_marks += 1
-    return n_marks
+    return insert_roots(poly, 3, marks, n_marks, where)
 
 
 @inner
@@ -179,7 +162,7 @@ def step_events(smooth, sticking, d, h, now, new, t, t_next, events, n_recorded)
             middle = 0.5 * (left + right)
             gap = between(gap0, rate0, gap1, rate1, middle)
             pull = between(force0, pull0, force1, pull1, middle)
-            after = _mode(gap, pull, friction[i], band[i], by_force)
+            after = mode_of(gap, pull, friction[i], band[i], by_force)
             if after != mode[i]:
                 events.t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
                 events.block[n_recorded] = d * n + i

@@ -131,3 +131,22 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             if n_found == len(found):
                 return n_found
     return n_found
+
+
+@inner
+def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untyped-def]
+    """Put the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
+
+    A root at the start belongs to the step before; the others count. `found` is work space.
+    """
+    skip = 0
+    while skip < degree and poly[skip] == 0.0:
+        skip += 1
+    for k in range(roots(poly[skip:], degree - skip, found)):
+        place = n_marks
+        while place > 0 and marks[place - 1] > found[k]:
+            marks[place] = marks[place - 1]
+            place -= 1
+        marks[place] = found[k]
+        n_marks += 1
+    return n_marks

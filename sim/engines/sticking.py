@@ -1,6 +1,7 @@
-"""Which blocks stick, under the exact law: those at the belt's speed, decided from |F| against mu, all at once.
+"""Which blocks stick: under the exact law those at the belt's speed, decided from |F| against mu, all at once.
 
-Where |F| = mu, as at every exit, the first coefficient of the series of F that does not vanish decides.
+Where |F| = mu, as at every exit, the first coefficient of the series of F that does not vanish decides. Under the
+smoothed law it is a matter of definition: those in a band around the belt's speed, and, or not, |F| < mu.
 """
 
 from __future__ import annotations
@@ -62,3 +63,11 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
                 else:
                     zeros[i] = k
     return n_decided
+
+
+@inner
+def mode_of(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
+    """Mode of a block under the smoothed law, from w - v and F."""
+    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
+        return 0
+    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)

@@ -15,6 +15,7 @@ from stickslip.sim.run import Samples
 from tests.fuzz.draw import draw as draw_trial
 from tests.fuzz.judge import judge
 from tests.sim import radau as reference
+from tests.sim import test_sigmoid_accuracy
 from tests.sim.test_sigmoid_accuracy import FAMILIES, PASSING, draw
 
 
@@ -70,28 +71,9 @@ def test_the_law_and_its_slope():
     assert np.abs(values[:, 1] - 1 / np.cosh(np.clip(x, -300, 300)) ** 2).max() < 1e-15
 
 
-def multiples(system, z, w, delta, times, tolerances, rng):
-    """Largest error at the samples over tolerance and sensitivity, as in test_sigmoid_accuracy."""
-    exact = reference.states(system, z, w, delta, times, 1e-11, 0.02)
-    apart = np.abs(exact - reference.states(system, z, w, delta, times, 4e-12, 0.006)).max()
-    sensitivity, size = 1.0, 1e-4
-    for first in (0, 0, 3):
-        start = (z, w) if first == 0 else exact[first - 1]
-        moved = [x + size * rng.choice([-1.0, 1.0], system.n) for x in start]
-        since = times[first:] - (times[first - 1] if first else 0.0)
-        carried = reference.states(system, *moved, delta, since, 4e-11, 0.03) - exact[first:]
-        sensitivity = max(sensitivity, np.abs(carried).max() / size)
-    unit = sensitivity * (1.0 + np.abs(exact).max())
-    found = []
-    for tol in tolerances:
-        if not apart < 0.1 * tol * unit:
-            continue
-        got = run(
-            system, z, w, times[-1], times, eps=1e-3, ratio=delta / 1e-3, stick="threshold", rtol=tol, atol=tol,
-            stop_early=False,
-        ).samples  # fmt: skip
-        found.append(np.abs(np.stack([got.z, got.w], axis=1) - exact).max() / (tol * unit))
-    return found
+def multiples(*case):
+    """Largest error at the samples over tolerance and sensitivity, where two references agree."""
+    return [pair[1] for pair in test_sigmoid_accuracy.multiples(*case, integrate=run) if pair]
 
 
 def test_random_systems_keep_to_the_tolerance():

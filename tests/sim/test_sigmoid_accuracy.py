@@ -50,7 +50,7 @@ def draw(family, rng, t_max):
     return system, z, w, delta, np.sort(np.append(rng.uniform(0.0, t_end, 5), t_end))
 
 
-def multiples(system, z, w, delta, times, tolerances, rng):
+def multiples(system, z, w, delta, times, tolerances, rng, integrate=simulate):
     """The multiple at the end and the largest at the samples, by tolerance; None where two references disagree."""
     reference = radau.states(system, z, w, delta, times, 1e-11, 0.02)
     apart = np.abs(reference - radau.states(system, z, w, delta, times, 4e-12, 0.006)).max()
@@ -64,7 +64,7 @@ def multiples(system, z, w, delta, times, tolerances, rng):
     unit = sensitivity * (1.0 + np.abs(reference).max())
     found = []
     for tol in tolerances:
-        run = simulate(
+        run = integrate(
             system, z, w, times[-1], t_eval=times, engine="sigmoid", eps=1e-3, ratio=delta / 1e-3, stick="threshold",
             rtol=tol, atol=tol, stop_early=False,
         )  # fmt: skip

@@ -12,7 +12,7 @@ import scipy.sparse
 
 from stickslip import sim
 from stickslip.pipeline import parse_scene
-from stickslip.workflows.charts import load_chart, runner, scaling
+from stickslip.workflows.charts import runner, scaling
 from stickslip.workflows.charts.scaling import (
     Cost,
     Group,
@@ -42,18 +42,6 @@ members = 2
 workers = 1
 vectors = [1, 3]
 """
-
-
-@pytest.fixture
-def scene_file(tmp_path):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    return file
-
-
-@pytest.fixture
-def scene(scene_file):
-    return load_chart(scene_file)
 
 
 @pytest.fixture

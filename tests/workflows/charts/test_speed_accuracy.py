@@ -40,13 +40,6 @@ PEERS = [method for method in METHODS if method.model == "sigmoid"]
 
 
 @pytest.fixture
-def scene_file(tmp_path):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    return file
-
-
-@pytest.fixture
 def without_extra(monkeypatch):
     """As if the extra `bench` were not installed."""
     find = importlib.util.find_spec

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from stickslip.sim.engines.esdirk import TABLEAU
-from stickslip.workflows.charts import load_chart, stability
+from stickslip.workflows.charts import stability
 from stickslip.workflows.charts.hard_cases import Verdict
 from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
 from stickslip.workflows.charts.stability import Cell, Map, Measured, Reference, classified, stability_maps
@@ -31,18 +31,6 @@ patience = 30.0
 cases = false
 seed = 1
 """
-
-
-@pytest.fixture
-def scene_file(tmp_path):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    return file
-
-
-@pytest.fixture
-def scene(scene_file):
-    return load_chart(scene_file)
 
 
 def silent(line):

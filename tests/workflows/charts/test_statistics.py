@@ -51,13 +51,6 @@ seed = 1
 """
 
 
-@pytest.fixture
-def scene_file(tmp_path):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    return file
-
-
 def silent(line):
     pass
 
@@ -330,11 +323,6 @@ def test_statistics_of_a_run_by_hand(scene_file, monkeypatch):
 
 
 # ---------------------------------------------------------------------------------------------- the words
-
-
-@pytest.fixture
-def scene(scene_file):
-    return load_chart(scene_file)
 
 
 def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene, page, undrawn):
