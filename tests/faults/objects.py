@@ -9,6 +9,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.error import HTTPError
 
 from stickslip.pipeline import object_store, verify
 from tests.faults.bucket import ask, bucket
@@ -41,11 +42,18 @@ class Cloud:
         return int(ask(f"{self._address}/_share/{self.world.random.random()}/{share}/503", "PUT"))
 
     def content(self, name: str) -> dict[str, bytes]:
-        """Every byte of a dataset but the timings, by object."""
+        """Every byte of a dataset but the timings, by object; one deleted since it was listed is not there."""
         listed = ElementTree.fromstring(ask(f"{self._address}/bucket?list-type=2&prefix={name}/"))
         keys = [key.text or "" for key in listed.iter("{http://s3.amazonaws.com/doc/2006-03-01/}Key")]
         names = {key.removeprefix(f"{name}/"): key for key in keys if "/timings" not in key}
-        return {rest: ask(f"{self._address}/bucket/{key}") for rest, key in names.items()}
+        found: dict[str, bytes] = {}
+        for rest, key in names.items():
+            try:
+                found[rest] = ask(f"{self._address}/bucket/{key}")
+            except HTTPError as error:
+                if error.code != 404:
+                    raise
+        return found
 
     def check(self, name: str) -> None:
         """The dataset is, byte for byte, the undisturbed local one; there is no other object; the audit is clean."""
