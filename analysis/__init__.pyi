@@ -1,7 +1,8 @@
+from .answer import Answer as Answer
+from .ensemble import Data as Data
+from .ensemble import Study as Study
 from .report.page import Report as Report
 from .report.page import build as build
-from .report.section import Data as Data
-from .report.section import Section as Section
 from .settings import AnalysisSettings as AnalysisSettings
 from .stats.cascades import DEFINITIONS as DEFINITIONS
 from .stats.cascades import Law as Law

@@ -13,8 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from stickslip.analysis.groups import ENGINE_KEYS, SYSTEM_KEYS, split
-from stickslip.analysis.report import words
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, label, split
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: what a perturbation moves, if the members do not say: every constant by up to a share of its scale
@@ -36,7 +35,7 @@ class Change:
             return f"start displaced by {self.size:g}"
         if self.kind == RATIOS:
             return "stiffness ratios redrawn"
-        return f"constants changed by {words.percent(self.size)} ({self.reading})"
+        return f"constants by {100 * self.size:.3g}% ({self.reading})"
 
 
 @dataclass(frozen=True)
@@ -71,18 +70,6 @@ class Setting:
     comparisons: tuple[Comparison, ...]
 
 
-def unchanged(members: pd.DataFrame) -> pd.DataFrame:
-    """Members that are no changed copy of another; all of them where each is one."""
-    changed = is_changed(members)
-    return members if changed.all() else members[~changed]
-
-
-def is_changed(members: pd.DataFrame) -> pd.Series:
-    """Which members have other constants or another start than the original of their matrix."""
-    changed = members["perturbation_size"] > 0
-    return changed | members["twin_size"].notna() if "twin_size" in members else changed
-
-
 def settings(members: pd.DataFrame) -> list[Setting]:
     """Sort members into settings and, in each, changed members into comparisons with their base.
 
@@ -93,7 +80,7 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     Parameters
     ----------
     members : DataFrame
-        Columns of `analysis.groups.REQUIRED`; `ratio_draw`, `perturbation_reading` and `twin_size` may be missing
+        Columns of `analysis.ensemble.REQUIRED`; `ratio_draw`, `perturbation_reading` and `twin_size` may be missing
         and then count as null.
 
     Returns
@@ -107,8 +94,8 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     for key, some in parts:
         bases = _bases(some)
         if bases:
-            label = words.group_label(key, keys)
-            found.append(Setting(label, key, bases, _comparisons(label, some, bases)))
+            name = label(key, keys)
+            found.append(Setting(name, key, bases, _comparisons(name, some, bases)))
     return sorted(found, key=lambda s: (s.key["n"], s.key["engine"], s.label))
 
 

@@ -32,6 +32,8 @@ class AnalysisSettings:
         Least size of a cascade that the law is fitted to.
     margins : mapping of str to float
         By name of `LABELS` in `analysis.stats.quantities`: how much two runs may differ and count as equivalent.
+    question : tuple of str
+        Primary questions, in the order in which they lead the report; by default what the data are about.
 
     Raises
     ------
@@ -48,6 +50,7 @@ class AnalysisSettings:
     tau: tuple[float, ...] = (0.05, 0.2, 1.0)
     smallest: int = 1
     margins: Mapping[str, float] = field(default_factory=dict)
+    question: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))

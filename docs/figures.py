@@ -14,7 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from stickslip.analysis.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, svg
+from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, svg
 from stickslip.sim import System, simulate
 from stickslip.sim.theory.folds import sticking_lambda, two_blocks
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable, ItemsView, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -51,6 +52,12 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
+
+#: Shards whose series are in memory at once.
+_SHARDS_KEPT = 2
+
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value", covariant=True)
 
 #: What an event series is made of.
 _EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
@@ -225,50 +232,104 @@ def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[s
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: Where) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int32]]]:
-    """Each member's id, t and n_stick as of `n_stick`, in order, one shard in memory at a time.
-
-    Failed members, which have no series, are left out: `members` lists them.
-    """
-    for row in _rows(path, "t", ["t", "n_stick"]):
-        yield row["member_id"].as_py(), _array(row["t"]), _array(row["n_stick"])
+def series(path: Where) -> Recorded[str, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
+    return Recorded(path, "t", ["t", "n_stick"], lambda row: [(_id(row), (_array(row["t"]), _array(row["n_stick"])))])
 
 
-def all_events(path: Where) -> Iterator[tuple[str, sim.EventSeries]]:
-    """Each member's id and events, in order, one shard in memory at a time; none if they are not recorded."""
-    for row in _rows(path, "event_t", _EVENT_COLUMNS):
-        yield row["member_id"].as_py(), _event_series(row)
+def all_events(path: Where) -> Recorded[str, sim.EventSeries]:
+    """Events by member_id; empty if they are not recorded."""
+    return Recorded(path, "event_t", _EVENT_COLUMNS, lambda row: [(_id(row), _event_series(row))])
 
 
-def separations(path: Where) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Each changed member's id, times, and distance from the unchanged run; none if the scene does not record them.
+def separations(path: Where) -> Recorded[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Times and distance from the unchanged run by member_id of changed ones; empty if they are not recorded.
 
     The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
     step = dataset_scene(path).record.separation
-    for row in _rows(path, "separation", ["separation"]):
+
+    def entries(row: _Row) -> list[tuple[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]:
         assert step is not None  # there would be no such column
         distance: NDArray[np.float64] = _array(row["separation"])
-        yield row["member_id"].as_py(), step * np.arange(len(distance), dtype=np.float64), distance
+        return [(_id(row), (step * np.arange(len(distance), dtype=np.float64), distance))]
+
+    return Recorded(path, "separation", ["separation"], entries)
 
 
-def by_threshold(path: Where) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.int32]]]:
-    """Id, threshold, t and n_stick of each further definition of sticking; none if the scene has no `thresholds`."""
-    for row in _rows(path, "by_threshold", ["by_threshold"]):
-        for entry in row["by_threshold"].values:  # noqa: PD011  an Arrow scalar, no data frame
-            yield row["member_id"].as_py(), entry["threshold"].as_py(), _array(entry["t"]), _array(entry["n_stick"])
+def by_threshold(path: Where) -> Recorded[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """t and n_stick by member_id and threshold of further definitions of sticking; empty without `thresholds`."""
+
+    def entries(row: _Row) -> list[tuple[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.int32]]]]:
+        return [
+            ((_id(row), entry["threshold"].as_py()), (_array(entry["t"]), _array(entry["n_stick"])))
+            for entry in row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
+        ]
+
+    return Recorded(path, "by_threshold", ["by_threshold"], entries)
 
 
-def _rows(path: Where, recorded: str, columns: list[str]) -> Iterator[dict[str, pa.Scalar]]:
-    """The rows of a dataset in which a column is there and not null, one shard in memory at a time."""
-    source = dataset(path)
-    if recorded not in source.schema.names:
-        return
-    for fragment in source.get_fragments():
-        with reading(path):
-            table = fragment.to_table(columns=["member_id", *columns], filter=pc.field(recorded).is_valid())
-        for k in range(table.num_rows):
-            yield {name: table[name][k] for name in table.column_names}
+_Row = dict[str, pa.Scalar]
+
+
+class Recorded(Mapping[_Key, _Value]):
+    """What a dataset recorded of its members, in order; a shard is read when one of its members is asked for.
+
+    The last `_SHARDS_KEPT` shards stay in memory: ask in the order of the members.
+    """
+
+    def __init__(
+        self, path: Where, recorded: str, columns: list[str], entries: Callable[[_Row], list[tuple[_Key, _Value]]]
+    ) -> None:
+        source = dataset(path)
+        self._path, self._recorded, self._columns, self._entries = path, recorded, columns, entries
+        self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
+        self._shard = lru_cache(maxsize=_SHARDS_KEPT)(self._read)
+
+    def _read(self, k: int) -> dict[_Key, _Value]:
+        with reading(self._path):
+            table = self._fragments[k].to_table(
+                columns=["member_id", *self._columns], filter=pc.field(self._recorded).is_valid()
+            )
+        rows = ({name: table[name][j] for name in table.column_names} for j in range(table.num_rows))
+        return dict(entry for row in rows for entry in self._entries(row))
+
+    @cached_property
+    def _shard_of(self) -> dict[_Key, int]:
+        return {key: k for k in range(len(self._fragments)) for key in self._keys(k)}
+
+    def _keys(self, k: int) -> Iterable[Any]:
+        if self._recorded == "by_threshold":
+            return self._shard(k)
+        with reading(self._path):  # the names alone are quickly read
+            rows = self._fragments[k].to_table(columns=["member_id"], filter=pc.field(self._recorded).is_valid())
+        return rows["member_id"].to_pylist()
+
+    def __getitem__(self, key: _Key) -> _Value:
+        return self._shard(self._shard_of[key])[key]
+
+    def __iter__(self) -> Iterator[_Key]:
+        return iter(self._shard_of)
+
+    def __len__(self) -> int:
+        return len(self._shard_of)
+
+    def items(self) -> ItemsView[_Key, _Value]:
+        return _Items(self)
+
+
+class _Items(ItemsView[_Key, _Value]):
+    """Items in one pass."""
+
+    _mapping: Recorded[_Key, _Value]
+
+    def __iter__(self) -> Iterator[tuple[_Key, _Value]]:
+        for k in range(len(self._mapping._fragments)):
+            yield from self._mapping._shard(k).items()
+
+
+def _id(row: _Row) -> str:
+    return str(row["member_id"].as_py())
 
 
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:

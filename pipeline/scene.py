@@ -276,6 +276,12 @@ class MarginsTable(StrictTable):
     distribution: Positive = Field(default=0.5, description="margin of its stationary distribution", examples=[0.5])
 
 
+#: What a report can be asked first: the names of `analysis.questions`.
+QuestionName = Literal[
+    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "robustness", "sensitivity"
+]
+
+
 class AnalysisTable(StrictTable):
     """[analysis]: handed to the statistics; without influence on the data."""
 
@@ -295,6 +301,14 @@ class AnalysisTable(StrictTable):
         default=0.95, description="level of the intervals", examples=[0.95]
     )
     margins: MarginsTable = MarginsTable()
+    question: Annotated[
+        tuple[QuestionName, ...],
+        BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),
+    ] = Field(
+        default=(),
+        description="questions that lead the report, in this order; what the data are about if left out",
+        examples=[["cascades"]],
+    )
 
 
 #: What a scene says of its own cost, an ensemble's or a chart's.

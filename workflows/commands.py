@@ -21,7 +21,7 @@ from stickslip.workflows.parser import NO_FOLDER, parser
 if TYPE_CHECKING:
     from stickslip.analysis import Report
     from stickslip.pipeline.storage import Place, Where
-    from stickslip.workflows.drawing import Drawing
+    from stickslip.workflows.asking import Asking
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
@@ -30,7 +30,7 @@ _DONE, _UNFINISHED, _WRONG = 0, 1, 2
 
 def _run(arguments: argparse.Namespace) -> int:
     from stickslip.pipeline.storage import Directory, place_of
-    from stickslip.workflows.drawing import Drawing
+    from stickslip.workflows.asking import Asking
     from stickslip.workflows.scenes import chart_of, find, shipped
 
     file = find(arguments.scene)
@@ -59,11 +59,11 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.only is not None:
         return _run_member(file, arguments.only)
     # before all else: what it loads, and what is loaded here, takes a second each
-    with nullcontext() if arguments.no_report else Drawing() as drawing:
-        return _run_ensemble(arguments, file, out, drawing)
+    with nullcontext() if arguments.no_report else Asking() as asking:
+        return _run_ensemble(arguments, file, out, asking)
 
 
-def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing: Drawing | None) -> int:
+def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
     from stickslip.pipeline import parse_scene, run_scene
     from stickslip.pipeline.processes import last_act
     from stickslip.pipeline.storage import DATA, SCENE, Directory
@@ -78,7 +78,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
 
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
-            if drawing is not None:
+            if asking is not None:
                 # while workers compute
                 Thread(target=import_module, args=("stickslip.workflows.reporting",), daemon=True).start()
             status = run_scene(
@@ -92,8 +92,8 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
                 accept_version=arguments.accept_version,
                 dashboard=arguments.dashboard,
             )
-            if drawing is not None:
-                _write_report(out, drawing)
+            if asking is not None:
+                _write_report(out, asking)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
@@ -105,7 +105,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, drawing
         copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
         alone = ["stickslip", "run", copy, "--only", str(status.first_failed)]
         print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
-    if drawing is None:
+    if asking is None:
         print(f"report  not written; write it with: {shlex.join(['stickslip', 'report', str(out)])}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
     return _UNFINISHED if status.failures else _DONE
@@ -200,14 +200,21 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
     return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
 
 
-def _write_report(directory: Where, drawing: Drawing) -> None:
+def _write_report(directory: Where, asking: Asking) -> None:
+    from stickslip.analysis.report.page import PAGE
+    from stickslip.pipeline.storage import place_of
+    from stickslip.workflows.progress import answers
     from stickslip.workflows.reporting import report
 
     gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
-    built, status = report(directory, drawing)
+    with answers() as on_answer:
+        built, status = report(directory, asking, on_answer)
     if not status.is_complete:
         print(f"note: {status.n_members - status.n_done} of {status.n_members} members are still to run")
-    _publish(built, directory)
+    if built is None:
+        print(f"report  {place_of(directory).named(PAGE)}, unchanged")
+    else:
+        _publish(built, directory)
 
 
 def _publish(built: Report, where: Where) -> None:
@@ -218,13 +225,13 @@ def _publish(built: Report, where: Where) -> None:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.drawing import Drawing
+    from stickslip.workflows.asking import Asking
 
     if arguments.compare is None:
         if arguments.out is not None:
             raise _Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-        with Drawing() as drawing:
-            _write_report(arguments.directory, drawing)
+        with Asking() as asking:
+            _write_report(arguments.directory, asking)
     else:
         _write_comparison(arguments.directory, arguments.compare, arguments.out)
     return _DONE

@@ -6,6 +6,8 @@ import shlex
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
@@ -30,6 +32,18 @@ _LOOK = 2.0
 def clock(seconds: float) -> str:
     """Seconds as m:ss or h:mm:ss."""
     return str(tqdm.format_interval(max(seconds, 0.0)))
+
+
+@contextmanager
+def answers() -> Iterator[Callable[[int, int], None]]:
+    """A bar of the questions of a report that are answered, on a terminal."""
+    with tqdm(bar_format="report {n_fmt}/{total_fmt} |{bar}| {elapsed}", leave=False, disable=None) as bar:
+
+        def on_answer(n: int, n_all: int) -> None:
+            bar.total, bar.n = n_all, n
+            bar.refresh()
+
+        yield on_answer
 
 
 def in_words(found: Estimate) -> list[str]:

@@ -2,23 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
 
-from stickslip.analysis import AnalysisSettings, Report, build
-from stickslip.analysis.report.comparison import Ensemble, compare
-from stickslip.analysis.report.page import PAGE, Image, on_demand
-from stickslip.analysis.report.section import Data, Recipe
+from stickslip import analysis
+from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
+from stickslip.analysis.ensemble import Events
+from stickslip.analysis.report.page import PAGE
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
+from stickslip.sim import EventSeries
 from stickslip.version import __version__
+from stickslip.workflows.asking import Asking
 
 
-def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tuple[Report, Status]:
+@lru_cache(maxsize=1)
+def study_of(path: str) -> Study:
+    """A dataset with what its scene declares; the last one is kept, with its groups filled."""
+    return Study(_data(path), _settings(dataset_scene(path)))
+
+
+class _Events(Mapping[str, Events]):
+    """Events as plain arrays."""
+
+    def __init__(self, found: Mapping[str, EventSeries]) -> None:
+        self._found = found
+
+    def __getitem__(self, member_id: str) -> Events:
+        e = self._found[member_id]
+        return e.t, e.block, e.mode, e.initial_mode
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+
+def _data(path: Where) -> Data:
+    """A dataset as the analysis sees it, its series read where they are asked for."""
+    return Data(
+        members(path),
+        series=series(path),
+        events=_Events(all_events(path)),
+        separations=separations(path),
+        thresholds=by_threshold(path),
+    )
+
+
+def report(
+    path: Where, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
+) -> tuple[Report | None, Status]:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
 
-    `drawn_by` has the figures drawn, as in `analysis.build`: `workflows.drawing.Drawing` does so beside the
-    statistics.
+    Returns
+    -------
+    report : Report or None
+        None if the one that is there was made from the same data, settings and program.
+    status : Status
 
     Raises
     ------
@@ -26,46 +71,26 @@ def report(path: Where, drawn_by: Callable[[Recipe], Image] = on_demand) -> tupl
         If there is no readable dataset, or no member of it is done yet.
     """
     scene, found = _opened(path)
-    frame = members(path)
-    provenance = _provenance(scene, found)
-    picked = sorted(set(frame.picked_for.dropna()))
-    provenance["tolerances"] = f"picked for {' and '.join(picked)} where not given" if picked else "given"
-    data = Data(
-        frame,
-        series={member_id: (t, n_stick) for member_id, t, n_stick in series(path)},
-        events={member_id: (e.t, e.block, e.mode, e.initial_mode) for member_id, e in all_events(path)},
-        separations={member_id: (t, distance) for member_id, t, distance in separations(path)},
-        thresholds={(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(path)},
-    )
-    return build(data, _settings(scene), scene.title or name_of(path), scene.about, provenance, drawn_by), found
+    made_from = _made_from(path, scene)
+    (page,) = place_of(path).read_each([PAGE])
+    if page is not None and made_from.encode() in page[:2000]:
+        return None, found
+    built = build(
+        _data(path), _settings(scene), scene.title or name_of(path), scene.about, _provenance(scene, found),
+        None if asking is None else (lambda study: asking(str(path), study, on_answer)), made_from,
+    )  # fmt: skip
+    return built, found
 
 
-def compared(path: Where, other: Where) -> Report:
-    """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
-
-    Raises
-    ------
-    pipeline.StoreError
-        If one is no readable dataset, or no member of it is done yet.
-    ValueError
-        If they have nothing in common.
-    """
-    places = (path, other)
-    opened = [_opened(where) for where in places]
-    names = [name_of(where) for where in places]
-    if names[0] == names[1]:
-        names = [str(place_of(where)) for where in places]
-    ensembles = [
-        Ensemble(
-            name,
-            Data(members(where), {member_id: (t, n_stick) for member_id, t, n_stick in series(where)}),
-            scene.analysis.t_burn,
-            scene.analysis.margins.model_dump(),
-            _provenance(scene, found),
-        )
-        for where, name, (scene, found) in zip(places, names, opened, strict=True)
-    ]
-    return compare(ensembles[0], ensembles[1], _settings(opened[0][0]))
+def _made_from(path: Where, scene: Scene) -> str:
+    """Digest of what a report depends on: data, scene, program."""
+    digest = hashlib.sha256(f"{name_of(path)} {scene.model_dump_json()} {__version__}".encode())
+    for name, shard in sorted(read_manifest(path).shards.items()):
+        digest.update(f"{name} {shard.sha256}".encode())
+    folder = Path(analysis.__file__).parent
+    for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _opened(path: Where) -> tuple[Scene, Status]:
@@ -81,17 +106,8 @@ def name_of(path: Where) -> str:
 
 
 def _settings(scene: Scene) -> AnalysisSettings:
-    return AnalysisSettings(
-        t_burn=scene.analysis.t_burn,
-        dt=scene.analysis.dt,
-        resamples=scene.analysis.resamples,
-        confidence=scene.analysis.confidence,
-        seed=scene.run.seed,
-        map_dt=scene.analysis.map_dt or (),
-        tau=scene.analysis.tau,
-        smallest=scene.analysis.smallest,
-        margins=scene.analysis.margins.model_dump(),
-    )
+    asked = scene.analysis.model_dump() | {"seed": scene.run.seed, "map_dt": scene.analysis.map_dt or ()}
+    return AnalysisSettings(**asked)
 
 
 def _provenance(scene: Scene, found: Status) -> dict[str, str]:
@@ -100,7 +116,6 @@ def _provenance(scene: Scene, found: Status) -> dict[str, str]:
         "scene": scene.hash,
         "seed": str(scene.run.seed),
         "members": f"{found.n_done} of {found.n_members}",
-        "coupling": scene.system.coupling,
     }
 
 
@@ -114,7 +129,7 @@ def write(built: Report, where: Where) -> str:
     """
     place = place_of(where)
     if isinstance(place, Directory):
-        place.path.mkdir(parents=True, exist_ok=True)
+        (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
     for name, content in built.files().items():
         place.replace(name, content)
     return place.named(PAGE)

@@ -1,1 +1,6 @@
-"""One file a question of the report."""
+"""The questions that a report can answer: one file each, and one template of the same name in `report/templates`.
+
+The order is that of the page.
+"""
+
+QUESTIONS = ("cascades",)

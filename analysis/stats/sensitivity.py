@@ -14,7 +14,6 @@ import numpy as np
 from scipy import stats
 
 from stickslip.analysis.pairs import Comparison
-from stickslip.analysis.report.section import ChangePoints, Separation
 from stickslip.analysis.stats.cascades import sample
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 
@@ -22,6 +21,11 @@ FLOOR = 3.0  # the linear range begins where a distance has grown so many times:
 CEILING = 1e-2  # and ends at this share of the scale at which distances saturate
 LEAST_POINTS = 5  # of the linear range, for a slope
 BLOCKS = 9  # of the linear range: their growth rates scatter by what the slope's own error is made of
+
+
+#: Change points of n_stick of a run, and the distance of two runs in time: times and values, each (m,).
+ChangePoints = tuple[np.ndarray, np.ndarray]
+Separation = tuple[np.ndarray, np.ndarray]
 
 
 def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:

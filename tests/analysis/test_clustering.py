@@ -5,13 +5,13 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
-
-from stickslip.analysis import AnalysisSettings
 from stickslip.analysis.groups import fill, groups
 from stickslip.analysis.questions.clustering_section import clustering_section, verdict
 from stickslip.analysis.questions.map_section import crossings, map_section
 from stickslip.analysis.report.section import Data
 from stickslip.analysis.report.tables import records
+
+from stickslip.analysis import AnalysisSettings
 from stickslip.analysis.stats.cascades import Window, spans
 from stickslip.analysis.stats.clustering import (
     chance_within,

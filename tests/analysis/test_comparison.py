@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from stickslip.analysis.report.comparison import Ensemble, compare, matched
 
 from stickslip.analysis import AnalysisSettings, Data
-from stickslip.analysis.report.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
 
 MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05}

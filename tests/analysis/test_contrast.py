@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-
 from stickslip.analysis.questions.contrast import (
     Sample,
     Statistic,
@@ -16,6 +15,7 @@ from stickslip.analysis.questions.contrast import (
     verdict_words,
 )
 from stickslip.analysis.report.section import Data
+
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, OPEN, judge_together, power
 from stickslip.analysis.stats.estimates import gamma, ratio
 

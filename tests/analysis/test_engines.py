@@ -3,11 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
-
-from stickslip.analysis import AnalysisSettings, build
 from stickslip.analysis.groups import groups
 from stickslip.analysis.questions.engines_section import engines_section
 from stickslip.analysis.report.section import Data
+
+from stickslip.analysis import AnalysisSettings, build
 
 MARGINS = {"mean": 0.1, "rate": 0.1, "gamma": 0.05}
 

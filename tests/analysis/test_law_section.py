@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
-
-from stickslip.analysis import groups
 from stickslip.analysis.questions.law_section import EVENTS, judge, law_section
 from stickslip.analysis.report.tables import records
+
+from stickslip.analysis import groups
 from stickslip.analysis.stats.cascades import Law
 from stickslip.analysis.stats.goodness import Goodness
 

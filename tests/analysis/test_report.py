@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from stickslip.analysis.questions.clustering_section import clustering_section
 
 from stickslip.analysis import AnalysisSettings, Data, build
-from stickslip.analysis.questions.clustering_section import clustering_section
 from stickslip.analysis.report.page import on_demand
 from stickslip.analysis.stats.estimates import LN2
 from stickslip.analysis.stats.families import RIVALS

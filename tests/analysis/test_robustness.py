@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-
 from stickslip.analysis.questions.robustness_section import robustness_section
 from stickslip.analysis.report.section import Data
+
 from stickslip.analysis.stats.cascades import window
 from stickslip.analysis.stats.compare import (
     DIFFERENT,

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-
-from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, settings
 from stickslip.analysis.questions.sensitivity_section import sensitivity_section
 from stickslip.analysis.report.section import Data
+
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, settings
 from stickslip.analysis.stats.sensitivity import (
     BLOCKS,
     amplification_gap,

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-
 from stickslip.analysis.questions.survival_section import TITLE, fates, survival_section
-from stickslip.analysis.report.page import _leading
 from stickslip.analysis.report.section import Data, Section
+
+from stickslip.analysis.report.page import _leading
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, median, survival
 
 

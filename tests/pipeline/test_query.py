@@ -143,7 +143,7 @@ READERS = {
     "table": query.table,
     "dask": lambda path: query.dask_members(path).compute(scheduler="threads"),
     "series": lambda path: list(query.series(path)),
-    "all_events": lambda path: list(query.all_events(path)),
+    "all_events": lambda path: list(query.all_events(path).items()),
     "n_stick": lambda path: query.n_stick(path, "n3-m000-coulomb-1e-10"),
     "events": lambda path: query.events(path, "n3-m000-coulomb-1e-10"),
     "sql": lambda path: query.sql(path, "SELECT avg(n_exits) FROM members"),

@@ -95,7 +95,7 @@ def test_twins_start_as_far_off_as_said_all_the_same_way(scene):
 
 
 def test_the_separation_is_that_of_two_runs(scene, kept):
-    found = {member_id: (t, distance) for member_id, t, distance in separations(kept)}
+    found = dict(separations(kept))
     changed = [member for member in expand(scene) if member.base is not None]
     assert list(found) == [member.member_id for member in changed]
     for member in changed:
@@ -115,7 +115,7 @@ def test_the_last_time_is_not_lost_by_rounding(tmp_path):
     text = SOURCE.replace(b"t_end = 11.0", b"t_end = 0.3").replace(b"separation = 2.5", b"separation = 0.1")
     text = text.replace(b"t_burn = 1.0", b"t_burn = 0.0")
     run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
-    assert {len(distance) for _, _, distance in separations(tmp_path / "out")} == {4}
+    assert {len(distance) for _, distance in separations(tmp_path / "out").values()} == {4}
 
 
 def test_a_scene_that_grows_keeps_its_step(kept):
@@ -137,7 +137,7 @@ def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
 
 
 def test_thresholds_are_those_of_the_sigmoid_runs(scene, kept):
-    found = {(member_id, c): (t, n_stick) for member_id, c, t, n_stick in by_threshold(kept)}
+    found = dict(by_threshold(kept))
     sigmoid = [member for member in expand(scene) if member.engine == "sigmoid"]
     assert set(found) == {(member.member_id, c) for member in sigmoid for c in (0.5, 2.0)}
     member = sigmoid[3]
@@ -148,7 +148,7 @@ def test_thresholds_are_those_of_the_sigmoid_runs(scene, kept):
 
 def test_all_events_are_those_of_each(kept):
     found = dict(all_events(kept))
-    assert list(found) == [member_id for member_id, *_ in series(kept)]
+    assert list(found) == list(series(kept))
     for member_id, one in list(found.items())[:3]:
         other = events(kept, member_id)
         assert isinstance(one, sim.EventSeries)

@@ -20,9 +20,9 @@ import pandas as pd
 import pytest
 import scipy.io
 import scipy.sparse
-
 from stickslip.analysis.groups import OUTCOMES
 from stickslip.analysis.report.section import Data
+
 from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.pipeline import scene as scenes

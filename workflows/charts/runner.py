@@ -24,9 +24,9 @@ from matplotlib.figure import Figure
 from pydantic import TypeAdapter, ValidationError
 
 from stickslip.analysis import Report
-from stickslip.analysis.report.figures import embedded
-from stickslip.analysis.report.page import page_environment
-from stickslip.analysis.report.words import capital, number, percent, signed
+from stickslip.analysis.report.formats import capital, number, percent, signed
+from stickslip.analysis.report.formats import environment as page_environment
+from stickslip.analysis.report.page import Drawn, draw
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.storage import Place
 from stickslip.sim.engines.compile import source_digest
@@ -124,11 +124,12 @@ def report(scene: ChartScene, found: Measurement) -> Report:
     environment = page_environment("stickslip.workflows.charts")
     assert environment.loader is not None
     environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
-    environment.filters |= FORMS
+    figures: dict[str, Drawn] = {}
+    environment.filters |= FORMS | {"picture": partial(_picture, figures)}
     environment.globals |= FORMS
     template = environment.get_template(f"{scene.chart}.html")
     page = template.render(shown.facts, scene=scene, measured=measured, versions=found.versions)
-    return Report(page, shown.tables, [scene.title, *_headline(page)])
+    return Report(page, shown.tables, [scene.title, *_headline(page)], figures)
 
 
 def _headline(page: str) -> list[str]:
@@ -197,14 +198,17 @@ def minus(text: str) -> str:
     return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", "−", text))
 
 
-def picture(draw: Callable[[], Figure]) -> str:
-    """A figure, drawn when the page needs it, as the address of an image that is part of the page."""
-    return embedded(draw())
+def _picture(kept: dict[str, Drawn], recipe: Callable[..., Figure]) -> str:
+    """A figure, drawn when the page needs it, as the address of an image that is part of it; its files are kept."""
+    name = getattr(recipe, "func", recipe).__name__
+    name = name if name not in kept else f"{name}_{len(kept)}"
+    kept[name] = draw(recipe)
+    return kept[name].address()
 
 
 #: What templates have, as filters and as functions.
 FORMS: dict[str, Callable[..., Any]] = {
     "count": count, "count3": partial(count, digits=3), "power": power, "seconds": seconds, "beside": beside,
     "number": number, "percent": percent, "listed": listed, "span": span, "median": median, "capital": capital,
-    "minus": minus, "picture": picture,
+    "minus": minus,
 }  # fmt: skip

@@ -27,7 +27,7 @@ from pydantic import Field
 from scipy.stats import linregress, t
 
 from stickslip import sim
-from stickslip.analysis.report.figures import CYCLE, GREY, STYLE, legend, subplots
+from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import MATRIX

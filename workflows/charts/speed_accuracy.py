@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.report.figures import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
+from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
 from stickslip.pipeline.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed

@@ -31,7 +31,7 @@ from matplotlib.patches import Patch, Rectangle
 from pydantic import Field, model_validator
 
 from stickslip import sim
-from stickslip.analysis.report.figures import CYCLE, GREY, STYLE, subplots
+from stickslip.analysis.style import CYCLE, GREY, STYLE, subplots
 from stickslip.pipeline.toml import Blocks, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown, hard_cases
 from stickslip.workflows.charts.hard_cases import Verdict, judged

@@ -26,10 +26,10 @@ from pydantic import Field, model_validator
 from scipy import stats
 
 from stickslip import sim
-from stickslip.analysis.report.figures import BLUE, GREY, ORANGE, PURPLE, STYLE, legend, subplots
-from stickslip.analysis.report.words import count as counted
+from stickslip.analysis.report.formats import count as counted
 from stickslip.analysis.stats.cascades import Law, sizes, window
 from stickslip.analysis.stats.estimates import Estimate, gamma, gamma_difference, over_matrices, ratio
+from stickslip.analysis.style import BLUE, GREY, ORANGE, PURPLE, STYLE, legend, subplots
 from stickslip.pipeline.toml import Blocks, Natural, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed

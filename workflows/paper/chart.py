@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from stickslip.analysis.report.words import PAPER_GAMMA
+from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.workflows.charts import Say, Shown
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stickslip import sim
-from stickslip.analysis.report.figures import BLUE, GREEN, ORANGE, STYLE, subplots
 from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.style import BLUE, GREEN, ORANGE, STYLE, subplots
 from stickslip.pipeline import parse_scene, run_scene
 from stickslip.pipeline.query import members as read_members
 from stickslip.pipeline.query import series as read_series

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.linalg import expm
 
 from stickslip import sim
-from stickslip.analysis.report.figures import BLUE, CYCLE, GREY, ORANGE, STYLE, blank, subplots
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, STYLE, blank, subplots
 from stickslip.sim.theory.blowup import Blowup, Mode, continuations
 from stickslip.sim.theory.laws import Coulomb, Modified, StaticAboveKinetic, SwitchingLaw
 from stickslip.sim.theory.slow_time import LawRun, Segment, run_with_law

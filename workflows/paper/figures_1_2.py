@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stickslip import sim
-from stickslip.analysis.report.figures import BLUE, CYCLE, GREY, ORANGE, PURPLE, STYLE, blank, legend, subplots
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, STYLE, blank, legend, subplots
 from stickslip.sim.theory import folds, strata
 from stickslip.workflows.charts.peers import Floats
 

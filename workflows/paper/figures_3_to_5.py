@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from stickslip import sim
-from stickslip.analysis.report.figures import CYCLE, GREY, STYLE, blank, subplots
-from stickslip.analysis.report.words import PAPER_GAMMA
+from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.stats import cascades, estimates, fates
 from stickslip.analysis.stats.nulls import NullTally, random_order
+from stickslip.analysis.style import CYCLE, GREY, STYLE, blank, subplots
 from stickslip.pipeline.design import MATRIX
 from stickslip.workflows.charts.peers import random_ratios, seed_of
 from stickslip.workflows.paper.systems import LAWS, Law, PaperSystems

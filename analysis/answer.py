@@ -1,0 +1,62 @@
+"""What a question of a report is, and what it finds: facts, tables and figures; the words are in its template."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from stickslip.analysis.ensemble import Study
+
+#: Draws a figure when it is called, from plain data.
+Recipe = Callable[[], Figure]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a question found on an ensemble.
+
+    Attributes
+    ----------
+    facts : mapping
+        What the question's template says, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
+    lack : str
+        Why there is no answer, a code that the template puts into words; empty if there is one.
+    tables : mapping of str to DataFrame
+        Kept whole as Parquet, with nullable types: null and never NaN.
+    figures : mapping of str to Recipe
+        By name; the template says what each shows.
+    """
+
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    lack: str = ""
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    figures: Mapping[str, Recipe] = field(default_factory=dict)
+
+
+class Question(Protocol):
+    """A module of `analysis.questions`; its template is `report/templates/<its name>.html`."""
+
+    def answer(self, study: Study) -> Answer | None:
+        """What is found; None where the question is not asked of such data."""
+
+
+S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types: a null, never NaN
+
+
+def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd.DataFrame:
+    """Rows as a data frame with the columns and nullable types of a schema; what a row lacks is null."""
+    listed = list(rows)
+    columns: dict[str, Any] = dict(schema)  # pandas' stubs know each dtype by its literal name only
+    return pd.DataFrame(
+        {column: pd.array([row.get(column) for row in listed], dtype=dtype) for column, dtype in columns.items()}
+    )
+
+
+def records(table: pd.DataFrame) -> list[Row]:
+    """Rows of a table as dictionaries of plain Python values, None for null."""
+    return table.astype(object).where(table.notna(), None).to_dict(orient="records")

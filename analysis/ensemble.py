@@ -1,0 +1,301 @@
+"""An ensemble as the statistics see it, and its members sorted into groups of like members.
+
+A group holds the members that differ in the matrix only (and, for the sigmoid, in the draw of the stiffness
+ratios). Only members that reached t_end enter a statistic; the others are counted, with outcome and reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.stats import effective, enough
+from stickslip.analysis.stats.cascades import Law, Window, sizes, window
+from stickslip.analysis.stats.estimates import Estimate, add_histograms, over_matrices, ratio
+from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines.contract import Number, Numbers
+
+OUTCOMES = ("finished", "collapsed", "diverged", "failed")
+PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it
+SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
+TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
+ENGINE_KEYS = (
+    "engine",
+    *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
+    *TOLERANCES,
+)
+REQUIRED = (*SYSTEM_KEYS, *ENGINE_KEYS, "member_id", "matrix", "outcome", "reason", "t_stop")
+EVENTS = Law("events")
+
+#: Change points of n_stick of a run: t, shape (m,), and n_stick, shape (m,), n_stick[k] on [t[k], t[k+1]).
+ChangePoints = tuple[np.ndarray, np.ndarray]
+#: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
+Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+#: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
+Separation = tuple[np.ndarray, np.ndarray]
+Series = Mapping[str, ChangePoints]
+
+
+@dataclass(frozen=True)
+class Data:
+    """An ensemble as the statistics see it. All mappings are by member_id, and may load lazily.
+
+    Attributes
+    ----------
+    members : DataFrame
+        One row a member; the columns in `REQUIRED`, null where a setting does not apply.
+    series : mapping to ChangePoints
+        Of every member that did not fail.
+    events : mapping to Events
+        Empty if the scene does not record them.
+    separations : mapping to Separation
+        Of members that are a changed copy of another; empty if the scene does not record them.
+    thresholds : mapping of (member_id, threshold) to ChangePoints
+        n_stick of a sigmoid run under further definitions |w - v| < threshold r_i eps.
+    """
+
+    members: pd.DataFrame
+    series: Series
+    events: Mapping[str, Events] = field(default_factory=dict)
+    separations: Mapping[str, Separation] = field(default_factory=dict)
+    thresholds: Mapping[tuple[str, float], ChangePoints] = field(default_factory=dict)
+
+
+@dataclass
+class Group:
+    """Members alike in everything but the matrix, with what their finished runs give, a row a matrix.
+
+    Attributes
+    ----------
+    label : str
+        n, engine and whatever tells it from the others.
+    key : dict
+        The values that its members share, by `SYSTEM_KEYS` and `ENGINE_KEYS`.
+    members : DataFrame
+    matrices : list of int
+        Of the finished members, ascending: the rows of all arrays.
+    means : ndarray, shape (G, 5)
+        Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
+    histograms : list of ndarray
+        Cascades by `events`: histogram[k] of size k.
+    parts : list of ndarray, each shape (b, 2)
+        Total size and number of cascades in consecutive stretches of its runs.
+    effective : ndarray, shape (G, 5)
+        `effective.row`, of several runs of one matrix their mean.
+    n_quiet : int
+        Finished, but nothing sticks or slips anew after t_burn.
+    """
+
+    label: str
+    key: dict[str, Any]
+    members: pd.DataFrame
+    matrices: list[int] = field(default_factory=list)
+    means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    histograms: list[np.ndarray] = field(default_factory=list)
+    parts: list[np.ndarray] = field(default_factory=list)
+    effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    n_quiet: int = 0
+
+    @property
+    def finished(self) -> pd.DataFrame:
+        return self.members[self.members["outcome"] == "finished"]
+
+    @property
+    def n_runs(self) -> int:
+        return int(self.means[:, 4].sum())
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Total size and number of cascades by `events`, shape (G, 2)."""
+        rows = [[np.arange(len(h)) @ h, h.sum()] for h in self.histograms]
+        return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Cascades of each size from 1 on, shape (G, K)."""
+        longest = max((len(h) for h in self.histograms), default=1)
+        found = np.zeros((len(self.histograms), longest), dtype=np.int64)
+        for row, one in zip(found, self.histograms, strict=True):
+            row[: len(one)] = one
+        return found[:, 1:]
+
+    def by_matrix(self) -> np.ndarray:
+        """`means` averaged over the runs of each matrix: every matrix weighs the same."""
+        return self.means / self.means[:, 4:] if len(self.means) else self.means
+
+    def mean(self, confidence: float) -> Estimate:
+        """Mean n_stick."""
+        return over_matrices(ratio, self.by_matrix()[:, [0, 4]], confidence)
+
+    def drift(self, confidence: float) -> Estimate:
+        """Mean n_stick in the second half of the window minus the first, paired over matrices."""
+        rows = self.by_matrix()
+        return over_matrices(ratio, np.column_stack([rows[:, 2] - rows[:, 1], rows[:, 4]]), confidence)
+
+    def basis(self, confidence: float) -> enough.Basis:
+        """Whether a statistic that assumes a stationary law may be judged."""
+        return enough.basis(self.by_matrix()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
+
+
+@dataclass
+class Study:
+    """What every question is given: the data, what was declared before, and the groups."""
+
+    data: Data
+    settings: AnalysisSettings
+
+    def __post_init__(self) -> None:
+        check(self.data.members, self.data.series, self.settings)
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """Of the members that are no changed copy of another, filled; by n and engine."""
+        found = groups(unchanged(self.data.members))
+        for group in found:
+            _fill(group, self.data.series, self.settings)
+        return found
+
+    def windows(self, group: Group, series: Series | None = None) -> Iterator[tuple[int, str, Window]]:
+        """Row (matrix), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
+
+        Of another `series`, those of its members that are there.
+
+        Raises
+        ------
+        ValueError
+            If a series is not one, naming the member.
+        """
+        source = self.data.series if series is None else series
+        return _windows(group, source, self.settings.t_burn, may_lack=series is not None)
+
+    def generator(self, member_id: str) -> np.random.Generator:
+        """Random numbers of a member depend on its name alone, not on its place in the table."""
+        words = np.frombuffer(hashlib.sha256(member_id.encode()).digest(), dtype="<u4")
+        return np.random.default_rng(np.random.SeedSequence([self.settings.seed, *words.tolist()]))
+
+
+def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:
+    """Refuse input that cannot mean what it says.
+
+    Raises
+    ------
+    ValueError
+        Naming the column, member or setting, what was expected and what came.
+    """
+    missing = [name for name in REQUIRED if name not in members.columns]
+    if missing:
+        raise ValueError(f"members: missing column(s) {', '.join(missing)}")
+    if members.empty:
+        raise ValueError("members: expected at least one row, got none")
+    if not members["member_id"].is_unique:
+        twice = members.loc[members["member_id"].duplicated(), "member_id"].iloc[0]
+        raise ValueError(f"members: member_id {twice!r} occurs more than once")
+    unknown = sorted({str(outcome) for outcome in members["outcome"]} - set(OUTCOMES))
+    if unknown:
+        raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
+    if settings.t_burn >= members["t_end"].min():
+        raise ValueError(
+            f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
+            "no time is left for statistics"
+        )
+    for member_id, outcome in zip(members["member_id"], members["outcome"], strict=True):
+        if outcome != "failed" and member_id not in series:
+            raise ValueError(
+                f"series: no change points for the {outcome} member {member_id!r}; every member that did not fail "
+                "has some, be it the start alone"
+            )
+
+
+def is_changed(members: pd.DataFrame) -> pd.Series:
+    """Which members have other constants or another start than the original of their matrix."""
+    changed = members["perturbation_size"] > 0
+    return changed | members["twin_size"].notna() if "twin_size" in members else changed
+
+
+def unchanged(members: pd.DataFrame) -> pd.DataFrame:
+    """Members that are no changed copy of another; all of them where each is one."""
+    changed = is_changed(members)
+    return members if changed.all() else members[~changed]
+
+
+def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+    """Members alike in some columns, null as None, with the values that they share."""
+    plain = [members[name].astype(object).where(members[name].notna(), None) for name in keys]
+    at: dict[tuple[Any, ...], list[int]] = {}
+    for k, row in enumerate(zip(*plain, strict=True)):
+        at.setdefault(row, []).append(k)
+    return [(dict(zip(keys, row, strict=True)), members.iloc[some]) for row, some in at.items()]
+
+
+def groups(members: pd.DataFrame) -> list[Group]:
+    """Split members into groups, unperturbed ones first, then by n and engine."""
+
+    def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
+        key = part[0]
+        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in key.values()])
+
+    parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
+    keys = [key for key, _ in parts]
+    return [Group(label(key, keys), key, alike.sort_values(["matrix", "member_id"])) for key, alike in parts]
+
+
+def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
+    """Name of a group: n, engine, how it decides what sticks, and whatever sets it apart from the others."""
+    parts = [f"n = {key['n']}", str(key["engine"])]
+    defaults = ENGINES[key["engine"]].defaults()
+    for name in key:
+        if name in ("n", "engine", "perturbation_size") or key[name] is None:
+            continue
+        values = {rival[name] for rival in rivals if rival["engine"] == key["engine"]}
+        rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
+        is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
+        if is_said or len(values) > 1:
+            parts.append(f"{name} = {_plain(key[name])}")
+    if key["perturbation_size"] > 0:
+        parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
+    return ", ".join(parts)
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
+    """Read each finished run of a group once and keep the sums."""
+    group.matrices = [int(matrix) for matrix in group.finished["matrix"].unique()]
+    n_rows = len(group.matrices)
+    group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
+    group.histograms = [np.zeros(1, np.int64)] * n_rows
+    group.parts = [np.zeros((0, 2))] * n_rows
+    for row, _, win in _windows(group, series, settings.t_burn):
+        first, second, variance = enough.halves(win)
+        group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
+        group.effective[row] += effective.row(win)
+        group.n_quiet += not win.step.size
+        found = sizes(win, EVENTS)
+        group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
+        stretches = [(part.sum(), part.size) for part in np.array_split(found, PARTS)]
+        group.parts[row] = np.vstack([group.parts[row], stretches])
+    group.effective /= group.means[:, 4:]
+
+
+def _windows(
+    group: Group, series: Series, t_burn: float, may_lack: bool = False
+) -> Iterator[tuple[int, str, Window]]:
+    row_of = {matrix: row for row, matrix in enumerate(group.matrices)}
+    table = group.finished
+    for matrix, member_id, t_end in zip(table["matrix"], table["member_id"], table["t_end"], strict=True):
+        if may_lack and member_id not in series:
+            continue
+        try:
+            win = window(*series[member_id], t_burn, float(t_end))
+        except ValueError as error:
+            raise ValueError(f"series of member {member_id!r}: {error}") from error
+        yield row_of[int(matrix)], str(member_id), win

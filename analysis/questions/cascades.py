@@ -1,0 +1,234 @@
+"""The law of cascade sizes: gamma event by event, against fair order and against a finite pool of blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullLocator
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.stats import enough, pool
+from stickslip.analysis.stats.cascades import spans
+from stickslip.analysis.stats.effective import effective
+from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
+from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
+
+PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
+STEEPER, SHALLOWER, AS_CHANCE, UNKNOWN = "steeper", "shallower", "as chance", "cannot be told"
+MOST_DRAWN = 2  # groups in the figure
+_LAW: Mapping[str, str] = {
+    "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "gamma": F, "gamma_low": F, "gamma_high": F,
+    "chance": F, "difference": F, "difference_low": F, "difference_high": F, "gamma_pool": F, "over_pool": F,
+    "over_pool_low": F, "over_pool_high": F, "effective_samples": F, "effective_by": S, "verdict": S, "basis": S,
+}  # fmt: skip
+_SIZES: Mapping[str, str] = {
+    "group": S, "size": I, "n_cascades": I, "share": F, "share_low": F, "share_high": F, "fit": F, "chance": F,
+}  # fmt: skip
+
+
+def answer(study: Study) -> Answer:
+    """How cascade sizes fall off, and whether by more than the toss of a coin or a pool of blocks gives."""
+    level = study.settings.confidence
+    made = [(group, _law_row(group, level, study.settings.t_burn)) for group in study.groups]
+    sizes = [row for group, _ in made for row in _size_rows(group, level)]
+    tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
+    judged = [(group, row) for group, row in made if row["basis"] in (enough.ENOUGH, enough.DRIFT_UNKNOWN)]
+    judged = [(group, row) for group, row in judged if row["gamma_low"] is not None]
+    facts: dict[str, Any] = {
+        "rows": [row for _, row in made],
+        "t_burn": study.settings.t_burn,
+        "paper": PAPER_GAMMA,
+        "ln2": LN2,
+    }
+    if not judged:
+        best = max(made, key=lambda one: one[1]["n_cascades"])[1]
+        return Answer(facts | {"best": best}, lack=best["basis"], tables=tables)
+    largest = max(group.key["n"] for group, _ in judged)
+    lead = [(group, row) for group, row in judged if group.key["n"] == largest]
+    group, row = lead[0]
+    facts |= {
+        "lead": row,
+        "unsure": [row["group"] for _, row in judged if row["basis"] == enough.DRIFT_UNKNOWN],
+        "refused": [row for _, row in made if row["basis"] not in (enough.ENOUGH, enough.DRIFT_UNKNOWN)],
+        "sizes": [one for one in sizes if one["group"] == group.label],
+        "pool": (_pool_facts(group, row)),
+    }
+    law = partial(
+        size_law,
+        [(one.label, [size for size in sizes if size["group"] == one.label]) for one, _ in lead[:MOST_DRAWN]],
+        row,
+    )
+    figures = {"one_run": partial(one_run, *_one_run(study, group)), "size_law": law}
+    return Answer(facts, tables=tables, figures=figures)
+
+
+def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
+    """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
+    sums, basis = group.sums, group.basis(confidence)
+    some = sums[:, 1] > 0
+    rate = over_matrices(gamma, sums[some], confidence)
+    span = float(group.key["t_end"]) - t_burn
+    samples = effective(group.effective, span, confidence) if group.matrices else None
+    row: Row = {
+        "group": group.label, "n": group.key["n"], "engine": group.key["engine"], "n_matrices": int(some.sum()),
+        "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
+        "chance": LN2, "difference": None, "difference_low": None, "difference_high": None, "gamma_pool": None,
+        "over_pool": None, "over_pool_low": None, "over_pool_high": None,
+        "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,
+        "verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
+    }  # fmt: skip
+    if rate.value is not None:
+        row["difference"] = rate.value - LN2
+    if rate.low is not None and rate.high is not None and rate.value is not None:
+        row |= {"difference_low": rate.low - LN2, "difference_high": rate.high - LN2}
+        if basis.code in (enough.ENOUGH, enough.DRIFT_UNKNOWN):
+            row["verdict"] = STEEPER if rate.low > LN2 else SHALLOWER if rate.high < LN2 else AS_CHANCE
+    mean = group.mean(confidence).value
+    if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:
+        rows = np.hstack([sums, group.by_matrix()[:, [0, 4]]])[some]
+        over = over_matrices(pool.against(group.key["n"]), rows, confidence)
+        row |= {
+            "gamma_pool": pool.gamma(group.key["n"], mean),
+            "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high,
+        }  # fmt: skip
+    return row
+
+
+def _pool_facts(group: Group, row: Row) -> Row | None:
+    """What the pool of as many blocks gives: gamma, and the difference that is left."""
+    if row["gamma_pool"] is None:
+        return None
+    over = Estimate(row["over_pool"], row["over_pool_low"], row["over_pool_high"])
+    return {"n": group.key["n"], "gamma": row["gamma_pool"], "over": over}
+
+
+def _size_rows(group: Group, confidence: float) -> list[Row]:
+    """Share of each size: observed with an interval over matrices, fitted, and by the toss of a coin."""
+    counts = group.counts
+    counts = counts[counts.sum(axis=1) > 0]
+    if not len(counts):
+        return []
+    totals = counts.sum(axis=1)
+    rate = over_matrices(gamma, group.sums[group.sums[:, 1] > 0], confidence).value
+    rows = []
+    for size, column in enumerate(counts.T, start=1):
+        share = over_matrices(ratio, np.column_stack([column, totals]).astype(float), confidence)
+        rows.append(
+            {
+                "group": group.label,
+                "size": size,
+                "n_cascades": int(column.sum()),
+                "share": share.value,
+                "share_low": None if share.low is None else max(share.low, 0.0),
+                "share_high": None if share.high is None else min(share.high, 1.0),
+                "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * (size - 1))),
+                "chance": 0.5**size,
+            }
+        )
+    return rows
+
+
+def _one_run(study: Study, group: Group) -> tuple[Any, ...]:
+    """The first run of a group, and its largest cascade."""
+    _, member_id, win = next(iter(study.windows(group)))
+    found = spans(win)
+    one = None
+    if len(found.size):
+        k = int(np.argmax(found.size))
+        one = int(found.size[k]), float(found.start[k]), float(found.stop[k])
+    return *study.data.series[member_id], win.t_stop, study.settings.t_burn, one
+
+
+def one_run(
+    t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: tuple[int, float, float] | None
+) -> Figure:
+    """n_stick(t) of one run, what is left out shaded, and one cascade enlarged.
+
+    Parameters
+    ----------
+    t, n_stick : ndarray, shape (m,)
+        Change points, the last value holding to t_stop.
+    cascade : (size, first exit, last exit), optional
+    """
+    t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
+        ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
+        ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY, fontsize=7)
+        ax.set(
+            xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$"
+        )
+        if cascade is not None:
+            size, first, last = cascade
+            wide = max(4 * (last - first), 1e-6)
+            seen = (t >= first - wide) & (t <= last + wide)
+            ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
+            inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
+            inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
+            let_go = (t >= first) & (t <= last)
+            start = np.flatnonzero(let_go)[0]
+            inset.step(
+                np.append(first, t[let_go]), np.append(n_stick[start - 1], n_stick[let_go]), where="post",
+                color=SMOOTHED, linewidth=1.8,
+            )  # fmt: skip
+            inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=7, loc="right")
+            inset.tick_params(labelsize=6)
+            inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
+            inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+    return figure
+
+
+def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
+    """Share of cascades of each size on a log axis for some groups, with fit and chance, and all over chance below.
+
+    Parameters
+    ----------
+    laws : sequence of (label, rows)
+        Rows of the table `sizes`, by events, of each group.
+    fitted : mapping
+        Of the first group `gamma`, `gamma_low` and `gamma_high`.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
+        largest = 1
+        for k, (label, rows) in enumerate(laws):
+            seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
+            if not seen:
+                continue
+            sizes = np.array([row["size"] for row in seen], dtype=float)
+            share, less, more = (np.array([row["share" + end] for row in seen]) for end in ("", "_low", "_high"))
+            largest, chance = max(largest, int(sizes[-1])), 0.5**sizes
+            form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
+            form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
+            at = sizes + 0.12 * k
+            top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
+            below.errorbar(at, share / chance, yerr=[(share - less) / chance, (more - share) / chance], **form)
+        grid = np.arange(1, largest + 1)
+        rate = fitted
+        fit, low, high = (
+            None if rate[name] is None else -np.expm1(-rate[name]) * np.exp(-rate[name] * (grid - 1))
+            for name in ("gamma", "gamma_low", "gamma_high")
+        )
+        if fit is not None:
+            top.plot(grid, fit, color=EXACT, linewidth=1, label="fit")
+            below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1)
+        if low is not None and high is not None:
+            below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
+        top.plot(grid, 0.5**grid, "--", color=GREY, linewidth=1, label="chance")
+        below.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+        top.set_yscale("log")
+        top.yaxis.set_minor_locator(NullLocator())
+        top.set_ylabel("share, f")
+        below.set(ylabel="f / chance", xlabel="cascade size s, blocks let go")
+        size_axis(below, largest)
+        top.legend(loc="upper right", fontsize=7)
+    return figure

@@ -1,0 +1,192 @@
+"""How numbers, intervals and tables look on a page: the filters and functions that templates call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from stickslip.analysis.stats.estimates import Estimate
+
+MINUS, DASH = "\u2212", "\u2013"
+Row = Mapping[str, Any]
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits; a dash where there is none."""
+    if value is None:
+        return DASH
+    text = f"{value:,.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+    return text.replace("-", MINUS)
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with so many decimals."""
+    return DASH if value is None else f"{value:,.{decimals}f}".replace("-", MINUS)
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """A difference, with its sign."""
+    return ("+" if value >= 0 else "") + number(value, digits)
+
+
+def percent(value: float, digits: int = 2) -> str:
+    """A share of one."""
+    return f"{number(100 * value, digits)}%" if value else "0%"
+
+
+def signed_percent(value: float, digits: int = 2) -> str:
+    """A relative difference, with its sign."""
+    return ("+" if value >= 0 else "") + percent(value, digits)
+
+
+def p_text(p: float) -> str:
+    """A p-value, with no more digits than it deserves."""
+    return "< 0.001" if p < 0.001 else f"{p:.2g}"
+
+
+def count(n: int, noun: str) -> str:
+    """A number of things: "one run", "20 matrices"."""
+    plural = {"matrix": "matrices"}.get(noun, noun + "s")
+    return f"{'one' if n == 1 else format(n, ',')} {noun if n == 1 else plural}"
+
+
+def listed(names: Sequence[Any], last: str = "and") -> str:
+    """Names in a sentence: "a, b and c"."""
+    texts = [str(name) for name in names]
+    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} {last} {texts[-1]}"
+
+
+def capital(text: str) -> str:
+    """The first letter large."""
+    return text[:1].upper() + text[1:]
+
+
+def between(low: float | None, high: float | None, show: Callable[..., str] = number, *how: int) -> str:
+    """Two ends: "0.1 to 0.2"."""
+    return DASH if low is None or high is None else f"{show(low, *how)} to {show(high, *how)}"
+
+
+def interval(estimate: Estimate, digits: int = 3) -> str:
+    """The interval of an estimate, its ends with the decimals of the value; "no interval" where there is none."""
+    if estimate.low is None or estimate.high is None:
+        return "no interval"
+    decimals = _decimals([estimate.value or estimate.high], digits)
+    return between(estimate.low, estimate.high, fixed, decimals)
+
+
+def _decimals(values: Iterable[float | None], digits: int) -> int:
+    """Decimals that give the typical one of some numbers so many significant digits."""
+    sizes = [abs(value) for value in values if value]
+    if not sizes:
+        return 0
+    return int(np.clip(digits - 1 - np.floor(np.log10(np.median(sizes))), 0, 8))
+
+
+#: A column of a table: its heading; the key of the rows, or two for "low to high"; and how its numbers are shown.
+#: That is a number of digits, which its typical number gets, one of `_SHOWN`, or None for words.
+Column = tuple[str, str | tuple[str, str], int | str | None]
+_SHOWN: Mapping[str, Callable[[Any], str]] = {
+    "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
+    "g": lambda value: f"{value:g}", "yes": lambda value: "yes" if value else "no",
+}  # fmt: skip
+
+
+def table(
+    rows: Sequence[Row],
+    columns: Sequence[Column],
+    caption: str = "",
+    most: int = 40,
+    where: str = "",
+    aside: Row | None = None,
+    kind: str = "",
+) -> Markup:
+    """Rows as a table; columns without any value are left out.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    columns : sequence of Column
+    caption : str
+    most : int
+        Rows shown; the others are only counted, with `where` they are kept (the name of a Parquet file).
+    aside : mapping, optional
+        A last row in grey, of texts by key.
+    kind : str
+        "stack" for one that becomes cards on a narrow screen.
+    """
+    shown = rows[:most]
+    kept = [column for column in columns if any(_known(row, column[1]) for row in shown)]
+    cells = [_cells(shown, column) for column in kept]
+    out = [f'<div class="wide"><table class="{escape(kind)}">']
+    if caption:
+        out.append(f"<caption>{escape(caption)}</caption>")
+    heads = "".join(f"<th{_left(column)}>{escape(column[0])}</th>" for column in kept)
+    out.append(f"<thead><tr>{heads}</tr></thead><tbody>")
+    for k in range(len(shown)):
+        out.append(f"<tr>{''.join(_cell(column, cells[j][k]) for j, column in enumerate(kept))}</tr>")
+    if aside is not None:
+        texts = [str(aside.get(_name(column[1]), "")) for column in kept]
+        marked = "".join(_cell(column, text) for column, text in zip(kept, texts, strict=True))
+        out.append(f'<tr class="aside">{marked}</tr>')
+    out.append("</tbody></table></div>")
+    if len(rows) > most:
+        kept_where = f" in report/{escape(where)}.parquet" if where else ""
+        out.append(f'<p class="note">{len(rows) - most:,} more rows{kept_where}.</p>')
+    return Markup("".join(out))
+
+
+def _name(key: str | tuple[str, str]) -> str:
+    return key if isinstance(key, str) else key[0]
+
+
+def _known(row: Row, key: str | tuple[str, str]) -> bool:
+    return row[_name(key)] is not None
+
+
+def _cells(rows: Sequence[Row], column: Column) -> list[str]:
+    _, key, how = column
+    keys = (key,) if isinstance(key, str) else key
+    values = [[row[name] for name in keys] for row in rows]
+    if isinstance(how, int):
+        decimals = _decimals((value for some in values for value in some), how)
+        return [_joined(some, lambda value: fixed(value, decimals)) for some in values]
+    return [_joined(some, _SHOWN[how] if how else str) for some in values]
+
+
+def _joined(values: Sequence[Any], show: Callable[[Any], str]) -> str:
+    return DASH if any(value is None for value in values) else " to ".join(show(value) for value in values)
+
+
+def _cell(column: Column, text: str) -> str:
+    return f'<td data-h="{escape(column[0])}"{_left(column)}>{escape(text)}</td>'
+
+
+def _left(column: Column) -> str:
+    return "" if column[2] else ' class="l"'
+
+
+def environment(*packages: str) -> Environment:
+    """Where templates of some packages' pages are found, and how they are filled: escaped, nothing undefined.
+
+    All of them extend `page.html`, which lies here and holds the style.
+    """
+    found = Environment(
+        loader=ChoiceLoader(
+            [PackageLoader(name, ".") for name in packages] + [PackageLoader(__package__, "templates")]
+        ),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
+    )
+    found.filters |= {
+        "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
+        "p": p_text, "listed": listed, "capital": capital, "interval": interval,
+    }  # fmt: skip
+    found.globals |= {"count": count, "between": between, "table": table}
+    return found

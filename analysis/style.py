@@ -1,0 +1,84 @@
+"""The style of every plot: colour-blind safe, legible, the same bytes for like data."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+# Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
+BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, "#E69F00", "#56B4E9")
+STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "legend.fontsize": 8,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "svg.hashsalt": "stickslip",  # fixed ids: the same figure is the same bytes
+}
+WIDTH = 7.2  # inches: the text width of the report
+
+
+def svg(figure: Figure) -> str:
+    """A figure as SVG text, without date: a function of the figure alone."""
+    buffer = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        FigureCanvasSVG(figure)
+        layout = figure.get_layout_engine()
+        if layout is not None:  # left in place, it would have the figure drawn twice
+            layout.execute(figure)
+            figure.set_layout_engine("none")
+        figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def pdf(figure: Figure) -> bytes:
+    """A figure as PDF, without date."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata={"CreationDate": None})
+    return buffer.getvalue()
+
+
+def blank(height: float) -> Figure:
+    """A figure as wide as the page's text, `height` inches high, that lays itself out."""
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def subplots(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
+    """Such a figure and its axes, shape (rows, columns)."""
+    figure = blank(height)
+    return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> None:
+    """One legend below the figure for the curves of its axes, or of some of them, each name once."""
+    drawn: dict[str, Any] = {}
+    for ax in figure.axes if axes is None else axes:
+        drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns)
+
+
+PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
+EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two laws, as filled circles and open squares
+
+
+def size_axis(ax: Axes, largest: int) -> None:
+    """An axis of sizes, 1 to `largest`: whole numbers, be there one alone."""
+    ax.set_xlim(0.5, largest + 0.5)
+    ax.xaxis.set_major_locator(MaxNLocator(nbins="auto", integer=True, min_n_ticks=1))

@@ -1,0 +1,100 @@
+"""The questions of a report, put to processes beside this one."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from stickslip.pipeline.processes import Child, ChildDied
+
+if TYPE_CHECKING:
+    from stickslip.analysis.ensemble import Study
+    from stickslip.analysis.report.page import Answered
+
+MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
+
+
+class Asking:
+    """Processes that load what they need while a run goes on, and answer questions once it is done.
+
+    A context manager. There is one for each core but this process's own.
+    """
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+        n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        n_children = min(n_cores, MOST_PROCESSES) - 1
+        self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
+        self._threads: list[threading.Thread] = []
+        self._each(_load)
+
+    def __enter__(self) -> Asking:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self._children:
+            child.kill()
+        self._join()
+        self._stack.close()
+
+    def _each(self, work: Callable[[Child], None]) -> None:
+        self._threads = [threading.Thread(target=work, args=(child,), daemon=True) for child in self._children]
+        for thread in self._threads:
+            thread.start()
+
+    def _join(self) -> None:
+        for thread in self._threads:
+            thread.join()
+
+    def __call__(self, path: str, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
+        """The answer to each question, in their order.
+
+        What a process fails at is asked again here, so that its error is seen.
+        """
+        from stickslip.analysis.questions import QUESTIONS
+        from stickslip.analysis.report.page import ask
+
+        to_go: deque[str] = deque(QUESTIONS)
+        found: dict[str, Answered | None] = {}
+
+        def by_child(child: Child) -> None:
+            while to_go:
+                key = to_go.popleft()
+                try:
+                    found[key] = child((path, key))
+                except ChildDied:
+                    to_go.append(key)
+                    return
+                on_answer(len(found), len(QUESTIONS))
+
+        def here() -> None:
+            while to_go:
+                key = to_go.pop()
+                found[key] = ask(study, key)
+                on_answer(len(found), len(QUESTIONS))
+
+        self._join()
+        self._each(by_child)
+        here()
+        self._join()
+        here()
+        return [found[key] for key in QUESTIONS]
+
+
+def _load(child: Child) -> None:
+    try:
+        child(None)
+    except ChildDied:  # seen again when it is asked
+        return
+
+
+def answer(argument: tuple[str, str] | None) -> Answered | None:
+    """In a child: one question to a dataset; of no argument, load what it takes."""
+    from stickslip.analysis.report.page import ask
+    from stickslip.workflows.reporting import study_of
+
+    return None if argument is None else ask(study_of(argument[0]), argument[1])
