@@ -228,7 +228,7 @@ def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
         top.set_yscale("log")
         top.yaxis.set_minor_locator(NullLocator())
         top.set_ylabel("share, f")
-        below.set(ylabel="f / chance", xlabel="cascade size s, blocks let go")
+        below.set(ylabel="f / chance", xlabel="cascade size s")
         size_axis(below, largest)
         top.legend(loc="upper right", fontsize=7)
     return figure

@@ -121,11 +121,11 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     except Undefined as undefined:
         return Estimate(reason=str(undefined))
     if len(sums) == 1:
-        return Estimate(value, reason="one matrix only, so no interval")
+        return Estimate(value, reason="one matrix")
     try:
         _, error = jackknife(statistic, sums)
     except Undefined as undefined:
-        return Estimate(value, reason=f"no interval: with one of the matrices left out, {undefined}")
+        return Estimate(value, reason=f"one left out: {undefined}")
     half = student.half_width(confidence, len(sums) - 1) * error
     return Estimate(value, value - half, value + half)
 

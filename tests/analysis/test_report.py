@@ -1,46 +1,40 @@
-"""The report: its sentences follow the numbers, nothing is invented, nothing crashes."""
+"""The report: every question on planted and on scarce data; nothing is invented, nothing crashes, nothing leaks."""
 
+import ast
 import io
 import json
 import math
 import re
-from dataclasses import replace
-from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from stickslip.analysis.questions.clustering_section import clustering_section
 
-from stickslip.analysis import AnalysisSettings, Data, build
-from stickslip.analysis.report.page import on_demand
+from stickslip import analysis
+from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.report import page
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.estimates import LN2
-from stickslip.analysis.stats.families import RIVALS
-from stickslip.analysis.stats.rivals import rivals
 
 
 @pytest.fixture(autouse=True)
-def few_controls(monkeypatch):
-    """Positive controls of clustering and rival laws, most of a report's time, have tests of their own."""
-    few = partial(clustering_section, resamples=5, repeats=2)
-    monkeypatch.setattr("stickslip.analysis.questions.law_section.rivals", partial(rivals, families=RIVALS[:1]))
-    monkeypatch.setattr("stickslip.analysis.report.page.clustering_section", few)
-
-
-def undrawn(recipe):
+def _undrawn(request, monkeypatch):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
-    return lambda: "data:image/svg+xml;base64,"
+    if "drawn" not in request.keywords:
+        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
 
 
-def report_of(data, settings, title="Planted", about="Planted series.", provenance=None, draw=undrawn):
+def report_of(data, settings, title="Planted", about="Planted series.", provenance=None):
     members, series = data
-    return build(Data(members, series), settings, title, about, provenance or {"scene": "planted"}, draw)
+    return build(Data(members, series), settings, title, about, provenance or {"scene": "planted"})
 
 
 def text_of(report):
     """What a reader sees, without images, style and tags."""
     html = re.sub(r'src="data:[^"]*"', "", report.html)
-    return re.sub(r"\s+", " ", re.sub(r"<style>.*?</style>|<[^>]+>", " ", html, flags=re.DOTALL))
+    return re.sub(r"\s+", " ", re.sub(r"<style>.*?</style>|<script>.*?</script>|<[^>]+>", " ", html, flags=re.DOTALL))
 
 
 def assert_honest(report):
@@ -53,141 +47,20 @@ def assert_honest(report):
                 assert not (isinstance(value, float) and not math.isfinite(value)), column
 
 
-def law(report, definition="events", engine="coulomb"):
+def law(report, engine="coulomb"):
     table = report.tables["law"]
-    return table[(table["definition"] == definition) & (table["engine"] == engine)].iloc[0]
+    return table[table["engine"] == engine].iloc[0]
 
 
-def test_fair_series_are_not_told_from_chance_and_clustered_ones_are(planted, settings):
-    fair, clustered = (report_of(planted.ensemble({"coulomb": rate}, 20), settings) for rate in (LN2, LN2 - 0.12))
-    assert law(fair)["verdict"] == "not distinguishable"
-    assert law(fair)["difference_low"] < 0 < law(fair)["difference_high"]
-    assert "not told apart from random order" in fair.headline[1]
-    found = law(clustered)
-    assert found["verdict"] == "differs"
-    assert found["gamma_low"] < LN2 - 0.12 < found["gamma_high"]
-    assert "shallower than in random order" in clustered.headline[1]
-    assert "shallower" not in fair.headline[1]
-    share = 100 * abs(found["difference"]) / found["gamma0"]
-    assert f"that is {share:.3g}% of gamma0" in text_of(clustered)
-    for report in (fair, clustered):
-        assert_honest(report)
-
-
-def test_anticlustered_series_have_smaller_cascades(planted, settings):
-    report = report_of(planted.ensemble({"coulomb": LN2 + 0.3}, 10), settings)
-    assert law(report)["verdict"] == "differs"
-    assert "smaller cascades" in law(report)["statement"]
-
-
-def test_engines_are_compared_on_the_matrices_they_share(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2, "sigmoid": LN2}, 8)
-    # One series a matrix, the sigmoid's higher by 2 throughout: the paired bias is exactly 2.
-    for matrix in range(8):
-        t, n_stick = series[f"coulomb-{matrix:03d}"]
-        series[f"sigmoid-{matrix:03d}"] = (t, n_stick + 2)
-    lost = members["member_id"] == "sigmoid-003"
-    members.loc[lost, ["outcome", "reason", "t_stop"]] = ["diverged", "grew without bound", 40.0]
-    report = report_of((members, series), replace(settings, margins={"mean": 0.1, "gamma": 0.05}))
-    table = report.tables["engines"]
-    mean = table[table["quantity"] == "mean n_stick"].iloc[0]
-    assert (mean["reference"], mean["n_matrices"]) == ("n = 200, coulomb", 7)
-    assert mean["difference"] == pytest.approx(2)
-    assert mean["difference_high"] - mean["difference_low"] == pytest.approx(0, abs=1e-9)
-    gammas = table[table["quantity"] == "gamma (events)"].iloc[0]
-    assert gammas["difference"] == pytest.approx(0, abs=1e-12)
-    assert f"{mean['setting']}: Against coulomb on the same 7 matrices" in " ".join(report.headline)
-    assert mean["statement"] in text_of(report)
-
-
-def test_mean_n_stick_is_the_planted_mean(planted, settings):
-    """Square waves between a and a + 2, a another number for each matrix: means a + 1, their t interval."""
-    levels = np.array([10, 12, 17, 21])
-    t = np.arange(0.0, planted.t_end, 2.5)
-    members = pd.DataFrame([planted.member(f"m{k}", k) for k in range(4)])
-    series = {f"m{k}": (t, a + 2 * (np.arange(t.size) % 2)) for k, a in enumerate(levels)}
-    row = report_of((members, series), settings).tables["n_stick"].iloc[0]
-    half = 3.182446305 * levels.std(ddof=1) / 2
-    assert [row["mean"], row["low"], row["high"]] == pytest.approx([16, 16 - half, 16 + half])
-    assert row["variance_in_time"] == pytest.approx(1)
-
-
-def test_burn_in_table_sees_a_drift(planted, settings):
-    t, drifting = np.arange(0.0, 1000.0), np.arange(1000) // 10
-    members = pd.DataFrame([planted.member(f"m{k}", k) for k in range(5)])
-    series = {f"m{k}": (t, drifting + k) for k in range(5)}
-    row = report_of((members, series), settings).tables["burn_in"].iloc[0]
-    assert row["difference"] == pytest.approx(45)
-    assert "drifts by +45" in row["statement"]
-    fair = report_of(planted.ensemble({"coulomb": LN2}, 20, n_steps=80), settings)
-    assert "is not excluded" in fair.tables["burn_in"].iloc[0]["statement"]
-    assert "take gamma with care" not in text_of(fair)
-    assert "n_stick drifts" not in fair.headline[1]
-
-
-def test_a_drift_is_said_beside_gamma(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2}, 5)
-    series = {name: (t, n_stick + t.astype(int)) for name, (t, n_stick) in series.items()}
-    report = report_of((members, series), settings)
-    assert report.headline[1].endswith("; n_stick drifts after t_burn.")
-    text = text_of(report)
-    said = text.index("n = 200, coulomb: Take gamma with care: n_stick drifts by +4")
-    gamma, mean = (text.index(f"n = 200, coulomb: {words}", said - 600) for words in ("Event", "Mean"))
-    assert gamma < said < mean
-
-
-def test_long_lists_begin_with_the_groups_that_have_data(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2}, 7, n_steps=400)
-    for matrix in range(7):
-        name = f"few-{matrix}"
-        members.loc[len(members)] = planted.member(name, matrix, n=20)
-        series[name] = (np.array([0.0, 500.0]), np.array([3, 2]))
-    html = report_of((members, series), settings).html
-    for title in (
-        "the-law-of-the-sizes",
-        "gamma-by-definition,-step-and-threshold",
-        "do-exits-cluster-beyond-chance?",
-    ):
-        listed = re.findall("<li>(n = .*?),", html.partition(f'<h2 id="{title}">')[2].partition("<h2")[0])
-        assert listed[0] == "n = 200", title
-        assert "n = 20" in listed
-
-
-def test_members_that_stopped_are_counted_and_never_pooled(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2}, 6)
-    before = report_of((members, series), settings)
-    stopped = pd.DataFrame(
-        [
-            planted.member("c1", 6, outcome="collapsed", reason="certified", t_stop=50.0),
-            planted.member("c2", 7, outcome="collapsed", reason="certified", t_stop=400.0),
-            planted.member("d1", 8, outcome="diverged", reason="grew without bound", t_stop=300.0),
-            planted.member("f1", 9, outcome="failed", reason="worker lost", t_stop=None),
-        ]
-    )
-    clustered = planted.runs(np.random.default_rng(0), 800, 0.2)
-    with_stopped = series | {"c1": (np.array([0.0]), np.array([0])), "c2": clustered, "d1": clustered}
-    after = report_of((pd.concat([members, stopped]), with_stopped), settings)
-    pd.testing.assert_frame_equal(before.tables["law"], after.tables["law"])
-    pd.testing.assert_frame_equal(before.tables["n_stick"], after.tables["n_stick"])
-    outcomes = after.tables["outcomes"].set_index("outcome")
-    assert outcomes["n_members"].to_dict() == {"finished": 6, "collapsed": 2, "diverged": 1, "failed": 1}
-    assert outcomes.loc["collapsed", "n_before_burn"] == 1
-    assert "6 of 10 runs reached t_end; left out: 2 collapsed (1 before t_burn), 1 diverged, 1 failed" in text_of(
-        after
-    )
-    assert "worker lost" in text_of(after)
-    assert_honest(after)
-
-
-def test_perturbed_members_are_pooled_with_nothing(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2}, 5)
-    twins = members.assign(member_id=members["member_id"] + "-p", perturbation_size=0.05)
-    for twin in twins["member_id"]:
-        series[twin] = series[twin.removesuffix("-p")]
-    report = report_of((pd.concat([members, twins]), series), replace(settings, margins={"mean": 0.1}))
-    alone = report_of((members, series), settings)
-    pd.testing.assert_frame_equal(report.tables["law"], alone.tables["law"])
-    assert set(report.tables["robustness"]["n_matrices"]) == {5}
+@pytest.mark.parametrize(("rate", "verdict"), [(LN2, "as chance"), (LN2 - 0.12, "shallower"), (LN2 + 0.3, "steeper")])
+def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verdict):
+    report = report_of(planted.ensemble({"coulomb": rate}, 20), settings)
+    found = law(report)
+    assert found["verdict"] == verdict
+    assert found["gamma_low"] < rate < found["gamma_high"]
+    said = "as if blocks let go in random order" if verdict == "as chance" else f"{verdict} than if blocks let go"
+    assert said in report.headline[1]
+    assert_honest(report)
 
 
 def test_groups_are_named_by_what_sets_them_apart(planted, settings):
@@ -230,52 +103,78 @@ def scarce(planted):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    "name",
     [
-        ("one matrix", "one matrix only, so no interval"),
-        ("two matrices", "2 matrices"),
-        ("nothing changes", "n_stick does not change after t_burn in any finished run"),
-        ("only ones", "every cascade has size 1, so gamma has no finite value"),
-        ("no complete cascade", "no complete cascade after t_burn in any finished run"),
-        ("all failed", "no run reached t_end"),
-        ("all collapsed", "0 of 2 runs reached t_end; left out: 2 collapsed (2 before t_burn)"),
+        "one matrix",
+        "two matrices",
+        "nothing changes",
+        "only ones",
+        "no complete cascade",
+        "all failed",
+        "all collapsed",
     ],
 )
-def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name, words):
-    report = report_of(scarce[name], settings, draw=on_demand)
-    assert words in text_of(report)
-    said = "To t = 1000, n = 200, coulomb: all stopped sticking for good" if name == "all collapsed" else words
-    assert said in " ".join(report.headline)
-    if name == "nothing changes":
-        assert "2 runs reached t_end; after t_burn no block sticks or slips anew in 2 of them" in text_of(report)
-    if name != "two matrices":
-        assert set(report.tables["law"]["verdict"]) == {"not enough data"}
-        # of runs that ended by themselves the headline says how they did
-        assert "not enough data" in (text_of(report) if name == "all collapsed" else " ".join(report.headline))
-    seen = report.tables["sizes"].query("definition == 'events' and n_cascades > 0")
-    assert ("size (events)" in text_of(report)) == (len(seen) > 1)  # neither a head without a table nor a law of one
+def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name):
+    report = report_of(scarce[name], settings)
+    assert "Not answered:" in text_of(report)
+    assert set(report.tables["law"]["verdict"]) == {"cannot be told"}
     assert_honest(report)
     assert list(report.files())[-1] == "report.html"
+    assert len(text_of(report).split()) < 900
 
 
+@pytest.mark.drawn
 def test_the_report_twice_is_the_same_bytes_whatever_the_order_of_rows(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2, "sigmoid": 0.6}, 3)
-    backwards = dict(reversed(series.items()))
-    one = report_of((members, series), settings, draw=on_demand)
-    two = report_of((members.iloc[::-1], backwards), settings, draw=on_demand)
+    members, series = planted.ensemble({"coulomb": LN2, "sigmoid": 0.6}, 8)
+    one = report_of((members, series), settings)
+    two = report_of((members.iloc[::-1], dict(reversed(series.items()))), settings)
     assert one.html == two.html
     assert one.headline == two.headline
-    assert {"report.html", "report/law.parquet", "report/tables.json"} <= one.files().keys()
     assert one.files() == two.files()
+    assert {"report.html", "report/law.parquet", "report/tables.json"} <= one.files().keys()
+    assert one.files()["report/figures/size_law.pdf"].startswith(b"%PDF")
+    sources = re.findall(r'(?:src|href)="([^#].{4})', one.html)
+    assert set(sources) == {"data:"}
+    assert "url(" not in one.html
 
 
-def test_another_seed_changes_chance_only_within_its_error(planted, settings):
-    members, series = planted.ensemble({"coulomb": LN2}, 4)
-    other = AnalysisSettings(settings.t_burn, settings.dt, settings.resamples, settings.confidence, seed=1)
-    one, two = (law(report_of((members, series), each)) for each in (settings, other))
-    assert one["gamma"] == two["gamma"]
-    assert one["gamma0"] != two["gamma0"]
-    assert abs(one["gamma0"] - two["gamma0"]) < 4 * math.hypot(one["gamma0_error"], two["gamma0_error"])
+def test_members_that_stopped_enter_no_statistic(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 6)
+    stopped = [
+        planted.member("c1", 6, outcome="collapsed", reason="certified", t_stop=50.0),
+        planted.member("d1", 8, outcome="diverged", reason="grew without bound", t_stop=300.0),
+        planted.member("f1", 9, outcome="failed", reason="worker lost", t_stop=None),
+    ]
+    more = series | {"c1": (np.array([0.0]), np.array([0])), "d1": planted.runs(np.random.default_rng(0), 800, 0.2)}
+    before = report_of((members, series), settings)
+    after = report_of((pd.concat([members, pd.DataFrame(stopped)]), more), settings)
+    for table in ("law", "sizes"):
+        pd.testing.assert_frame_equal(before.tables[table], after.tables[table])
+    assert_honest(after)
+
+
+def test_perturbed_members_are_pooled_with_nothing(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 5)
+    twins = members.assign(member_id=members["member_id"] + "-p", perturbation_size=0.05)
+    more = series | {twin: series[twin.removesuffix("-p")] for twin in twins["member_id"]}
+    report, alone = (report_of(data, settings) for data in ((pd.concat([members, twins]), more), (members, series)))
+    pd.testing.assert_frame_equal(report.tables["law"], alone.tables["law"])
+
+
+def test_mean_and_drift_are_the_planted_ones(planted, settings):
+    """Square waves between a and a + 2, a another number for each matrix, and rising ones."""
+    levels, t = np.array([10, 12, 17, 21]), np.arange(0.0, planted.t_end, 2.5)
+    members = pd.DataFrame([planted.member(f"m{k}", k) for k in range(4)])
+    series = {f"m{k}": (t, a + 2 * (np.arange(t.size) % 2)) for k, a in enumerate(levels)}
+    (group,) = Study(Data(members, series), settings).groups
+    mean, half = group.mean(0.95), 3.182446305 * levels.std(ddof=1) / 2
+    assert [mean.value, mean.low, mean.high] == pytest.approx([16, 16 - half, 16 + half])
+    rising = {f"m{k}": (np.arange(0.0, 1000.0), np.arange(1000) // 10 + k) for k in range(4)}
+    (group,) = Study(Data(members, rising), settings).groups
+    assert group.drift(0.95).value == pytest.approx(45)
+    report = report_of((members, rising), settings)
+    assert set(report.tables["law"]["verdict"]) == {"cannot be told"}
+    assert "few" in report.tables["law"]["basis"].iloc[0] or report.tables["law"]["basis"].iloc[0] == "drifts"
 
 
 def test_written_tables_read_back_with_nulls(planted, settings):
@@ -288,7 +187,6 @@ def test_written_tables_read_back_with_nulls(planted, settings):
 
     stored = json.loads(files["report/tables.json"], parse_constant=refuse)
     assert list(stored) == list(report.tables)
-    assert stored["law"][0]["dt"] is None
     assert stored["law"][0]["gamma_low"] is None
     assert stored["law"][0]["gamma"] == law(report)["gamma"]
     for name, table in report.tables.items():
@@ -298,28 +196,49 @@ def test_written_tables_read_back_with_nulls(planted, settings):
 
 def test_what_users_write_is_escaped(planted, settings):
     hostile = "<script>alert('x')</script> & \"q\" {{ 7 * 7 }}"
-    members, series = planted.ensemble({"coulomb": LN2}, 2)
+    members, series = planted.ensemble({"coulomb": LN2}, 5)
     members.loc[0, ["outcome", "reason"]] = ["failed", hostile]
+    members["coupling"] = hostile
     report = report_of((members, series), settings, hostile, hostile, {hostile: hostile})
     assert "<script>alert" not in report.html
     assert report.html.count("&lt;script&gt;") >= 5
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", report.html)[0]
 
 
-def test_the_page_needs_nothing_from_elsewhere(planted, settings):
-    html = report_of(planted.ensemble({"coulomb": LN2}, 2), settings, draw=on_demand).html
-    sources = re.findall(r'(?:src|href)="([^#].{4})', html)
-    assert sources
-    assert set(sources) == {"data:"}
-    assert "url(" not in html
+@pytest.mark.parametrize("key", QUESTIONS)
+def test_a_question_is_a_file_and_a_template_with_its_words(key):
+    words = environment().get_template(f"{key}.html").module
+    assert words.name.endswith("?")
+    assert words.question.endswith("?")
+    assert callable(words.answer)
+    assert callable(words.part)
 
 
-def test_every_gamma_stands_with_its_definition_and_the_null(planted, settings):
-    text = text_of(report_of(planted.ensemble({"coulomb": LN2}, 3), settings))
-    assert "dt and threshold not stated" in text
-    assert "gamma0 (chance)" in text
-    assert "exits and entries independent and in equal numbers give ln 2 = 0.6931" in text
-    assert "9 comparisons with chance" in text  # events, and four sampled definitions at two dt
+def _texts(tree):
+    """Strings of a module outside docstrings, raised errors and assertions."""
+    outside = set()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and isinstance(body[0], ast.Expr):
+            outside |= set(ast.walk(body[0]))
+        if isinstance(node, ast.Raise | ast.Assert) or getattr(node, "name", "") == "__repr__":
+            outside |= set(ast.walk(node))
+    for node in ast.walk(tree):
+        if node in outside:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            parts = [part.value if isinstance(part, ast.Constant) else "x" for part in node.values]  # noqa: PD011
+            outside |= set(ast.walk(node))
+            yield node.lineno, "".join(map(str, parts))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+@pytest.mark.parametrize("room", ["stats", "questions", "report"])
+def test_no_sentence_in_python(room):
+    for file in sorted((Path(analysis.__file__).parent / room).glob("*.py")):
+        found = [(line, text) for line, text in _texts(ast.parse(file.read_text())) if len(text.split()) > 5]
+        assert not found, f"{file.name}: {found}"
 
 
 @pytest.mark.parametrize(
