@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -48,6 +49,11 @@ def p_text(p: float) -> str:
     return "< 0.001" if p < 0.001 else f"{p:.2g}"
 
 
+def minus(text: str) -> str:
+    """Hyphens before numbers as minus signs; what is markup stays it."""
+    return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", MINUS, text))
+
+
 def count(n: int, noun: str) -> str:
     """A number of things: "one run", "20 matrices"."""
     plural = {"matrix": "matrices"}.get(noun, noun + "s")
@@ -86,17 +92,21 @@ def _decimals(values: Iterable[float | None], digits: int) -> int:
     return int(np.clip(digits - 1 - np.floor(np.log10(np.median(sizes))), 0, 8))
 
 
-#: A column of a table: its heading; the key of the rows, or two for "low to high"; and how its numbers are shown.
-#: That is a number of digits, which its typical number gets, one of `_SHOWN`, or None for words.
-Column = tuple[str, str | tuple[str, str], int | str | None]
-_SHOWN: Mapping[str, Callable[[Any], str]] = {
+Show = Callable[[Any], str]
+#: How the values of a column are shown: a number of digits, which its typical number gets, one of `_SHOWN`, a format
+#: as "%.1e" or a function; None for words, which stand to the left.
+How = int | str | Show | None
+#: A column of a table: its heading; the key of the rows, or two for "low to high"; and how its values are shown.
+Column = tuple[str, str | tuple[str, str], How]
+_SHOWN: Mapping[str, Show] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
-    "g": lambda value: f"{value:g}", "yes": lambda value: "yes" if value else "no",
+    "g": lambda value: minus(f"{value:g}"), "yes": lambda value: "yes" if value else "no",
+    "as it is": lambda value: value,
 }  # fmt: skip
 
 
 def table(
-    rows: Sequence[Row],
+    rows: Sequence[Any],
     columns: Sequence[Column],
     caption: str = "",
     most: int = 40,
@@ -108,7 +118,8 @@ def table(
 
     Parameters
     ----------
-    rows : sequence of mapping
+    rows : sequence
+        Mappings, or objects with attributes.
     columns : sequence of Column
     caption : str
     most : int
@@ -143,22 +154,36 @@ def _name(key: str | tuple[str, str]) -> str:
     return key if isinstance(key, str) else key[0]
 
 
-def _known(row: Row, key: str | tuple[str, str]) -> bool:
-    return row[_name(key)] is not None
+def _value(row: Any, name: str) -> Any:
+    return row[name] if isinstance(row, Mapping) else getattr(row, name)
 
 
-def _cells(rows: Sequence[Row], column: Column) -> list[str]:
+def _known(row: Any, key: str | tuple[str, str]) -> bool:
+    return _value(row, _name(key)) is not None
+
+
+def _cells(rows: Sequence[Any], column: Column) -> list[str]:
     _, key, how = column
     keys = (key,) if isinstance(key, str) else key
-    values = [[row[name] for name in keys] for row in rows]
+    values = [[_value(row, name) for name in keys] for row in rows]
     if isinstance(how, int):
         decimals = _decimals((value for some in values for value in some), how)
         return [_joined(some, lambda value: fixed(value, decimals)) for some in values]
-    return [_joined(some, _SHOWN[how] if how else str) for some in values]
+    if how is None:
+        return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
+    return [_joined(some, _show(how)) for some in values]
 
 
-def _joined(values: Sequence[Any], show: Callable[[Any], str]) -> str:
-    return DASH if any(value is None for value in values) else " to ".join(show(value) for value in values)
+def _show(how: str | Show) -> Show:
+    if callable(how):
+        return how
+    return _SHOWN[how] if how in _SHOWN else lambda value: minus(how % value)
+
+
+def _joined(values: Sequence[Any], show: Show) -> str:
+    if any(value is None for value in values):
+        return DASH
+    return " to ".join(map(show, values)) if len(values) > 1 else show(values[0])
 
 
 def _cell(column: Column, text: str) -> str:
@@ -166,7 +191,7 @@ def _cell(column: Column, text: str) -> str:
 
 
 def _left(column: Column) -> str:
-    return "" if column[2] else ' class="l"'
+    return ' class="l"' if column[2] is None else ""
 
 
 def environment(*packages: str) -> Environment:
@@ -186,7 +211,7 @@ def environment(*packages: str) -> Environment:
     )
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
-        "p": p_text, "listed": listed, "capital": capital, "interval": interval,
+        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
     }  # fmt: skip
     found.globals |= {"count": count, "between": between, "table": table}
     return found
