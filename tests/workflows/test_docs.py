@@ -20,9 +20,10 @@ import pandas as pd
 import pytest
 import scipy.io
 import scipy.sparse
-from stickslip.analysis.groups import OUTCOMES
-from stickslip.analysis.report.section import Data
 
+from stickslip.analysis.ensemble import OUTCOMES
+from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import parse_scene, query, run_scene
 from stickslip.pipeline import scene as scenes
@@ -30,6 +31,7 @@ from stickslip.sim import couplings, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
+from stickslip.workflows.reporting import study_of
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -145,7 +147,7 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
     (command,) = (words for words in commands("first-scene") if words[0] == "query")
     rows = [tuple(map(str, row)) for row in query.sql(tmp_path / "mine", command[2]).itertuples(index=False)]
     assert rows == [tuple(line.split()) for line in blocks(page("first-scene"), "text")[0].splitlines()[1:]]
-    series = {name: (t, n_stick) for name, t, n_stick in query.series(tmp_path / "mine")}
+    series = query.series(tmp_path / "mine")
     fates = Counter(
         (row.n, fate(row.outcome, series[row.member_id], 200.0))
         for row in query.members(tmp_path / "mine").itertuples()
@@ -153,16 +155,17 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
     assert fates == {(60, "collapsed"): 5, (60, "silent"): 7, (120, "silent"): 1, (120, "sustained"): 11}
 
 
-def test_the_sections_are_those_of_a_report(first):
-    listed = re.findall(r"^\| ([^|]+?) \|", page("report").partition("## Words")[0], flags=re.MULTILINE)[1:]
-    titles = re.findall(r"<h2[^>]*>(.*?)</h2>", (first / "runs" / "mine" / "report.html").read_text())
-    assert {name for name in listed if name not in ("head", "---")} <= set(titles)
+def test_the_questions_are_those_of_a_report():
+    listed = re.findall(r"^\| ([^|]+\?) \| `(\w+)` \|", page("report"), flags=re.MULTILINE)
+    words = {key: environment().get_template(f"{key}.html").module.name for key in QUESTIONS}
+    assert {key: name for name, key in listed} == words
 
 
 def test_the_verdicts_are_those_of_the_analysis():
-    source = "\n".join(file.read_text() for file in (ROOT / "analysis").rglob("*.py"))
-    verdicts = re.findall(r"^\| `(.+?)` \|", page("report"), flags=re.MULTILINE)
-    assert len(verdicts) == 6
+    templates = (ROOT / "analysis" / "report" / "templates").glob("*.html")
+    source = "\n".join(file.read_text() for file in (*(ROOT / "analysis").rglob("*.py"), *templates))
+    verdicts = re.findall(r"\*([a-z ]+)\*", page("report").partition("**Verdicts**")[2].partition("**Collapsed**")[0])
+    assert {"steeper", "agree", "stays", "cannot be told"} <= set(verdicts)
     assert [words for words in verdicts if words not in source] == []
 
 
@@ -207,21 +210,20 @@ def test_a_coupling_is_one_line(monkeypatch):
         np.testing.assert_array_equal(moved.stiffness == 0, system.stiffness == 0)
 
 
-def test_a_statistic_is_a_section(first):
-    data = Data(
-        query.members(first / "runs" / "mine"), {name: (t, n) for name, t, n in query.series(first / "runs" / "mine")}
-    )
-    section = run_python("extending", 1)["pauses_section"](data)
-    table = section.tables[0]
-    assert len(table.frame) == 8
-    assert all(column.text(row) for column in table.columns for row in table.frame.to_dict("records"))
-    assert "pause is" in section.statements[0]
+def test_a_question_is_a_file_and_a_template(first):
+    study = study_of(str(first / "runs" / "mine"))
+    found = run_python("extending", 1)["answer"](study)
+    words = environment().from_string(blocks(page("extending"), "jinja")[0]).module
+    assert len(found.tables["pauses"]) == sum(group.n_runs for group in study.groups) > 0
+    assert "The longest pause of a run is" in words.answer(found.facts)
+    assert "<table" in words.part(found.facts, None)
+    assert words.lack({}, "no changes").startswith("No run")
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, in_this_process, capsys):
     named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
     (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[2])
-    (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[0])
+    (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
     (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(CHARTS, "width", named)
@@ -260,7 +262,7 @@ def test_what_the_steps_name_is_there():
     )
     source = "\n".join(file.read_text() for file in files if file != Path(__file__))
     named = set(re.findall(r"`(?:[a-z]+\.)*([A-Za-z_]\w+)`", text))
-    assert {"_RULES", "CHARTS", "Section", "complete"} <= named
+    assert {"_RULES", "CHARTS", "QUESTIONS", "complete"} <= named
     assert [name for name in sorted(named) if not re.search(rf"\b{name}\b", source)] == []
 
 
