@@ -88,7 +88,7 @@ def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
     if rate.low is not None and rate.high is not None and rate.value is not None:
         row |= {"difference_low": rate.low - LN2, "difference_high": rate.high - LN2}
         if basis.code in (enough.ENOUGH, enough.DRIFT_UNKNOWN):
-            row["verdict"] = STEEPER if rate.low > LN2 else SHALLOWER if rate.high < LN2 else AS_CHANCE
+            row["verdict"] = _verdict(rate, LN2)
     mean = group.mean(confidence).value
     if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:
         rows = np.hstack([sums, group.by_matrix()[:, [0, 4]]])[some]
@@ -105,7 +105,13 @@ def _pool_facts(group: Group, row: Row) -> Row | None:
     if row["gamma_pool"] is None:
         return None
     over = Estimate(row["over_pool"], row["over_pool_low"], row["over_pool_high"])
-    return {"n": group.key["n"], "gamma": row["gamma_pool"], "over": over}
+    return {"n": group.key["n"], "gamma": row["gamma_pool"], "over": over, "verdict": _verdict(over, 0.0)}
+
+
+def _verdict(estimate: Estimate, chance: float) -> str:
+    if estimate.low is None or estimate.high is None:
+        return UNKNOWN
+    return STEEPER if estimate.low > chance else SHALLOWER if estimate.high < chance else AS_CHANCE
 
 
 def _size_rows(group: Group, confidence: float) -> list[Row]:
@@ -223,12 +229,12 @@ def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
             below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1)
         if low is not None and high is not None:
             below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
-        top.plot(grid, 0.5**grid, "--", color=GREY, linewidth=1, label="chance")
+        top.plot(grid, 0.5**grid, "--", color=GREY, linewidth=1, label="coin")
         below.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
         top.set_yscale("log")
         top.yaxis.set_minor_locator(NullLocator())
         top.set_ylabel("share, f")
-        below.set(ylabel="f / chance", xlabel="cascade size s")
+        below.set(ylabel="f / coin", xlabel="cascade size s")
         size_axis(below, largest)
         top.legend(loc="upper right", fontsize=7)
     return figure
