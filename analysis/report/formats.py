@@ -167,8 +167,9 @@ def _cells(rows: Sequence[Any], column: Column) -> list[str]:
     keys = (key,) if isinstance(key, str) else key
     values = [[_value(row, name) for name in keys] for row in rows]
     if isinstance(how, int):
-        decimals = _decimals((value for some in values for value in some), how)
-        return [_joined(some, lambda value: fixed(value, decimals)) for some in values]
+        return _aligned(values, how, "")
+    if how and how[0] == "+" and how[1:].isdigit():
+        return _aligned(values, int(how[1:]), "+")
     if how is None:
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
     return [_joined(some, _show(how)) for some in values]
@@ -178,6 +179,11 @@ def _show(how: str | Show) -> Show:
     if callable(how):
         return how
     return _SHOWN[how] if how in _SHOWN else lambda value: minus(how % value)
+
+
+def _aligned(values: Sequence[Sequence[float | None]], digits: int, sign: str) -> list[str]:
+    decimals = _decimals((value for some in values for value in some), digits)
+    return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]
 
 
 def _joined(values: Sequence[Any], show: Show) -> str:
