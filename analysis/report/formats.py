@@ -100,8 +100,8 @@ How = int | str | Show | None
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Show] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
-    "g": lambda value: minus(f"{value:g}"), "yes": lambda value: "yes" if value else "no",
-    "as it is": lambda value: value,
+    "g": lambda value: minus(f"{value:g}"), "%g": lambda value: f"{100 * value:g}%", "#": number,
+    "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
 }  # fmt: skip
 
 
@@ -219,5 +219,5 @@ def environment(*packages: str) -> Environment:
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
         "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
     }  # fmt: skip
-    found.globals |= {"count": count, "between": between, "table": table}
+    found.globals |= {"count": count, "between": between, "table": table, "signed_percent": signed_percent}
     return found

@@ -24,6 +24,8 @@ from stickslip.sim.engines.contract import Number
 
 PAGE = "report.html"  # among the files of a report
 MOST_SAID = 3  # answers on the first screen
+MOST_ALERTS = 3  # what is wrong before what is well
+_TICK = '<li class="ok"'
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "members", "finished", "quiet"), I), "coupling": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
@@ -141,16 +143,19 @@ def build(
     primary = settings.question or _primary(study, answered)
     leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
     others = [one for one in answered if one not in leading]
-    said = [str(one.words.answer(one.facts)).strip() for one in leading[:MOST_SAID]]
-    alerts = [line for one in (*leading, *others) if hasattr(one.words, "alerts")
-              for line in [str(one.words.alerts(one.facts)).strip()] if line]  # fmt: skip
+    said = [one.says("answer") for one in leading[:MOST_SAID]]
+    ordered = [*leading, *others]
+    alarms = [text for one in ordered if (text := one.says("alarm"))]
+    warned = [item for one in ordered for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
+    alerts = sorted(warned, key=lambda item: item.startswith(_TICK))[:MOST_ALERTS]
     page = filled.get_template("report.html").render(
         title=title,
         about=about,
         leading=leading,
         leading_answers=_safe(said),
-        answered=[*leading, *others],
+        answered=ordered,
         lacking=[one for one in shown if one.answer.lack],
+        alarms=_safe(alarms),
         alerts=_safe(alerts),
         primary=[one.words.name for one in leading],
         settings=settings,
@@ -161,7 +166,7 @@ def build(
     )
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
-    return Report(page, tables, [title, *(_plain(text) for text in said)], figures)
+    return Report(page, tables, [*(_plain(text) for text in alarms), title, *(_plain(text) for text in said)], figures)
 
 
 class _Shown:
@@ -170,6 +175,10 @@ class _Shown:
     def __init__(self, answer: Answered, words: Any) -> None:
         self.answer, self.words = answer, words
         self.key, self.facts, self.reason = answer.key, answer.facts, answer.lack
+
+    def says(self, name: str) -> str:
+        """What a macro of the template makes of the facts; nothing if there is none of that name."""
+        return str(getattr(self.words, name)(self.facts)).strip() if hasattr(self.words, name) else ""
 
     def figure(self, name: str, alt: str) -> Any:
         from markupsafe import Markup

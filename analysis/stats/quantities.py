@@ -51,7 +51,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "mean": Quantity("mean n_stick", lambda win: (win.time_mean(), 1.0)),
     "variance": Quantity("variance of n_stick in time", lambda win: (win.time_variance(), 1.0)),
     "rate": Quantity("exit rate", lambda win: (exit_rate(win), 1.0)),
-    "gamma": Quantity("gamma (events)", _cascades, gamma),
+    "gamma": Quantity("gamma", _cascades, gamma),
     # nothing is counted where n_stick does not change
     "correlation_time": Quantity(
         "correlation time", lambda win: (0.0, 0.0) if (tau := correlation_time(win).value) is None else (tau, 1.0)

@@ -1,0 +1,193 @@
+"""How far two groups of runs lie apart in each statistic: paired where they share their random systems.
+
+Every statistic is a function of two sums a matrix, so that one estimator serves all of them. A difference is relative
+to the first group; of shares of runs it is the difference itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stickslip.analysis.answer import F, I, Row, S
+from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.stats import estimates, student
+from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.stats.compare import (
+    DIFFERENT,
+    EQUIVALENT,
+    OPEN,
+    equivalence_test,
+    judge_together,
+    mean_difference,
+    relative_difference,
+    share_difference,
+    wilson,
+)
+from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
+from stickslip.analysis.stats.estimates import Estimate, Undefined, is_short, over_matrices, ratio
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
+from stickslip.analysis.stats.quantities import QUANTITIES
+
+AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
+SHORT_WINDOW = "short window"  # a reason beside those of `stats.enough` and of the estimates
+#: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
+SHARE_MARGIN = 0.2
+COMPARED = {name: one for name, one in QUANTITIES.items() if name != "band"}  # the paper's question is of changes
+#: The sigmoid certifies no collapse: runs are compared in what went quiet, certified or not.
+_ENDS = {"share gone quiet": (COLLAPSED, SILENT), "share run away": (DIVERGED,)}
+_VERDICT = {EQUIVALENT: AGREE, DIFFERENT: DIFFER, OPEN: UNKNOWN}
+#: Columns of a table of contrasts.
+SCHEMA: Mapping[str, str] = {
+    "quantity": S, "n_first": I, "n_second": I,
+    **{f"{name}{end}": F for name in ("first", "second", "difference", "relative") for end in ("", "_low", "_high")},
+    "margin": F, "p_equivalent": F, "p_different": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S,
+    "reason": S,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A statistic by name: how it follows from two sums, and by how much it may differ."""
+
+    name: str
+    of: estimates.Statistic
+    margin: float
+    is_share: bool = False
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one group gives.
+
+    Attributes
+    ----------
+    sums : dict of str to dict of int to ndarray, shape (2,)
+        By statistic and matrix. Only runs that reached t_end enter, but for shares, where each matrix has its first
+        run that did not fail: 1 or 0, and 1.
+    unjudged : set of str
+        Statistics that most windows are too short for.
+    """
+
+    sums: dict[str, dict[int, np.ndarray]] = field(default_factory=dict)
+    unjudged: set[str] = field(default_factory=set)
+
+    def rows(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices in ascending order, and their sums, shape (G, 2); those in which nothing was counted left out."""
+        found = self.sums.get(name, {})
+        kept = sorted(matrix for matrix, row in found.items() if row[1] > 0)
+        return np.array(kept, dtype=np.int64), np.array([found[matrix] for matrix in kept]).reshape(-1, 2)
+
+    def add(self, name: str, matrix: int, row: Sequence[float]) -> None:
+        """Add two sums of a run to those of its matrix."""
+        held = self.sums.setdefault(name, {})
+        held[matrix] = held.get(matrix, np.zeros(2)) + np.array(row, dtype=np.float64)
+
+    def add_window(self, matrix: int, win: Window, of: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Add some quantities of the window of a run, and return them."""
+        sums = {name: COMPARED[name].sums(win) for name in of}
+        for name, two in sums.items():
+            self.add(COMPARED[name].label, matrix, two)
+        return sums
+
+
+def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(COMPARED)) -> list[Statistic]:
+    """Quantities of some names, where a margin is declared."""
+    return [Statistic(one.label, one.of, margins[name]) for name, one in COMPARED.items() if name in {*of} & {*margins}]
+
+
+def shares() -> list[Statistic]:
+    """Shares of runs by how they ended."""
+    return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in _ENDS]
+
+
+def sample(study: Study, group: Group) -> Sample:
+    """Read each run of a group once."""
+    found = Sample()
+    ends: dict[int, str] = {}
+    columns = (group.members[name] for name in ("matrix", "member_id", "outcome", "t_end"))
+    for matrix, member_id, outcome, t_end in zip(*columns, strict=True):
+        if outcome != "failed" and int(matrix) not in ends:
+            own = study.data.series[member_id] if outcome == "finished" else None
+            ends[int(matrix)] = fate(str(outcome), own, float(t_end))
+    for name, some in _ENDS.items():
+        for matrix, end in ends.items():
+            found.add(name, matrix, [end in some, 1.0])
+    n_runs = n_short = 0
+    for row, _, win in study.windows(group):
+        tau, is_known = found.add_window(group.matrices[row], win, COMPARED)["correlation_time"]
+        n_runs, n_short = n_runs + 1, n_short + (not is_known or is_short(win, tau))
+    if 2 * n_short > n_runs:
+        found.unjudged.add(COMPARED["correlation_time"].label)
+    return found
+
+
+def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Row:
+    """Second against first in one statistic, not judged yet; paired: over the matrices that both have."""
+    (mine, a), (theirs, b) = first.rows(one.name), second.rows(one.name)
+    if paired:
+        both = np.intersect1d(mine, theirs)
+        a, b = a[np.isin(mine, both)], b[np.isin(theirs, both)]
+    row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high")) | {
+        "quantity": one.name, "n_first": len(a), "n_second": len(b), "margin": one.margin, "is_share": one.is_share,
+        "verdict": UNKNOWN,
+    }  # fmt: skip
+    is_unjudged = one.name in first.unjudged | second.unjudged
+    if is_unjudged and not (paired and np.array_equal(a, b)):  # the same numbers are the same, whatever they mean
+        return row | {"reason": SHORT_WINDOW}
+    if min(len(a), len(b)) < LEAST_MATRICES:
+        return row | {"reason": FEW_MATRICES}
+    estimate = _share if one.is_share else over_matrices
+    before, after = (estimate(one.of, rows, confidence) for rows in (a, b))
+    row |= _named("first", before) | _named("second", after)
+    if before.value is None or after.value is None:
+        return row | {"reason": before.reason or after.reason}
+    try:
+        if one.is_share:
+            test = absolute = equivalence_test(*share_difference(a[:, 0], b[:, 0], paired), one.margin)
+        else:
+            test = equivalence_test(*relative_difference(one.of, a, b, paired), one.margin)
+            absolute = equivalence_test(*mean_difference(one.of, a, b, paired), one.margin)
+    except Undefined as why:
+        return row | {"reason": str(why)}
+    half = student.quantile(confidence, test.dof) * test.error  # within the margins where equivalence is shown
+    return (
+        row
+        | _named("difference", Estimate(absolute.difference, *absolute.interval(confidence)))
+        | _named("relative", Estimate(test.difference, *test.interval(confidence)))
+        | {"narrow_low": test.difference - half, "narrow_high": test.difference + half}
+        | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}
+    )
+
+
+def _named(name: str, estimate: Estimate) -> Row:
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
+
+
+def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estimate:
+    low, high = wilson(float(rows[:, 0].sum()), float(len(rows)), confidence)
+    return Estimate(float(rows[:, 0].mean()), low, high)
+
+
+def judge(rows: Sequence[Row], alpha: float) -> None:
+    """Write verdicts into contrasts, adjusted by Holm's rule over all of them, each kind of test by itself."""
+    judge_together(rows, alpha)
+    for row in rows:
+        row["verdict"] = _VERDICT.get(row["verdict"], row["verdict"])
+
+
+def told(rows: Iterable[Row]) -> list[Row]:
+    """Contrasts worth a reader's time: those with a difference, but for ends that all runs of both met, or none."""
+    return [row for row in rows if row["relative"] is not None and not _is_plain(row)]
+
+
+def _is_plain(row: Row) -> bool:
+    return bool(row["is_share"] and row["first"] == row["second"] and row["first"] in (0.0, 1.0))
+
+
+def weight(row: Mapping[str, Any]) -> float:
+    """Size of a difference in units of its margin."""
+    return abs(float(row["relative"])) / float(row["margin"])

@@ -1,0 +1,276 @@
+"""How far friction law, smoothing, threshold of sticking and tolerance move each statistic, on the same matrices.
+
+The exact law at its tightest tolerance is the reference of other laws, the tightest tolerance that of looser ones,
+and the members' own definition of sticking that of further thresholds, read off the same runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, B, F, Row, S, frame
+from stickslip.analysis.contrast import (
+    AGREE,
+    DIFFER,
+    SCHEMA,
+    UNKNOWN,
+    Sample,
+    contrast,
+    judge,
+    sample,
+    shares,
+    statistics,
+    told,
+    weight,
+)
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study
+from stickslip.analysis.stats.cascades import window
+from stickslip.analysis.style import BLUE, GREY, ORANGE, PANEL, STYLE
+
+LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
+#: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
+#: sigmoid differs from the exact law by O(eps), by 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
+_EXPLAINED, _SMOOTH = 2.0, 0.03
+_BY_THRESHOLD = ("mean", "rate", "gamma")
+_MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
+_WIDEST = 3.0  # margins to each side in the figure: what lies further out would leave no room for the others
+_TABLE: Mapping[str, str] = {
+    "kind": S, "setting": S, "reference": S, "threshold": F, **SCHEMA, "sampling_error": F, "is_within_error": B,
+    "is_suspect": B,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A group and what it is set against; `threshold` is a further definition of sticking, read off its runs."""
+
+    kind: str
+    reference: Group
+    other: Group
+    threshold: float | None = None
+
+
+def answer(study: Study) -> Answer | None:
+    """How the choice of engine and of its settings moves each statistic; None where there is no choice."""
+    by_threshold = _by_threshold(study)
+    pairs = list(_pairs(study, by_threshold))
+    if not pairs:
+        return None
+    level, margins = study.settings.confidence, study.settings.margins
+    compared = {group.label: group for pair in pairs for group in (pair.reference, pair.other)}
+    whole = {label: sample(study, group) for label, group in compared.items()}
+    families: dict[tuple[str, str], list[Row]] = {}
+    for pair in pairs:
+        theirs, asked = whole[pair.other.label], statistics(margins) + shares()
+        if pair.threshold is not None:
+            theirs, asked = by_threshold[pair.other.label][pair.threshold], statistics(margins, _BY_THRESHOLD)
+        of_pair = {
+            "kind": pair.kind, "reference": pair.reference.label, "setting": pair.other.label,
+            "threshold": pair.threshold, "n": pair.other.key["n"], "of_reference": _law(pair.reference),
+            "of_setting": _law(pair.other),
+        }  # fmt: skip
+        rows = families.setdefault((pair.kind, pair.reference.label), [])
+        rows += [of_pair | contrast(one, whole[pair.reference.label], theirs, True, level) for one in asked]
+    for rows in families.values():
+        judge(rows, 1 - level)
+        for row in rows:
+            row |= _sampling(row)
+            row["is_suspect"] = _is_suspect(row)
+    found = [row for rows in families.values() for row in rows]
+    tables, facts = {"engines": frame(_TABLE, found)}, _facts(found)
+    if not any(facts[name] for name in ("laws", "tolerances", "thresholds")):
+        return Answer({"n_matrices": max(row["n_first"] for row in found)}, lack=found[0]["reason"], tables=tables)
+    drawn = [one["rows"] for one in facts["laws"] or facts["tolerances"]]
+    return Answer(facts, tables=tables, figures={"contrasts": partial(contrasts, drawn[0])} if drawn else {})
+
+
+def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
+    """What further thresholds of sticking give, by label of the group; all runs in one pass."""
+    runs = {
+        str(member_id): (group.label, int(matrix), float(t_end))
+        for group in study.groups
+        for matrix, member_id, t_end in zip(*(group.finished[name] for name in ("matrix", "member_id", "t_end")),
+                                            strict=True)
+    }  # fmt: skip
+    found: dict[str, dict[float, Sample]] = {}
+    for (member_id, threshold), points in study.data.thresholds.items():
+        if member_id in runs:
+            label, matrix, t_end = runs[member_id]
+            held = found.setdefault(label, {}).setdefault(threshold, Sample())
+            held.add_window(matrix, window(*points, study.settings.t_burn, t_end), _BY_THRESHOLD)
+    return found
+
+
+def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> Iterator[_Pair]:
+    """By kind; a looser tolerance is compared with the tightest of its own engine only."""
+    systems: dict[tuple[Any, ...], list[Group]] = {}
+    for group in study.groups:
+        systems.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
+    for some in systems.values():
+        families: dict[tuple[Any, ...], list[Group]] = {}
+        for group in sorted(some, key=_tightness):
+            kept = tuple(group.key[name] for name in ENGINE_KEYS if name not in TOLERANCES)
+            families.setdefault(kept, []).append(group)
+        tightest = sorted((family[0] for family in families.values()), key=_exactness)
+        yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
+        for family in families.values():
+            yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
+            yield from (_Pair(THRESHOLD, family[0], family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
+
+
+def _law(group: Group) -> Row:
+    return {name: group.key[name] for name in ("engine", "eps")}
+
+
+def _tightness(group: Group) -> float:
+    return next((float(group.key[name]) for name in TOLERANCES if group.key[name] is not None), 0.0)
+
+
+def _exactness(group: Group) -> tuple[bool, float]:
+    """The exact law first, then the least smoothing."""
+    return group.key["eps"] is not None, float(group.key["eps"] or 0.0)
+
+
+def _sampling(row: Row) -> Row:
+    """Half the width of the reference's own interval, and whether the whole interval of the bias is within it."""
+    if row["difference_low"] is None or row["first_low"] is None:
+        return {"sampling_error": None, "is_within_error": None}
+    error = 0.5 * (row["first_high"] - row["first_low"])
+    return {"sampling_error": error, "is_within_error": max(-row["difference_low"], row["difference_high"]) <= error}
+
+
+def _is_suspect(row: Mapping[str, Any]) -> bool:
+    """Whether a statistic differs between the exact law and the sigmoid by more than smoothing explains.
+
+    The rule, which is here alone: the difference is significant after adjustment, and its whole interval lies beyond
+    `_EXPLAINED` margins times max(1, eps / _SMOOTH). Where one law has none of it, there is no relative difference:
+    it is suspect if the other's interval excludes zero. Two exact or two smoothed settings are not judged.
+    """
+    eps = row["of_setting"]["eps"]
+    if row["kind"] != LAW or eps is None or row["of_reference"]["eps"] is not None:
+        return False
+    if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
+        low = row["second_low"] if row["first"] == 0.0 else row["first_low"]
+        return low is not None and low > 0.0
+    if row["verdict"] != DIFFER:
+        return False
+    allowed = _EXPLAINED * row["margin"] * max(1.0, float(eps) / _SMOOTH)
+    return bool(row["relative_low"] > allowed or row["relative_high"] < -allowed)
+
+
+def _facts(found: Sequence[Row]) -> dict[str, Any]:
+    """By kind; the largest systems first."""
+    by_kind = {
+        kind: sorted((row for row in found if row["kind"] == kind), key=lambda row: -row["n"])
+        for kind in (LAW, TOLERANCE, THRESHOLD)
+    }
+    laws = []
+    for rows in _parted(by_kind[LAW], "setting"):
+        shown = told(rows)
+        if shown:
+            of = {"setting": rows[0]["setting"], "reference": rows[0]["reference"]}
+            laws.append(summary(shown) | of | {"first": rows[0]["of_reference"], "second": rows[0]["of_setting"]})
+    return {
+        "laws": laws,
+        "tolerances": [one for rows in _parted(by_kind[TOLERANCE], "reference") if (one := _sufficient(rows))],
+        "thresholds": [one for rows in _parted(by_kind[THRESHOLD], "setting") if (one := _moved(rows))],
+        "suspects": [
+            some[0] | {"n_more": len(some) - 1}
+            for rows in _parted(by_kind[LAW], "setting")
+            if (some := [row for row in rows if row["is_suspect"]])
+        ],
+    }
+
+
+def _parted(rows: Sequence[Row], key: str) -> list[list[Row]]:
+    return [[row for row in rows if row[key] == name] for name in dict.fromkeys(row[key] for row in rows)]
+
+
+def summary(shown: Sequence[Row]) -> Row:
+    """Contrasts by verdict; `worst` is the largest of those that differ, else cannot be told, else agree.
+
+    Differences that are shown come before those that may be none.
+    """
+    by = {verdict: [row for row in shown if row["verdict"] == verdict] for verdict in (DIFFER, UNKNOWN, AGREE)}
+    return {
+        "rows": shown,
+        "n_matrices": min(shown[0]["n_first"], shown[0]["n_second"]),
+        "n_tests": shown[0]["n_tests"],
+        "differ": by[DIFFER],
+        "unknown": by[UNKNOWN],
+        "agree": by[AGREE],
+        "worst": max(next(some for some in by.values() if some), key=_shown_first),
+    }
+
+
+def _shown_first(row: Row) -> tuple[bool, float]:
+    return not row["relative_low"] <= 0 <= row["relative_high"], weight(row)
+
+
+def _sufficient(rows: Sequence[Row]) -> Row | None:
+    """The loosest tolerance that is sufficient, as are all tighter ones."""
+    by_setting = _parted(rows, "setting")  # from the tightest to the loosest
+    known = told(rows)
+    if not known:
+        return None
+    enough = None
+    for some in by_setting:
+        if not all(row["is_within_error"] for row in some if not row["is_share"]):
+            break
+        enough = some[0]["setting"]
+    settings = [some[0]["setting"] for some in by_setting]
+    return {
+        "reference": rows[0]["reference"],
+        "sufficient": enough,
+        "n_looser": len(settings) - (settings.index(enough) + 1 if enough else 0),
+        "rows": known,
+        "worst": max(known, key=weight),
+    }
+
+
+def _moved(rows: Sequence[Row]) -> Row | None:
+    """How far thresholds move each statistic, from the least to the largest relative difference."""
+    known = told(rows)
+    moved = [
+        {"quantity": some[0]["quantity"], "low": min(row["relative"] for row in some),
+         "high": max(row["relative"] for row in some)}
+        for some in _parted(known, "quantity")
+    ]  # fmt: skip
+    thresholds = [row["threshold"] for row in known]
+    return {"setting": rows[0]["setting"], "least": min(thresholds), "most": max(thresholds), "moved": moved} if (
+        known
+    ) else None  # fmt: skip
+
+
+def contrasts(rows: Sequence[Row]) -> Figure:
+    """Relative differences in units of their margins with the intervals of the equivalence tests, a line a statistic.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Contrasts with a difference; an arrowhead marks one that lies beyond the axis.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.axvspan(-1, 1, color=GREY, alpha=0.13, linewidth=0)
+        ax.axvline(0, color=GREY, linewidth=0.8)
+        ends = [abs(row[end]) / row["margin"] for row in rows for end in ("narrow_low", "narrow_high")]
+        widest = min(max(1.3, *(1.08 * end for end in ends)), _WIDEST)
+        for y, row in enumerate(rows):
+            mark, colour = _MARKS[row["verdict"]]
+            x, *bar = (row[name] / row["margin"] for name in ("relative", "narrow_low", "narrow_high"))
+            if abs(x) > widest:
+                mark = ">" if x > 0 else "<"
+            ax.plot(bar, [y, y], color=colour, linewidth=1.4)
+            ax.plot([min(max(x, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
+        ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference / margin")
+        ax.set_yticks(range(len(rows)), [row["quantity"] for row in rows])
+        ax.tick_params(axis="y", length=0)
+    return figure
