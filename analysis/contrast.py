@@ -96,7 +96,9 @@ class Sample:
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(COMPARED)) -> list[Statistic]:
     """Quantities of some names, where a margin is declared."""
-    return [Statistic(one.label, one.of, margins[name]) for name, one in COMPARED.items() if name in {*of} & {*margins}]
+    return [
+        Statistic(one.label, one.of, margins[name]) for name, one in COMPARED.items() if name in {*of} & {*margins}
+    ]
 
 
 def shares() -> list[Statistic]:

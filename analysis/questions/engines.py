@@ -84,8 +84,9 @@ def answer(study: Study) -> Answer | None:
             row["is_suspect"] = _is_suspect(row)
     found = [row for rows in families.values() for row in rows]
     tables, facts = {"engines": frame(_TABLE, found)}, _facts(found)
-    if not any(facts[name] for name in ("laws", "tolerances", "thresholds")):
-        return Answer({"n_matrices": max(row["n_first"] for row in found)}, lack=found[0]["reason"], tables=tables)
+    if not any(facts.values()):
+        lack = next((row["reason"] for row in found if row["reason"]), "nothing to count")
+        return Answer({"n_matrices": max(row["n_first"] for row in found)}, lack=lack, tables=tables)
     drawn = [one["rows"] for one in facts["laws"] or facts["tolerances"]]
     return Answer(facts, tables=tables, figures={"contrasts": partial(contrasts, drawn[0])} if drawn else {})
 
@@ -121,7 +122,9 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
         yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
-            yield from (_Pair(THRESHOLD, family[0], family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
+            yield from (
+                _Pair(THRESHOLD, family[0], family[0], c) for c in sorted(by_threshold.get(family[0].label, ()))
+            )
 
 
 def _law(group: Group) -> Row:

@@ -166,7 +166,9 @@ def build(
     )
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
-    return Report(page, tables, [*(_plain(text) for text in alarms), title, *(_plain(text) for text in said)], figures)
+    return Report(
+        page, tables, [*(_plain(text) for text in alarms), title, *(_plain(text) for text in said)], figures
+    )
 
 
 class _Shown:

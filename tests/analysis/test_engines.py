@@ -3,73 +3,73 @@
 import numpy as np
 import pandas as pd
 import pytest
-from stickslip.analysis.groups import groups
-from stickslip.analysis.questions.engines_section import engines_section
-from stickslip.analysis.report.section import Data
 
-from stickslip.analysis import AnalysisSettings, build
+from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis.questions.engines import answer, contrasts
+from stickslip.analysis.report.formats import environment
 
-MARGINS = {"mean": 0.1, "rate": 0.1, "gamma": 0.05}
+SETTINGS = AnalysisSettings(
+    t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}
+)
+WORDS = environment().get_template("engines.html").module
 
 
-def study(planted, shifts, n_matrices=8, **thresholds):
+def asked(planted, shifts, thresholds=(), n_matrices=8):
     """Runs that are the first setting's, higher by a shift of their own; `shifts` by (engine, tolerance)."""
     rows, series, by_threshold = [], {}, {}
     for (engine, tolerance), shift in shifts.items():
         for matrix in range(n_matrices):
             name = f"{engine}-{tolerance:g}-{matrix}"
-            own = planted.sigmoid | {"rtol": tolerance, "atol": tolerance} if engine == "sigmoid" else {
-                "tol": tolerance}  # fmt: skip
-            rows.append(planted.member(name, matrix, **own))
-            rng = np.random.default_rng(matrix)
-            t, n_stick = planted.runs(rng, 600, 0.69)
+            of_sigmoid = planted.sigmoid | {"rtol": tolerance, "atol": tolerance}
+            rows.append(planted.member(name, matrix, **(of_sigmoid if engine == "sigmoid" else {"tol": tolerance})))
+            t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
             series[name] = t, n_stick - n_stick.min() + 40 + 2 * matrix + shift
-            for c, lower in thresholds.get("thresholds", {}).items():
+            for c, lower in dict(thresholds).items():
                 by_threshold[name, c] = t, series[name][1] - lower
-    members = pd.DataFrame(rows)
-    data = Data(members, series, thresholds=by_threshold)
-    return engines_section(data, groups(members), t_burn=100.0, margins=MARGINS, confidence=0.95)
+    return answer(Study(Data(pd.DataFrame(rows), series, thresholds=by_threshold), SETTINGS))
 
 
 def test_the_sigmoid_is_set_against_the_exact_law(planted):
-    section = study(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2})
-    (table,) = section.tables
-    row = table.frame.set_index("quantity").loc["mean n_stick"]
+    found = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2})
+    row = found.tables["engines"].set_index("quantity").loc["mean n_stick"]
     assert row["reference"] == "n = 200, coulomb"
     assert row["difference"] == pytest.approx(2)
     assert row["difference_high"] - row["difference_low"] == pytest.approx(0, abs=1e-9)
-    assert row["n_matrices"] == 8
-    assert row["verdict"] == "equivalent"
-    assert "share collapsed (certified)" not in set(table.frame["quantity"])  # the sigmoid certifies none
-    far = study(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 20})
-    assert "gone quiet if collapsed or silent" in table.caption
-    assert "1 differs: mean n_stick, +" in far.statements[0]
-    assert "differ" not in section.statements[0].replace("different", "")
+    assert (row["n_first"], row["verdict"]) == (8, "agree")
+    (law,) = found.facts["laws"]
+    assert {row["quantity"] for row in law["rows"]} == {"mean n_stick", "exit rate", "gamma"}  # and no ends, none met
+    assert "all 3 statistics agree" in WORDS.answer(found.facts)
+    assert not WORDS.alerts(found.facts).strip()
+    far = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 8})
+    assert "2 of 3 statistics agree; the mean n_stick differs by +" in WORDS.answer(far.facts)
+    assert "higher than under the exact law (margin 10%): compare it within" in WORDS.alerts(far.facts)
 
 
 def test_the_loosest_sufficient_tolerance_is_named(planted):
     """Sampling error of the mean, from levels 0, 2, ..., 14 over 8 matrices: t(7) sqrt(6 / 2) = 4.1 and more."""
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
-    section = study(planted, shifts)
-    (said,) = section.lead
-    assert "is that of n = 200, coulomb, tol = 0.0001, the setting this scene should use" in said
-    assert "1 looser one not shown to be sufficient" in said
-    none = study(planted, {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 9})
-    assert "No looser tolerance is shown to be sufficient: the bias of mean n_stick" in none.lead[0]
+    (found,) = asked(planted, shifts).facts["tolerances"]
+    assert (found["sufficient"], found["n_looser"]) == ("n = 200, coulomb, tol = 0.0001", 1)
+    none = asked(planted, {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 9})
+    assert none.facts["tolerances"][0]["sufficient"] is None
+    assert "is shown to be enough: the mean n_stick moves by +" in WORDS.answer(none.facts)
 
 
 def test_thresholds_are_set_against_the_own_definition_of_the_same_runs(planted):
-    section = study(planted, {("sigmoid", 1e-5): 0}, thresholds={0.5: 4, 2.0: -4})
-    (table,) = section.tables
-    assert table.name == "thresholds"
-    rows = table.frame[table.frame["quantity"] == "mean n_stick"].set_index("threshold")
+    found = asked(planted, {("sigmoid", 1e-5): 0}, thresholds={0.5: 4, 2.0: -4})
+    rows = found.tables["engines"].query("quantity == 'mean n_stick'").set_index("threshold")
+    assert set(found.tables["engines"]["kind"]) == {"threshold"}
     assert rows["difference"].to_dict() == pytest.approx({0.5: -4.0, 2.0: 4.0})
-    assert not any(name.startswith("share") for name in table.frame["quantity"])
-    assert "c = 0.5 to 2 on the same runs, move mean n_stick by -" in section.statements[0]
+    assert "from 0.5 to 2 times r \u03b5, on the same runs, move the mean n_stick by \u2212" in WORDS.answer(
+        found.facts
+    )
 
 
-def test_one_setting_is_nothing_to_compare(planted):
-    assert study(planted, {("coulomb", 1e-6): 0}) is None
+def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(planted):
+    assert asked(planted, {("coulomb", 1e-6): 0}) is None
+    few = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2}, n_matrices=3)
+    assert few.lack == "few matrices"
+    assert WORDS.lack(few.facts, few.lack).startswith("3 matrices")
 
 
 def two_laws(planted, change, eps=0.03):
@@ -86,29 +86,40 @@ def two_laws(planted, change, eps=0.03):
     return Data(pd.DataFrame(rows), series)
 
 
-def alarms(*planting, **how):
-    data = two_laws(*planting, **how)
-    found = groups(data.members)
-    return engines_section(data, found, t_burn=100.0, margins=MARGINS, confidence=0.95).alarms
+def suspects(*planting, **how):
+    return answer(Study(two_laws(*planting, **how), SETTINGS)).facts["suspects"]
 
 
 def test_engines_that_disagree_beyond_smoothing_raise_an_alarm(planted):
     """A state that runs off to hundreds sticks never, or now and then for nothing."""
-    assert "mean n_stick is 0.00 under" in alarms(planted, lambda n_stick, _: np.zeros_like(n_stick))[0]
-    assert alarms(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
+    (one,) = suspects(planted, lambda n_stick, _: np.zeros_like(n_stick))
+    assert (one["quantity"], one["first"]) == ("mean n_stick", 0.0)
+    assert suspects(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
 
 
 def test_an_alarm_is_the_first_thing_said(planted):
     data = two_laws(planted, lambda n_stick, _: np.zeros_like(n_stick))
-    settings = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins=MARGINS)
-    report = build(data, settings, "A study", "", {})
-    assert report.headline[0].startswith("The numerics are suspect, not the physics: ")
+    report = build(data, SETTINGS, "A study", "", {})
+    assert report.headline[0].startswith("The numerics are suspect, not the physics: mean n_stick is 0")
     assert report.html.index("The numerics are suspect") < report.html.index("<h1>")
 
 
 def test_engines_that_agree_raise_no_alarm(planted):
     """The same, a shift of 3%, and one of 40% that eps = 0.3 may well explain."""
-    assert not alarms(planted, lambda n_stick, _: n_stick)
+    assert not suspects(planted, lambda n_stick, _: n_stick)
     shift = round(0.03 * float(planted.runs(np.random.default_rng(0), 600, 0.69)[1].mean()))
-    assert not alarms(planted, lambda n_stick, _: n_stick + shift)
-    assert not alarms(planted, lambda n_stick, _: n_stick + 13 * shift, eps=0.3)
+    assert not suspects(planted, lambda n_stick, _: n_stick + shift)
+    assert not suspects(planted, lambda n_stick, _: n_stick + 13 * shift, eps=0.3)
+
+
+def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
+    of = {"margin": 0.1, "verdict": "differ"}
+    rows = [
+        of | {"quantity": "far", "relative": 1.5, "narrow_low": 1.2, "narrow_high": 1.8},
+        of
+        | {"quantity": "near", "relative": 0.2, "narrow_low": 0.1, "narrow_high": 0.3, "verdict": "cannot be told"},
+    ]
+    (ax,) = contrasts(rows).axes
+    points = {line.get_marker(): line.get_xdata().tolist() for line in ax.lines if len(line.get_xdata()) == 1}
+    assert points[">"] == [ax.get_xlim()[1]] == [3]
+    assert points["D"] == [2]
