@@ -138,7 +138,8 @@ def add_histograms(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-CORRELATION_SAMPLES = 8192  # samples of a window: far finer than the correlation time, cheap by FFT
+CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, cheap by FFT
+SAMPLES_A_CHANGE = 16  # of a window with few changes, which needs no more
 SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
 SHORT_WINDOW = 20.0  # below so many correlation times in a window, tau itself is estimated too low
 
@@ -160,7 +161,8 @@ def correlation_time(win: Window) -> Estimate:
         window is too short for it.
     """
     span = win.t_stop - win.t_start
-    dt = span / CORRELATION_SAMPLES
+    enough = 1 << int(SAMPLES_A_CHANGE * len(win.t)).bit_length()
+    dt = span / min(CORRELATION_SAMPLES, max(enough, 256))
     samples = win.path()[win.grid_index(dt)].astype(np.float64)
     samples -= samples.mean()
     if not samples.any():
