@@ -54,6 +54,7 @@ class Sigmoid(Engine):
 
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
+    kernels = "sigmoid_steps"
 
     eps: float = setting(
         0.03,
