@@ -13,7 +13,7 @@ from stickslip.analysis.ensemble import Study
 
 #: Draws a figure when it is called, from plain data.
 Recipe = Callable[[], Figure]
-Row = dict[str, Any]
+Row = dict[Any, Any]
 
 
 @dataclass(frozen=True)

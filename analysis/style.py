@@ -51,7 +51,8 @@ def pdf(figure: Figure) -> bytes:
     """A figure as PDF, without date."""
     buffer = io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        FigureCanvasPdf(figure).print_pdf(buffer, metadata={"CreationDate": None})
+        FigureCanvasPdf(figure)
+        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
 
 

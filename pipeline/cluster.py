@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import signal
 import socket
@@ -61,7 +62,7 @@ def check_memory(scene: Scene, workers: int) -> None:
     n_times = 0.0 if scene.record.separation is None else scene.run.t_end / scene.record.separation
     for key, needed, what, remedy in (
         # a draw, its transpose and their sum; z and w of a run and of the one that it is compared with
-        ("system.n", 3.0 * 8 * n**2, "drawing a system", "lower n"),
+        ("system.n", 3.0 * 8 * math.prod(scene.system.ensemble.shape(n)), "drawing a system", "lower n"),
         ("record.separation", 4.0 * 8 * n * n_times, "comparing two runs", "lengthen the step"),
     ):
         if needed > room:

@@ -27,8 +27,8 @@ from stickslip.pipeline.toml import (
     parse_toml,
     read_source,
 )
-from stickslip.sim import COUPLINGS
 from stickslip.sim.arguments import did_you_mean
+from stickslip.sim.couplings import COUPLINGS, Coupling
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
 
@@ -56,6 +56,11 @@ class SystemTable(StrictTable):
     rho: Natural = Field(default=3.5, description="scale of the dampings", examples=[3.5])
     friction: Natural = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
     belt_speed: float = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+
+    @property
+    def ensemble(self) -> Coupling:
+        """What K is made by."""
+        return COUPLINGS[self.coupling]
 
 
 class StartTable(StrictTable):
@@ -373,10 +378,12 @@ class Scene(StrictTable):
                 f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
             )
         readings = self.perturbation.readings if self.perturbation is not None else ()
-        if self.system.coupling == "springs" and set(readings) - {"relative"}:
+        kept = self.system.ensemble.readings
+        if set(readings) - set(kept):
+            remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
             raise ValueError(
-                'perturbation.readings: expected "relative" alone with coupling = "springs", as others could make'
-                f' springs negative, got {list(readings)}; write readings = "relative"'
+                f'perturbation.readings: expected those that keep what coupling = "{self.system.coupling}" is,'
+                f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
             )
         self._changes_apply()
         self._steps_and_changes_are_resolved()

@@ -21,6 +21,7 @@ from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.schema import SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
+from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.compile import cache_directory, source_digest
 from stickslip.version import __version__
 
@@ -201,8 +202,9 @@ def _row(task: tuple[Member, Recording]) -> dict[str, Any]:
 
 
 def is_cold(engine: str) -> bool:
-    """Whether an engine's kernels are still to be compiled here: some ten seconds, once a version of `sim`."""
-    return next(cache_directory().glob(f"{engine}[._]*.nbc"), None) is None
+    """Whether an engine has kernels that are still to be compiled here: some ten seconds, once a version of `sim`."""
+    kernels = ENGINES[engine].kernels
+    return bool(kernels) and not any(cache_directory().glob(f"{kernels}.*.nbc"))
 
 
 def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:

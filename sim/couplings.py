@@ -6,13 +6,14 @@ allows several readings of how K follows from U; only `antisymmetric` gives all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import ArrayLike
 
-from stickslip.sim.arguments import Floats, integer
+from stickslip.sim.arguments import Floats, did_you_mean, integer
 from stickslip.sim.system import System
 
 
@@ -33,31 +34,69 @@ def _springs(u: Floats) -> Floats:
     return np.diag(np.abs(np.diag(u)) + kappa.sum(axis=1)) - kappa
 
 
-#: name -> K as a function of U
-_RULES: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
-    {
-        # non-reciprocal coupling, grounding springs positive: the paper's ensemble
-        "antisymmetric": lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u))),
-        # the other readings of the text
-        "antisymmetric_triangle": lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u))),
-        "signed_diagonal": lambda u: _on_diagonal((u - u.T) / 2, np.diag(u)),
-        "full": lambda u: u.copy(),
-        "symmetric": lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u))),
-        # reciprocal springs between all pairs: positive definite, always stable
-        "springs": _springs,
-    }
-)
+def _in_pairs(stiffness: Floats, u: Floats) -> Floats:
+    """A constant stands in K_ij and K_ji: the factor is that of the upper triangle."""
+    return stiffness * (np.triu(u) + np.triu(u, 1).T)
 
-COUPLINGS: tuple[str, ...] = tuple(_RULES)
+
+def _of_springs(stiffness: Floats, u: Floats) -> Floats:
+    """The diagonal is a sum: the spring to the ground, which is the sum of the row of K, and the others."""
+    change = _in_pairs(stiffness, u)
+    np.fill_diagonal(change, 0.0)
+    return _on_diagonal(change, stiffness.sum(axis=1) * np.diag(u) - change.sum(axis=1))
+
 
 #: what "random values on the order of 1%" of the constants (section 4) may mean; see `perturb_system`
 READINGS: tuple[str, ...] = ("scale", "relative", "damping matrix")
 
 
-def _rule(coupling: str) -> Callable[[Floats], Floats]:
-    if coupling not in _RULES:
-        raise ValueError(f"coupling: expected one of {', '.join(COUPLINGS)}, got {coupling!r}")
-    return _RULES[coupling]
+@dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """How an ensemble makes K.
+
+    Attributes
+    ----------
+    rule : function
+        From U, shape (n, width), uniform in [-kappa, kappa], to K, dense or sparse. For the readings "scale" and
+        "damping matrix" it is linear in U off the diagonal.
+    width : int or None
+        Random numbers for each block; None: n.
+    readings : tuple of str
+        Those of `READINGS` that keep what K is.
+    relative : function
+        From K and U, which is uniform in [-1, 1], to what a factor 1 + U_ij on each free constant changes K by.
+    """
+
+    rule: Callable[[Floats], Floats | scipy.sparse.sparray]
+    width: int | None = None
+    readings: tuple[str, ...] = READINGS
+    relative: Callable[[Floats, Floats], Floats] = _in_pairs
+
+    def shape(self, n: int) -> tuple[int, int]:
+        """That of U for n blocks."""
+        return n, n if self.width is None else self.width
+
+
+#: All there are, by name: a line here makes one known to `draw_system`, scenes, datasets and reports.
+COUPLINGS: dict[str, Coupling] = {
+    # non-reciprocal coupling, grounding springs positive: the paper's ensemble
+    "antisymmetric": Coupling(rule=lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u)))),
+    # the other readings of the text
+    "antisymmetric_triangle": Coupling(rule=lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u)))),
+    "signed_diagonal": Coupling(rule=lambda u: _on_diagonal((u - u.T) / 2, np.diag(u))),
+    "full": Coupling(rule=np.copy, relative=np.multiply),
+    "symmetric": Coupling(rule=lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u)))),
+    # reciprocal springs between all pairs: positive definite, always stable; another reading makes some negative
+    "springs": Coupling(rule=_springs, readings=("relative",), relative=_of_springs),
+}
+
+
+def _coupling(name: str) -> Coupling:
+    if name not in COUPLINGS:
+        raise ValueError(
+            f"coupling: expected one of {', '.join(COUPLINGS)}, got {name!r}{did_you_mean(name, COUPLINGS)}"
+        )
+    return COUPLINGS[name]
 
 
 def _generator(seed: int | np.random.SeedSequence) -> np.random.Generator:
@@ -66,25 +105,12 @@ def _generator(seed: int | np.random.SeedSequence) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def _uniform(n: int, rng: np.random.Generator, kappa: float, rho: tuple[float, float]) -> tuple[Floats, Floats]:
-    """R in [rho[0], rho[1]] (n,), then U in [-kappa, kappa] (n, n), from one generator in this order."""
-    damping = rng.uniform(*rho, n)
-    return rng.uniform(-kappa, kappa, (n, n)), damping
-
-
-def _relative_change(coupling: str, stiffness: Floats, u: Floats) -> Floats:
-    """What a factor 1 + u on every free constant of the ensemble changes K by.
-
-    A constant stands in one place of K (`full`), or in K_ij and K_ji: the factor is then that of the upper triangle.
-    The diagonal of `springs` is a sum: the spring to the ground, which is the sum of the row of K, and the others.
-    """
-    if coupling == "full":
-        return stiffness * u
-    change = stiffness * (np.triu(u) + np.triu(u, 1).T)
-    if coupling == "springs":
-        np.fill_diagonal(change, 0.0)
-        np.fill_diagonal(change, stiffness.sum(axis=1) * np.diag(u) - change.sum(axis=1))
-    return change
+def _uniform(
+    shape: tuple[int, int], rng: np.random.Generator, kappa: float, rho: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """U in [-kappa, kappa] of that shape and R in [rho[0], rho[1]] (n,), from one generator: R comes first."""
+    damping = rng.uniform(*rho, shape[0])
+    return rng.uniform(-kappa, kappa, shape), damping
 
 
 def draw_system(
@@ -119,12 +145,12 @@ def draw_system(
     ValueError
         If the name is unknown, n < 1, or the seed, kappa or rho is negative.
     """
-    rule = _rule(coupling)
+    kind = _coupling(coupling)
     n, rng = integer("n", n, 1, None), _generator(seed)
     if not (kappa >= 0 and rho >= 0):
         raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
-    u, damping = _uniform(n, rng, kappa, (rho, 2 * rho))
-    return System(rule(u), damping, friction, belt_speed)
+    u, damping = _uniform(kind.shape(n), rng, kappa, (rho, 2 * rho))
+    return System(kind.rule(u), damping, friction, belt_speed)
 
 
 def perturb_system(
@@ -167,34 +193,34 @@ def perturb_system(
     TypeError
         If the seed is no integer.
     ValueError
-        If `size` is out of range, the seed negative, a name unknown, the coupling is `springs` and the reading not
-        "relative", or the system is of no ensemble: K sparse, or the damping not diagonal.
+        If `size` is out of range, the seed negative, a name unknown, the reading none of the coupling's, or
+        the system is of no ensemble: K sparse, or the damping not diagonal.
     """
     if reading not in READINGS:
         raise ValueError(f"reading: expected one of {', '.join(READINGS)}, got {reading!r}")
-    rule = _rule(coupling)
+    kind = _coupling(coupling)
+    if reading not in kind.readings:
+        raise ValueError(
+            f"reading: expected {' or '.join(kind.readings) or 'none at all'}, which keeps what `{coupling}` is, got"
+            f" {reading!r}"
+        )
     if not size >= 0:
         raise ValueError(f"size: expected a number >= 0, got {size}")
     if reading == "relative" and size >= 1:
         raise ValueError(
             f"size: expected less than 1 for reading='relative', got {size}: constants would change sign"
         )
-    if coupling == "springs" and reading != "relative":
-        raise ValueError(
-            "coupling: a perturbation of `springs` would make some springs negative; use reading='relative', or scale"
-            " kappa instead"
-        )
     if not isinstance(system.stiffness, np.ndarray):
         raise ValueError("system: expected a dense stiffness, as drawn by draw_system, got a sparse one")
     if system.cross_damping is not None:
         raise ValueError("system: expected a diagonal damping, as drawn by draw_system, got a full matrix")
-    n, rng = system.n, _generator(seed)
+    rng, shape = _generator(seed), (system.n, system.n)
     if reading == "relative":
-        u, r = _uniform(n, rng, 1.0, (-1.0, 1.0))
-        stiffness = system.stiffness + size * _relative_change(coupling, system.stiffness, u)
+        u, r = _uniform(shape, rng, 1.0, (-1.0, 1.0))
+        stiffness = system.stiffness + size * kind.relative(system.stiffness, u)
         return System(stiffness, system.damping * (1.0 + size * r), system.friction, system.belt_speed)
-    du, dr = _uniform(n, rng, size * kappa, (-size * rho, size * rho))
-    stiffness, damping = system.stiffness + _on_diagonal(rule(du), np.diag(du)), system.damping + dr
+    du, dr = _uniform(shape, rng, size * kappa, (-size * rho, size * rho))
+    stiffness, damping = system.stiffness + _on_diagonal(kind.rule(du), np.diag(du)), system.damping + dr
     if reading == "damping matrix":
-        damping = _on_diagonal(rng.uniform(-size * rho, size * rho, (n, n)), damping)
+        damping = _on_diagonal(rng.uniform(-size * rho, size * rho, shape), damping)
     return System(stiffness, damping, system.friction, system.belt_speed)

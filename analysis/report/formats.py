@@ -168,7 +168,7 @@ def _cells(rows: Sequence[Any], column: Column) -> list[str]:
     values = [[_value(row, name) for name in keys] for row in rows]
     if isinstance(how, int):
         return _aligned(values, how, "")
-    if how and how[0] == "+" and how[1:].isdigit():
+    if isinstance(how, str) and how[0] == "+" and how[1:].isdigit():
         return _aligned(values, int(how[1:]), "+")
     if how is None:
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]

@@ -105,8 +105,8 @@ _SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
 _FAR_BELOW = 1e-2
 #: Pieces are t, h (of the macro step), z, u at the start, u at the nodes.
 _PIECE = 4 + STAGES
-#: Places on the bounds of a band that a block can pass in a piece: five polynomials of degree five, and the start.
-_PASSES = 5 * STAGES + 1
+#: Places on the bounds of a band that a block can pass in a piece: seven polynomials of degree five, and the start.
+_PASSES = 7 * STAGES + 1
 
 # behind the common clocks: the next step to try, the one whose polynomials are kept, where on it the next one starts
 _STEP, _KEPT, _FROM, _SLOW = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
@@ -356,7 +356,7 @@ def _strayed(table, n, flags, numbers):  # type: ignore[no-untyped-def]
 
 @inner
 def _apart(table, own, listed, n_listed, macro, with_u, next_h, end_z, end_u, pieces, piece_block, numbers):  # type: ignore[no-untyped-def]
-    """The listed blocks in steps of their own, side by side. Returns how many pieces, -1 if it cannot be done."""
+    """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot."""
     n_pieces = np.int64(0)
     block = np.full(WIDTH, -1)
     waiting, active = 0, 0
@@ -415,10 +415,10 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, end_z, end_u, pi
             if own[DONE, lane] < 0.5 or own[SUSPECT, lane] > 0.5 or not error <= allowed:
                 own[LENGTH, lane] = length * min(factor, 0.5)
                 if not length > 1e-13:
-                    return np.int64(-1)
+                    return -1 - i
                 continue
             if n_pieces == len(piece_block):
-                return np.int64(-1)
+                return -1 - i
             piece = pieces[n_pieces]
             piece_block[n_pieces] = i
             n_pieces += 1
@@ -520,6 +520,17 @@ def _couple(table, n, matrix, cross, flags, is_first, rough, product, single, si
     return largest(table[MOVED, :n]), largest(table[TAIL, :n])
 
 
+@inner
+def _worst(table, n):  # type: ignore[no-untyped-def]
+    """The block whose F is least known."""
+    worst, most = 0, 0.0
+    for i in range(n):
+        here = max(table[MOVED, i], table[TAIL, i])
+        if not here <= most and most == most:  # what is not a number is worst
+            worst, most = i, here
+    return worst
+
+
 # ---- events and samples
 
 
@@ -578,11 +589,21 @@ def _stays(low, high, low_force, high_force, mu, band, by_force, mode):  # type:
 
 
 @inner
+def _hold(table, i, band):  # type: ignore[no-untyped-def]
+    """The force that friction and damping bear at the edge of the band."""
+    return table[FRICTION, i] * _law(band * table[STEEP, i])[0] + table[DAMPING, i] * band
+
+
+@inner
 def _events_of_piece(  # type: ignore[no-untyped-def]
-    u, force, mu, band, by_force, mode, t, h, t_next, label, event_t, event_block, event_mode, n_recorded, work,
-    marks,
+    u, force, mu, band, hold, strays, by_force, mode, t, h, t_next, label, event_t, event_block, event_mode,
+    n_recorded, work, marks,
 ):  # fmt: skip
-    """Record the changes of mode of one block on [t, t + h]; u and F by values at the start and the nodes."""
+    """Record the changes of mode of one block on [t, t + h]; u and F by values at the start and the nodes.
+
+    Only a force above `hold` drives a block out of its band: what seems to leave it with less, and no farther than a
+    step may err by, is an overshoot of the polynomial.
+    """
     low, high = _hull(u, work[0])
     low_force, high_force = _hull(force, work[1])
     if _stays(low, high, low_force, high_force, mu, band, by_force, mode):
@@ -591,6 +612,7 @@ def _events_of_piece(  # type: ignore[no-untyped-def]
     if mu > 0.0:
         for sign in (-1.0, 1.0):
             n_marks = _marks(u, work[0], sign * band, marks, n_marks, work[2], work[3])
+            n_marks = _marks(force, work[1], sign * hold, marks, n_marks, work[2], work[3])
             if by_force:
                 n_marks = _marks(force, work[1], sign * mu, marks, n_marks, work[2], work[3])
     for k in range(n_marks + 1):
@@ -599,8 +621,10 @@ def _events_of_piece(  # type: ignore[no-untyped-def]
         if right <= left:
             continue
         middle = 0.5 * (left + right)
-        new = mode_of(_at(u, middle), _at(force, middle), mu, band, by_force)
-        if new != mode:
+        gap, pull = _at(u, middle), _at(force, middle)
+        new = mode_of(gap, pull, mu, band, by_force)
+        is_held = mode == 0 and mu > 0.0 and -new * pull < hold and (not by_force or abs(pull) < mu)
+        if new != mode and not (is_held and abs(gap) < band + strays):
             event_t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
             event_block[n_recorded] = label
             event_mode[n_recorded] = new
@@ -636,7 +660,8 @@ def _events(  # type: ignore[no-untyped-def]
             for k in range(STAGES):
                 u[k + 1], force[k + 1] = table[U + k, i], table[F + k, i]
             mode[i], n_recorded = _events_of_piece(
-                u, force, mu, wide, by_force[d], mode[i], t, macro, t_next, d * n + i, event_t, event_block,
+                u, force, mu, wide, _hold(table, i, wide), table[TOLERANCE, i], by_force[d], mode[i],
+                t, macro, t_next, d * n + i, event_t, event_block,
                 event_mode, n_recorded, work, marks,
             )  # fmt: skip
         last = -1
@@ -652,7 +677,8 @@ def _events(  # type: ignore[no-untyped-def]
             for j in range(STAGES + 1):
                 of_piece[j] = _at(force, piece[0] + piece[1] * ALL_NODES[j])
             mode[i], n_recorded = _events_of_piece(
-                piece[3:], of_piece, mu, wide, by_force[d], mode[i], t + macro * piece[0], macro * piece[1], t_next,
+                piece[3:], of_piece, mu, wide, _hold(table, i, wide), table[TOLERANCE, i], by_force[d], mode[i],
+                t + macro * piece[0], macro * piece[1], t_next,
                 d * n + i, event_t, event_block, event_mode, n_recorded, work, marks,
             )  # fmt: skip
     return n_recorded
@@ -778,6 +804,7 @@ def _advance(  # type: ignore[no-untyped-def]
             clock[_SLOW] = slow
         if not swept or tail > _TAIL:
             counters[loop.N_REJECTED] += 1
+            counters[loop.LAST_BLOCK] = _worst(table, n) if n_pieces >= 0 else -1 - n_pieces
             factor = 0.5
             if tail > _TAIL:
                 factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK)
@@ -890,7 +917,7 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     single, single_product = (
         np.zeros((STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32) for _ in range(2)
     )
-    rough_rate = ROUGH * float(system.row_sums.max())
+    rough_rate = float(ROUGH) * float(system.row_sums.max())
     speed = max(float(np.abs(w).max()), float(np.abs(rate).max()))
     step = min(t_end - t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
     state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 1.0, 0.0)

@@ -157,15 +157,18 @@ class Engine(ABC):
     Attributes
     ----------
     name : str
-        As in ``engine="..."``. Kernels are kept in files whose names begin with it.
+        As in ``engine="..."``.
     about : str
         One line for scenes.
+    kernels : str
+        The module beside this one whose kernels it compiles; "" if it has none.
     takes_damping_matrix : bool
         Whether it runs systems with a full damping matrix.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
+    kernels: ClassVar[str] = ""
     takes_damping_matrix: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

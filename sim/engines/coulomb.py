@@ -30,6 +30,7 @@ class Coulomb(Engine):
 
     name = "coulomb"
     about = "exact, event-driven."
+    kernels = "coulomb_steps"
     takes_damping_matrix = False
 
     tol: float = setting(1e-10, TOL)

@@ -27,7 +27,8 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     """
     n = len(matrix)
     rows = np.zeros((-(-n // height) * height, n), dtype)
-    rows[:n] = matrix
+    limit = np.finfo(dtype).max  # no infinity, which would make 0 times K_ij not a number
+    rows[:n] = np.clip(matrix, -limit, limit)
     return np.ascontiguousarray(rows.reshape(-1, height, n).transpose(0, 2, 1))
 
 

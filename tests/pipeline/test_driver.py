@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_scene, status, verify
+from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_scene, status, verify, worker
 from stickslip.pipeline.writer import Store
+from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
 
 
@@ -177,6 +178,14 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
     client = SimpleNamespace(loop=None, submit=submit)
     assert list(driver._submit(client, list(range(10)), None, lambda: 3, None)) == list(range(10))
     assert max(most) == 3
+
+
+def test_cold_engines_are_those_whose_kernels_are_missing(finished, tmp_path, monkeypatch):
+    assert not any(map(worker.is_cold, ENGINES))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert all(map(worker.is_cold, ENGINES))
+    monkeypatch.setattr(ENGINES["coulomb"], "kernels", "")
+    assert not worker.is_cold("coulomb")
 
 
 @pytest.mark.long

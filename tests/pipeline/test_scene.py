@@ -127,7 +127,7 @@ BAD = {
     "perturbed springs": (
         '"antisymmetric"',
         '"springs"',
-        ["perturbation.readings", "springs", 'readings = "relative"'],
+        ["perturbation.readings", "springs", 'readings = ["relative"]'],
     ),
     "burn-in too long": ("t_burn = 1.0", "t_burn = 8.0", ["analysis.t_burn", "run.t_end = 8.0", "shorten"]),
     "margin of nothing": (

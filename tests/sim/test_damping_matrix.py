@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim import (
     COUPLINGS,
-    READINGS,
     System,
     draw_system,
     perturb_system,
@@ -184,7 +183,7 @@ def smooth():
     return system, z0, w0, by_scipy(system, z0, w0, 2.0, 10.0, "DOP853", 1e-13, max_step=0.02)
 
 
-def test_order_four():
+def test_order_five():
     system, z0, w0, reference = smooth()
     steps, errors = [], []
     for tol in (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10):
@@ -196,7 +195,7 @@ def test_order_four():
         errors.append(np.abs(np.concatenate((run.z, run.w)) - reference(10.0)).max())
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     print("steps", steps, "errors", errors, "order", order)
-    assert 3.7 < order < 4.5
+    assert order > 4.5
 
 
 def test_entries_and_exits_see_the_force_with_its_cross_damping():
@@ -321,7 +320,7 @@ def rows(system):
     return np.concatenate((np.ravel(full(system)), np.ravel(system.stiffness)))
 
 
-@pytest.mark.parametrize("coupling", [name for name in COUPLINGS if name != "springs"])
+@pytest.mark.parametrize("coupling", [name for name, one in COUPLINGS.items() if "scale" in one.readings])
 def test_what_scale_drew_before_it_draws_still(coupling):
     """The formula: R + dR, K + S(dU), dR and dU from one generator in this order; to the bit."""
     base = draw_system(coupling, 9, 5)
@@ -343,7 +342,7 @@ def test_what_scale_drew_before_it_draws_still(coupling):
 
 @pytest.mark.parametrize(
     ("coupling", "reading"),
-    [(c, r) for c in COUPLINGS for r in READINGS if c != "springs" or r == "relative"],
+    [(name, reading) for name, one in COUPLINGS.items() for reading in one.readings],
 )
 def test_one_draw_goes_one_way(coupling, reading):
     base = draw_system(coupling, 8, 5)
@@ -407,7 +406,7 @@ def test_perturbations_that_cannot_be_are_refused():
     with pytest.raises(ValueError, match="size: expected less than 1 for reading='relative', got 1"):
         perturb_system(base, "antisymmetric", 1.0, 0, reading="relative")
     for reading in ("scale", "damping matrix"):
-        with pytest.raises(ValueError, match="`springs` would make some springs negative; use reading='relative'"):
+        with pytest.raises(ValueError, match="reading: expected relative, which keeps what `springs` is, got"):
             perturb_system(draw_system("springs", 4, 0), "springs", 0.1, 0, reading=reading)
     noisy = perturb_system(base, "antisymmetric", 0.1, 0, reading="damping matrix")
     with pytest.raises(ValueError, match="system: expected a diagonal damping, as drawn"):

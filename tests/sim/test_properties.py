@@ -359,7 +359,7 @@ def test_the_error_follows_the_tolerance(case):
     assert error > 0
 
 
-def test_order_four_of_the_state_and_of_the_times_of_events():
+def test_order_five_of_the_state_and_of_the_times_of_events():
     """A law that is smooth on the scale of the motion: state by DOP853, 32 entries and exits on its dense output."""
     system = System([[4.0, 1.0], [-1.0, 9.0]], 0.1, [0.5, 0.3], -0.3)
     z0, w0 = np.array([1.0, -1.0]), np.array([0.5, 0.2])
@@ -383,7 +383,9 @@ def test_order_four_of_the_state_and_of_the_times_of_events():
         errors.append(np.abs(np.concatenate((run.z, run.w)) - reference.y[:, -1]).max())
         late.append(np.abs(run.events.t - t).mean())
     for error in (errors, late):
-        assert np.polyfit(np.log(steps), np.log(error), 1)[0] == pytest.approx(-4, abs=0.15)
+        order = -np.polyfit(np.log(steps), np.log(error), 1)[0]
+        print(order)
+        assert order > 4.8
 
 
 def test_the_exact_engine_is_of_order_one_in_its_tolerance_across_events():

@@ -25,9 +25,9 @@ from stickslip.analysis.ensemble import OUTCOMES
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
-from stickslip.pipeline import parse_scene, query, run_scene
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_scene
 from stickslip.pipeline import scene as scenes
-from stickslip.sim import couplings, draw_system, perturb_system, simulate
+from stickslip.sim import couplings, draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
@@ -198,16 +198,17 @@ def test_the_tolerances_are_those_that_are_picked():
 
 def test_a_coupling_is_one_line(monkeypatch):
     line = blocks(page("extending"), "python")[0]
-    rule = eval(f"{{{line}}}", vars(couplings))
-    monkeypatch.setattr(couplings, "_RULES", {**couplings._RULES, **rule})
-    (name,) = rule
-    system = draw_system(name, 9, 5)
-    off = system.stiffness - np.diag(np.diag(system.stiffness))
-    np.testing.assert_array_equal(off, -off.T)
-    assert np.count_nonzero(off) == 16
-    for reading in ("scale", "relative"):
-        moved = perturb_system(system, name, 0.1, 1, reading=reading)
-        np.testing.assert_array_equal(moved.stiffness == 0, system.stiffness == 0)
+    new = eval(f"{{{line}}}", vars(couplings))
+    ((name, coupling),) = new.items()
+    monkeypatch.setitem(couplings.COUPLINGS, name, coupling)
+    k = draw_system(name, 9, 5).stiffness
+    assert k.nnz == 9 + 16
+    np.testing.assert_array_equal(np.triu(k.toarray(), 1), -np.tril(k.toarray(), -1).T)
+    source = (ROOT / "workflows" / "scenes" / "quick.toml").read_text().replace('"antisymmetric"', f'"{name}"')
+    member = next(iter(expand(parse_scene(source.encode()))))
+    assert member.simulate().outcome in ("finished", "collapsed")
+    with pytest.raises(SceneError, match=r"keep what coupling = \"row\" is, \[\], got .*; remove \[perturbation\]"):
+        parse_scene(source.encode() + b"[perturbation]\nsizes = 0.1\n")
 
 
 def test_a_question_is_a_file_and_a_template(first):
@@ -262,7 +263,7 @@ def test_what_the_steps_name_is_there():
     )
     source = "\n".join(file.read_text() for file in files if file != Path(__file__))
     named = set(re.findall(r"`(?:[a-z]+\.)*([A-Za-z_]\w+)`", text))
-    assert {"_RULES", "CHARTS", "QUESTIONS", "complete"} <= named
+    assert {"COUPLINGS", "CHARTS", "QUESTIONS", "complete"} <= named
     assert [name for name in sorted(named) if not re.search(rf"\b{name}\b", source)] == []
 
 
