@@ -219,5 +219,11 @@ def environment(*packages: str) -> Environment:
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
         "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
     }  # fmt: skip
-    found.globals |= {"count": count, "between": between, "table": table, "signed_percent": signed_percent}
+    found.globals |= {
+        "count": count,
+        "between": between,
+        "table": table,
+        "signed": signed,
+        "signed_percent": signed_percent,
+    }
     return found

@@ -1,0 +1,330 @@
+"""Fates of runs: how many stay in motion, how the others end and when, and whether motion that lasts is steady."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.ensemble import SYSTEM_KEYS, Group, Study, split
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.effective import effective
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.fates import (
+    COLLAPSED,
+    DIVERGED,
+    ENDS,
+    FAILED,
+    SILENT,
+    SUSTAINED,
+    Curve,
+    fate,
+    median,
+    survival,
+)
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, STYLE
+
+MOST_CURVES = 8  # in one figure
+BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
+_FATES = {
+    COLLAPSED: ("slips for good", BLUE, "s"), SILENT: ("went quiet", "#56B4E9", "D"),
+    SUSTAINED: ("in motion", GREEN, "o"), DIVERGED: ("ran away", ORANGE, "^"),
+}  # fmt: skip
+_COUNTS = tuple(f"n_{name}" for name in (*ENDS, SUSTAINED, FAILED))
+_GROUP: Mapping[str, str] = {
+    "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "t_end": F,
+    "sustained": F, "low": F, "high": F, "median": F, "first_end": F, "last_end": F, "n_quiet": I, "mean": F,
+    "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
+    "effective_by": S, "basis": S,
+}  # fmt: skip
+_CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F, **dict.fromkeys(ENDS, F)}
+_RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "member_id": S, "fate": S, "t": F, "growth_rate": F}
+
+
+def answer(study: Study) -> Answer:
+    """What became of the unchanged runs, and whether what lasts is steady."""
+    level = study.settings.confidence
+    runs = [row for group in study.groups for row in _runs(study, group)]
+    curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
+    groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
+    systems = [row for row in _systems(study, runs) if row["n_runs"]]
+    members = study.data.members
+    failed = members[members["outcome"] == FAILED]
+    total = Counter(row["fate"] for row in runs)
+    facts: dict[str, Any] = {
+        "systems": systems,
+        "groups": groups,
+        "total": {
+            **{name: total[name] for name in (*ENDS, SUSTAINED, FAILED)},
+            "runs": total.total() - total[FAILED],
+        },
+        "share": _share([row for row in runs if row["fate"] != FAILED], level),
+        "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
+        "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
+        "lasting": [row for row in systems if row["n_sustained"] == row["n_runs"]],
+        "below": _ended(systems, runs, is_below=True),
+        "above": _ended(systems, runs, is_below=False),
+        "linear": _linear(runs),
+        "few": [row for row in groups if row["basis"] == enough.FEW_MATRICES and row[f"n_{SUSTAINED}"]],
+        "drifting": [row for row in groups if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
+        "unsure": [row for row in groups if row["basis"] == enough.DRIFT_UNKNOWN],
+        "t_burn": study.settings.t_burn,
+        "block": BLOCK,
+    }
+    tables = {
+        "fates": frame(_GROUP, groups),
+        "survival_curves": frame(_CURVE, _curve_rows(curves)),
+        "runs": frame(_RUN, runs),
+    }
+    return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
+
+
+def _figures(
+    study: Study, facts: Mapping[str, Any], runs: Sequence[Row], curves: Mapping[str, Curve]
+) -> dict[str, Any]:
+    """Of runs of which some ended, shares and times; of motion that lasts, n_stick of all runs of a group."""
+    shown = {}
+    if facts["total"][SUSTAINED] < facts["total"]["runs"]:
+        some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
+        shown["fates"] = partial(shares, facts["systems"])
+        shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
+        if facts["linear"]:
+            known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
+            shown["growth"] = partial(growth, facts["systems"], known)
+    else:
+        most = max(study.groups, key=lambda group: (group.key["n"], group.n_runs))
+        paths = [_means(win) for _, _, win in study.windows(most)]
+        if paths:
+            shown["runs"] = partial(all_runs, paths)
+    return shown
+
+
+def _runs(study: Study, group: Group) -> Iterator[Row]:
+    """Fate of each run, and when its motion ended; for a runaway, when it left every bound."""
+    table = group.members
+    rates = table["growth_rate"] if "growth_rate" in table else [pd.NA] * len(table)
+    columns = (table[name] for name in ("member_id", "matrix", "outcome", "t_end", "t_stop"))
+    for member_id, matrix, outcome, t_end, t_stop, rate in zip(*columns, rates, strict=True):
+        own = None if outcome == "failed" else study.data.series[member_id]
+        how = fate(str(outcome), own if outcome == "finished" else None, float(t_end))
+        t = None if own is None else float(own[0][-1])
+        yield {
+            "group": group.label, "n": group.key["n"], "kappa_n": group.key["n"] * group.key["kappa"],
+            "matrix": int(matrix), "member_id": str(member_id), "fate": how,
+            "t": {DIVERGED: t_stop, SUSTAINED: t_end}.get(how, t),
+            "growth_rate": None if pd.isna(rate) else float(rate),
+            "system": tuple(group.key[name] for name in SYSTEM_KEYS),
+        }  # fmt: skip
+
+
+def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None:
+    """Survival of the first run of each matrix of a group."""
+    first: dict[int, Row] = {}
+    for row in runs:
+        if row["group"] == group.label and row["fate"] != FAILED:
+            first.setdefault(row["matrix"], row)
+    if not first:
+        return None
+    return survival([row["t"] for row in first.values()], [row["fate"] for row in first.values()], confidence)
+
+
+def _share(runs: Sequence[Row], confidence: float) -> Row:
+    """Share of runs in motion at the end; the runs of one matrix are not independent."""
+    if not runs:
+        return {"sustained": None, "low": None, "high": None}
+    counts: dict[tuple[Any, ...], list[int]] = {}
+    for row in runs:
+        held = counts.setdefault((row["system"], row["matrix"]), [0, 0])
+        held[0] += row["fate"] == SUSTAINED
+        held[1] += 1
+    share, low, high, _ = share_over_matrices(np.array(list(counts.values())), confidence)
+    return {"sustained": share, "low": low, "high": high}
+
+
+def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | None) -> Row:
+    level = study.settings.confidence
+    own = [row for row in runs if row["group"] == group.label]
+    how = Counter(row["fate"] for row in own)
+    watched = [row for row in own if row["fate"] != FAILED]
+    ends = [row["t"] for row in watched if row["fate"] in ENDS]
+    mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
+    span = float(group.key["t_end"]) - study.settings.t_burn
+    samples = effective(group.effective, span, level) if group.matrices else None
+    return {
+        "group": group.label, "n": group.key["n"], "kappa_n": group.key["n"] * group.key["kappa"],
+        "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
+        **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
+        "median": curve and median(curve), "first_end": min(ends, default=None), "last_end": max(ends, default=None),
+        "n_quiet": group.n_quiet, "mean": mean.value, "mean_low": mean.low, "mean_high": mean.high,
+        "drifts": drift, "drift": drift.value, "drift_low": drift.low, "drift_high": drift.high,
+        "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,
+        "basis": basis.code,
+    }  # fmt: skip
+
+
+def _is_off_zero(estimate: Estimate) -> bool:
+    return estimate.low is not None and estimate.high is not None and not estimate.low <= 0 <= estimate.high
+
+
+def _systems(study: Study, runs: Sequence[Row]) -> list[Row]:
+    """Fates by system, whatever the engine, in order of n and kappa n; named by n and whatever else differs."""
+    parts = split(study.data.members, SYSTEM_KEYS)
+    keys = [key for key, _ in parts if any(row["system"] == tuple(key.values()) for row in runs)]
+    varying = [name for name in SYSTEM_KEYS if name != "n" and len({key[name] for key in keys}) > 1]
+    found = []
+    for key in keys:
+        own = [row for row in runs if row["system"] == tuple(key.values()) and row["fate"] != FAILED]
+        how = Counter(row["fate"] for row in own)
+        words = [f"n = {key['n']}", *(f"{name} = {key[name]}" for name in varying)]
+        found.append(
+            {
+                "system": ", ".join(words),
+                "key": tuple(key.values()),
+                "n": key["n"],
+                "kappa_n": key["n"] * key["kappa"],
+            }
+            | {"n_runs": len(own), **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED)}}
+            | _share(own, study.settings.confidence)
+        )
+    return sorted(found, key=lambda row: (row["n"], row["kappa_n"]))
+
+
+def _ended(systems: Sequence[Row], runs: Sequence[Row], is_below: bool) -> Row | None:
+    """How runs end at all n smaller (or larger) than where every run lasts; None if none do, or in opposite ways."""
+    lasting = [row["n"] for row in systems if row["n_sustained"] == row["n_runs"]]
+    watched = [row for row in runs if row["fate"] != FAILED] if lasting else []
+    some = [row for row in watched if (row["n"] < min(lasting) if is_below else row["n"] > max(lasting))]
+    ends = Counter(row["fate"] for row in some if row["fate"] in ENDS)
+    if not ends or (DIVERGED in ends and len(ends) > 1):
+        return None
+    return {"end": SILENT if SILENT in ends else next(iter(ends)), "n": ends.total(), "n_runs": len(some)}
+
+
+def _linear(runs: Sequence[Row]) -> list[Row]:
+    """Fates by the sign of the linear growth rate of the state in which all blocks slip; empty without the rates."""
+    known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
+    found = []
+    for state, some in (
+        ("stable", [row for row in known if row["growth_rate"] <= 0]),
+        ("unstable", [row for row in known if row["growth_rate"] > 0]),
+    ):
+        how = Counter(row["fate"] for row in some)
+        if some:
+            found.append(
+                {"state": state, "n_runs": len(some), **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED)}}
+            )
+    return found
+
+
+def _commonest(reasons: pd.Series) -> str:
+    return str(reasons.value_counts().index[0]) if len(reasons) else ""
+
+
+def _curve_rows(curves: Mapping[str, Curve]) -> list[Row]:
+    return [
+        {"group": label, "t": t, "survival": curve.survival[k], "low": curve.low[k], "high": curve.high[k]}
+        | {end: curve.incidence[end][k] for end in ENDS}
+        for label, curve in curves.items()
+        for k, t in enumerate(curve.t)
+    ]
+
+
+def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
+    """Means of n_stick over blocks of `BLOCK` units, and the middles of the blocks."""
+    n_blocks = max(int((win.t_stop - win.t_start) // BLOCK), 1)
+    edges = np.linspace(win.t_start, win.t_stop, n_blocks + 1)
+    t = np.concatenate(([win.t_start], win.t, [win.t_stop]))
+    area = np.concatenate(([0.0], np.cumsum(win.path() * np.diff(t))))
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(np.interp(edges, t, area)) / np.diff(edges)
+
+
+def shares(systems: Sequence[Row]) -> Figure:
+    """Shares of runs by fate, a bar a system.
+
+    Parameters
+    ----------
+    systems : sequence of mapping
+        `system`, `n_runs` and the number of each fate.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        floor = np.zeros(len(systems))
+        for name, (label, colour, _) in _FATES.items():
+            share = np.array([row[f"n_{name}"] / row["n_runs"] for row in systems])
+            if share.any():
+                ax.bar(range(len(systems)), share, 0.7, floor, color=colour, label=label)
+                floor += share
+        _by_system(ax, systems)
+        ax.set_ylabel("share of runs")
+        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
+    return figure
+
+
+def _by_system(ax: Any, systems: Sequence[Row]) -> None:
+    names = [str(row["system"]) for row in systems]
+    if len({row["n"] for row in systems}) == len(systems):
+        names = [str(row["n"]) for row in systems]
+        ax.set_xlabel("blocks, n")
+    ax.set_xticks(range(len(systems)), names)
+    ax.set_xlim(-0.6, len(systems) - 0.4)
+
+
+def growth(systems: Sequence[Row], runs: Sequence[Row]) -> Figure:
+    """Linear growth rate of the all-slip state of each run, marked by its fate, in order of size within a system."""
+    place = {row["key"]: k for k, row in enumerate(systems)}
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.axhline(0, color=GREY, linewidth=0.8)
+        for name, (label, colour, marker) in _FATES.items():
+            x, y = [], []
+            for row in runs:
+                if row["fate"] == name and row["system"] in place:
+                    rates = [other["growth_rate"] for other in runs if other["system"] == row["system"]]
+                    rank = sum(rate < row["growth_rate"] for rate in rates)
+                    x.append(place[row["system"]] + 0.6 * (rank / max(len(rates) - 1, 1) - 0.5))
+                    y.append(row["growth_rate"])
+            if x:
+                ax.plot(x, y, marker, color=colour, markersize=3, linestyle="", label=label)
+        _by_system(ax, systems)
+        ax.set_ylabel("linear growth rate, all slip")
+        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
+    return figure
+
+
+def survival_curves(curves: Sequence[tuple[str, Curve]], t_end: float) -> Figure:
+    """Share of runs in motion against time, a curve a group; with their intervals where there are two at most."""
+    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        for (label, curve), colour in zip(curves, colours, strict=True):
+            t = np.append(curve.t, t_end)
+            alive, low, high = (np.append(y, y[-1]) for y in (curve.survival, curve.low, curve.high))
+            ax.step(t, alive, where="post", color=colour, label=label)
+            if len(curves) <= 2:
+                ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
+        ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share in motion")
+        figure.legend(loc="outside upper center", ncols=2, fontsize=7, handlelength=1.2)
+    return figure
+
+
+def all_runs(paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """n_stick of every run, in means over blocks of time."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        for t, mean in paths:
+            ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
+        ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))
+    return figure
