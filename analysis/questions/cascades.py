@@ -54,7 +54,6 @@ def answer(study: Study) -> Answer:
     group, row = lead[0]
     facts |= {
         "lead": row,
-        "unsure": [row["group"] for _, row in judged if row["basis"] == enough.DRIFT_UNKNOWN],
         "refused": [row for _, row in made if row["basis"] not in (enough.ENOUGH, enough.DRIFT_UNKNOWN)],
         "sizes": [one for one in sizes if one["group"] == group.label],
         "pool": (_pool_facts(group, row)),

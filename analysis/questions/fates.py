@@ -134,7 +134,8 @@ def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None
             first.setdefault(row["matrix"], row)
     if not first:
         return None
-    return survival([row["t"] for row in first.values()], [row["fate"] for row in first.values()], confidence)
+    times = np.array([row["t"] for row in first.values()], dtype=np.float64)
+    return survival(times, [row["fate"] for row in first.values()], confidence)
 
 
 def _share(runs: Sequence[Row], confidence: float) -> Row:

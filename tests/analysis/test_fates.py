@@ -1,0 +1,155 @@
+"""Fates and survival: textbook numbers, identities, and what is never called a collapse."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis.questions.fates import answer
+from stickslip.analysis.report.formats import environment
+from stickslip.analysis.report.page import MOST_ALERTS, Answered, _primary, _Shown
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, median, survival
+
+SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
+WORDS = environment().get_template("fates.html").module
+
+
+def test_survival_against_the_textbook():
+    # Freireich et al. 1963, the 6-MP arm, as tabulated in Kalbfleisch and Prentice
+    ended = [6, 6, 6, 7, 10, 13, 16, 22, 23]
+    censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
+    curve = survival(ended + censored, [COLLAPSED] * 9 + [SUSTAINED] * 12, 0.95)
+    assert curve.t.tolist() == [0, 6, 7, 10, 13, 16, 22, 23]
+    assert curve.survival == pytest.approx([1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448], abs=5e-4)
+    # Greenwood's error of S(23) is 0.135 (ibid.); on the log-log scale 0.188 to 0.680
+    assert (curve.low[-1], curve.high[-1]) == pytest.approx((0.188, 0.680), abs=1e-3)
+    assert median(curve) == 23
+
+
+def test_incidences_and_survival_add_up_to_one():
+    rng = np.random.default_rng(0)
+    times = rng.integers(1, 30, 60).astype(float)
+    ends = rng.choice([*ENDS, SUSTAINED], 60)
+    curve = survival(times, ends, 0.95)
+    assert sum(curve.incidence.values()) + curve.survival == pytest.approx(np.ones(len(curve.t)))
+
+
+def test_incidence_without_censoring_is_the_share():
+    curve = survival([1, 2, 3, 4, 9, 9], [COLLAPSED, DIVERGED, COLLAPSED, SILENT, SUSTAINED, SUSTAINED], 0.95)
+    assert [curve.incidence[end][-1] for end in ENDS] == pytest.approx([2 / 6, 1 / 6, 1 / 6])
+
+
+def test_none_or_all_ended_have_an_interval():
+    for end, share in ((SUSTAINED, 1.0), (COLLAPSED, 0.0)):
+        curve = survival(np.full(20, 5.0), [end] * 20, 0.95)
+        assert curve.survival[-1] == share
+        assert curve.high[-1] - curve.low[-1] == pytest.approx(0.161, abs=1e-3)  # Wilson's of 0 in 20
+    with pytest.raises(ValueError, match="non-empty"):
+        survival([], [], 0.95)
+
+
+def test_fates_by_their_last_change():
+    silent, sticking = (np.array([0.0, 700.0]), np.array([3, 0])), (np.array([0.0, 700.0]), np.array([3, 1]))
+    assert fate("finished", silent, 1000.0) == SILENT
+    assert fate("finished", silent, 900.0) == SUSTAINED  # quiet for less than a quarter
+    assert fate("finished", sticking, 1000.0) == SUSTAINED
+    assert fate("collapsed", silent, 1000.0) == COLLAPSED
+    assert fate("diverged", silent, 1000.0) == DIVERGED
+    assert fate("failed", None, 1000.0) == "failed"
+
+
+def data_of(planted, outcomes, n=200):
+    rows, series = [], {}
+    for matrix, outcome in enumerate(outcomes):
+        stop = 400.0 if outcome == DIVERGED else 1000.0
+        real = "finished" if outcome in (SILENT, SUSTAINED) else outcome
+        rows.append(planted.member(f"{n}-{matrix}", matrix, n=n, outcome=real, t_stop=stop, growth_rate=0.01))
+        last = {SUSTAINED: 990.0, DIVERGED: 390.0}.get(outcome, 50.0 + matrix)
+        series[f"{n}-{matrix}"] = np.array([0.0, last]), np.array([3, 0])
+    return Data(pd.DataFrame(rows), series)
+
+
+def asked(data):
+    return answer(Study(data, SETTINGS))
+
+
+def test_fates_are_kept_apart(planted):
+    found = asked(data_of(planted, [COLLAPSED] * 4 + [SILENT] * 2 + [DIVERGED] * 3 + [SUSTAINED] * 11 + ["failed"]))
+    row = found.tables["fates"].iloc[0]
+    assert [row[f"n_{end}"] for end in ENDS] == [4, 2, 3]
+    assert (row["n_runs"], row["n_failed"]) == (20, 1)
+    assert row["sustained"] == pytest.approx(11 / 20)
+    assert (row["first_end"], row["last_end"]) == (50.0, 400.0)
+    said = WORDS.answer(found.facts)
+    assert "11 of 20 runs are in motion at t = 1000, a share of 55% (" in said
+    assert "4 slip for good, 2 went quiet and 3 ran away" in said
+    alerts = WORDS.alerts(found.facts)
+    assert "1 of 21 runs failed" in alerts
+    assert "13 of 20 runs reached t = 1000, 2 of them quiet" in alerts
+    assert 'class="ok"' not in alerts
+
+
+def test_what_all_runs_do_has_a_bound(planted):
+    """Wilson's interval of 20 in 20 begins at 0.839."""
+    found = asked(data_of(planted, [SUSTAINED] * 20))
+    assert "All 20 runs stayed in motion to t = 1000: at most 16% of such systems stop" in WORDS.answer(found.facts)
+    assert '<li class="ok">All 20 runs reached t = 1000' in WORDS.alerts(found.facts)
+    none = asked(data_of(planted, [DIVERGED] * 20))
+    assert "No run of 20 is in motion at t = 1000 (at most 16% of such systems are)" in WORDS.answer(none.facts)
+    failed = asked(data_of(planted, ["failed"] * 2))
+    assert "all 2 failed" in WORDS.answer(failed.facts)
+
+
+def test_two_engines_on_one_matrix_are_one_system(planted):
+    data = data_of(planted, [SUSTAINED] * 20)
+    twice = data.members.assign(member_id="s" + data.members["member_id"], **planted.sigmoid)
+    series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
+    found = asked(Data(pd.concat([data.members, twice]), series))
+    assert found.facts["total"]["runs"] == 40
+    assert found.facts["share"]["low"] == pytest.approx(0.839, abs=1e-3)
+
+
+def test_sizes_are_set_side_by_side_with_the_linear_growth_rate(planted):
+    plan = {20: [COLLAPSED] * 3 + [SILENT] * 2, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
+    parts = [data_of(planted, outcomes, n) for n, outcomes in plan.items()]
+    members = pd.concat([part.members for part in parts], ignore_index=True)
+    members.loc[members["n"] == 20, "growth_rate"] = -0.01
+    found = asked(Data(members, {name: points for part in parts for name, points in part.series.items()}))
+    said = WORDS.answer(found.facts)
+    assert "motion lasts in every run at n = 100 (at least 57% of such systems)" in said
+    assert "of smaller groups 5 of 5 go quiet, of larger ones 4 of 5 run away" in said
+    assert [(row["state"], row["n_runs"], row["n_collapsed"]) for row in found.facts["linear"]] == [
+        ("stable", 5, 3),
+        ("unstable", 10, 0),
+    ]
+    assert found.tables["runs"]["fate"].tolist()[:5] == [COLLAPSED] * 3 + [SILENT] * 2
+    for recipe in found.figures.values():
+        assert recipe().axes
+
+
+def test_a_drift_is_an_alert_even_of_few_cascades(planted):
+    t = np.arange(0.0, 1000.0)
+    rising = {f"200-{k}": (t, np.arange(1000) // 10 + k) for k in range(5)}
+    data = data_of(planted, [SUSTAINED] * 5)
+    alerts = WORDS.alerts(asked(Data(data.members, rising)).facts)
+    assert "drifts after t = 100, by +45" in alerts
+    assert "without drift" not in alerts
+
+
+def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
+    shown = [_Shown(Answered("robustness", {}), None)]
+    for outcomes, leads in (
+        ([COLLAPSED] * 6 + [SUSTAINED] * 4, "fates"),
+        ([COLLAPSED] * 4 + [SUSTAINED] * 6, "robustness"),
+    ):
+        assert _primary(Study(data_of(planted, outcomes), SETTINGS), shown)[0] == leads
+
+
+def test_a_page_has_few_alerts_and_what_is_well_comes_last(planted):
+    outcomes = ["failed"] + [COLLAPSED] + [SUSTAINED] * 2
+    report = build(data_of(planted, outcomes), SETTINGS, "A study", "", {})
+    (alerts,) = re.findall(r'<ul class="alerts".*?</ul>', report.html, re.DOTALL)
+    assert 1 <= alerts.count("<li") <= MOST_ALERTS
+    assert "1 of 4 runs failed" in alerts
