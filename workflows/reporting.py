@@ -10,6 +10,7 @@ from pathlib import Path
 from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Events
+from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import PAGE
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.ledger import read_manifest
@@ -82,11 +83,47 @@ def report(
     return built, found
 
 
-def _made_from(path: Where, scene: Scene) -> str:
-    """Digest of what a report depends on: data, scene, program."""
-    digest = hashlib.sha256(f"{name_of(path)} {scene.model_dump_json()} {__version__}".encode())
+def compared(path: Where, other: Where) -> Report:
+    """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
+
+    Raises
+    ------
+    pipeline.StoreError
+        If one is no readable dataset, or no member of it is done yet.
+    ValueError
+        If they have nothing in common.
+    """
+    places = (path, other)
+    opened = [_opened(where) for where in places]
+    names = [name_of(where) for where in places]
+    if names[0] == names[1]:
+        names = [str(place_of(where)) for where in places]
+    ensembles = [
+        Ensemble(
+            name,
+            Data(members(where), series(where)),
+            scene.analysis.t_burn,
+            scene.analysis.margins.model_dump(),
+            _provenance(scene, found),
+            _digest(where),
+        )
+        for where, name, (scene, found) in zip(places, names, opened, strict=True)
+    ]
+    return compare(ensembles[0], ensembles[1], _settings(opened[0][0]))
+
+
+def _digest(path: Where) -> str:
+    """Of all data of a dataset."""
+    digest = hashlib.sha256()
     for name, shard in sorted(read_manifest(path).shards.items()):
         digest.update(f"{name} {shard.sha256}".encode())
+    return digest.hexdigest()
+
+
+def _made_from(path: Where, scene: Scene) -> str:
+    """Digest of what a report depends on: data, scene, program."""
+    words = f"{name_of(path)} {scene.model_dump_json()} {__version__} {_digest(path)}"
+    digest = hashlib.sha256(words.encode())
     folder = Path(analysis.__file__).parent
     for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
         digest.update(file.read_bytes())

@@ -166,9 +166,7 @@ def build(
     )
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
-    return Report(
-        page, tables, [*(_plain(text) for text in alarms), title, *(_plain(text) for text in said)], figures
-    )
+    return Report(page, tables, [*(plain(text) for text in alarms), title, *(plain(text) for text in said)], figures)
 
 
 class _Shown:
@@ -195,7 +193,8 @@ def _safe(texts: Sequence[str]) -> list[Any]:
     return [Markup(text) for text in texts]  # made by templates, which escape
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
+    """What a template made, without tags: for a terminal."""
     return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text))).strip()
 
 

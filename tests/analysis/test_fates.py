@@ -83,7 +83,7 @@ def test_fates_are_kept_apart(planted):
     assert row["sustained"] == pytest.approx(11 / 20)
     assert (row["first_end"], row["last_end"]) == (50.0, 400.0)
     said = WORDS.answer(found.facts)
-    assert "11 of 20 runs are in motion at t = 1000, a share of 55% (" in said
+    assert "11 of 20 runs at n = 200 are in motion at t = 1000 (34% to 74%); " in said
     assert "4 slip for good, 2 went quiet and 3 ran away" in said
     alerts = WORDS.alerts(found.facts)
     assert "1 of 21 runs failed" in alerts

@@ -1,0 +1,213 @@
+"""Are two datasets the same? Their statistics side by side; one sentence if their runs are equal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from stickslip.analysis.answer import B, I, Row, S, frame
+from stickslip.analysis.contrast import (
+    AGREE,
+    DIFFER,
+    SCHEMA,
+    UNKNOWN,
+    contrast,
+    judge,
+    sample,
+    shares,
+    statistics,
+    told,
+)
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Data, Group, Study
+from stickslip.analysis.questions.engines import contrasts, summary
+from stickslip.analysis.report.formats import environment
+from stickslip.analysis.report.page import Report, draw, plain
+from stickslip.analysis.settings import AnalysisSettings
+
+#: What two settings must share: statistics of groups of another size or ensemble are not the same quantity.
+SHARED = ("n", "coupling")
+SAME = "same"
+_TABLE: Mapping[str, str] = {"setting": S, "other": S, "is_paired": B, **SCHEMA}
+_UNMATCHED = {"dataset": S, "setting": S, "members": I}
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """A dataset to compare.
+
+    Attributes
+    ----------
+    name : str
+        How the page calls it.
+    data : Data
+        Members need the column `seed`.
+    t_burn : float
+    margins : mapping of str to float
+        What its own scene declares.
+    provenance : mapping of str to str
+    digest : str
+        Of all its data: equal digests are equal data.
+    """
+
+    name: str
+    data: Data
+    t_burn: float
+    margins: Mapping[str, float]
+    provenance: Mapping[str, str]
+    digest: str = ""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Two settings set side by side; `differs` maps each key in which they differ to both values."""
+
+    first: Group
+    second: Group
+    differs: dict[str, tuple[Any, Any]]
+    is_paired: bool
+
+
+def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
+    """Set two ensembles side by side under the settings of the first.
+
+    Raises
+    ------
+    ValueError
+        If they have no setting to compare, or an ensemble contradicts itself or the settings.
+    """
+    facts: dict[str, Any] = {
+        "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
+        "matches": [], "tested": [],
+    }  # fmt: skip
+    if _is_same(first, second):
+        return _report(facts, {})
+    one, other = _study(first, settings, ""), _study(second, settings, f", under the settings of {first.name}")
+    matches, *left = matched(first.name, one.groups, second.name, other.groups)
+    found: list[tuple[Match, list[Row]]] = []
+    for match in matches:
+        pair = sample(one, match.first), sample(other, match.second)
+        asked = statistics(settings.margins) + shares()
+        found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
+    rows = [
+        row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired}
+        for match, some in found
+        for row in some
+    ]
+    judge(rows, 1 - settings.confidence)
+    shown = told(rows)
+    verdicts = {row["verdict"] for row in shown} or {UNKNOWN}
+    unmatched = [
+        {"dataset": which.name, "setting": group.label, "members": len(group.members)}
+        for which, some in zip((first, second), left, strict=True)
+        for group in some
+    ]
+    facts |= {
+        "verdict": next(one for one in (DIFFER, UNKNOWN, AGREE) if one in verdicts),
+        "all": summary(shown) if shown else None,
+        "matches": [
+            {"first": match.first.label, "second": match.second.label, "differs": match.differs,
+             "is_paired": match.is_paired, "rows": [row for row in shown if row["setting"] == match.first.label]}
+            for match in matches
+        ],
+        "n_paired": sum(match.is_paired for match in matches),
+        "unmatched": unmatched,
+        "other_margins": sorted(
+            name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin
+        ),
+    }  # fmt: skip
+    return _report(facts, {"compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched)})
+
+
+def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
+    filled = environment()
+    drawn = {}
+    some = next((match["rows"] for match in facts["matches"] if match["rows"]), None)
+    if some:
+        drawn["contrasts"] = draw(partial(contrasts, some))
+    page = filled.get_template("compare.html").render(**facts, figures=drawn)
+    said = plain(filled.get_template("contrasts.html").module.compared(facts))  # type: ignore[attr-defined]
+    return Report(page, tables, [said], drawn)
+
+
+def _is_same(first: Ensemble, second: Ensemble) -> bool:
+    """Whether both hold the same runs: by the digests of their data, else change by change."""
+    if first.digest and first.digest == second.digest:
+        return True
+    one, two = (each.data.members.set_index("member_id")["outcome"].to_dict() for each in (first, second))
+    return one == two and all(
+        all(np.array_equal(a, b) for a, b in zip(points, second.data.series[name], strict=True))
+        for name, points in first.data.series.items()
+    )
+
+
+def _study(one: Ensemble, settings: AnalysisSettings, under: str) -> Study:
+    try:
+        return Study(one.data, settings)
+    except ValueError as error:
+        raise ValueError(f"{one.name}{under}: {error}") from None
+
+
+def matched(
+    first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]
+) -> tuple[list[Match], list[Group], list[Group]]:
+    """Each setting of one dataset with the one of the other that differs in the fewest keys.
+
+    They must share `SHARED`. Matrices are pairs where seed and start of the random numbers are one: the same `seed`,
+    coupling, n and matrix give the same random system up to the scales kappa and rho.
+
+    Parameters
+    ----------
+    first, second : str
+        Names of the datasets.
+    mine, theirs : sequence of Group
+        Of unchanged members.
+
+    Returns
+    -------
+    matches, left_first, left_second
+        The last two are the settings without counterpart.
+
+    Raises
+    ------
+    ValueError
+        If no setting of one can be set beside one of the other.
+    """
+    keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
+    near = sorted(
+        (sum(a.key[name] != b.key[name] for name in keys), i, j)
+        for i, a in enumerate(mine)
+        for j, b in enumerate(theirs)
+        if all(a.key[name] == b.key[name] for name in SHARED)
+    )
+    if not near:
+        has = ["; ".join(dict.fromkeys(_shared(group) for group in some)) for some in (mine, theirs)]
+        raise ValueError(
+            f"{first} and {second}: expected settings that share {' and '.join(SHARED)}, got {has[0]} in "
+            f"{first} and {has[1]} in {second}; run a scene with the same n and coupling to compare them"
+        )
+    found: dict[int, int] = {}
+    for _, i, j in near:
+        if i not in found and j not in found.values():
+            found[i] = j
+    matches = []
+    for i, j in sorted(found.items(), key=lambda pair: -mine[pair[0]].key["n"]):
+        a, b = mine[i], theirs[j]
+        differs = {name: (a.key[name], b.key[name]) for name in keys if a.key[name] != b.key[name]}
+        matches.append(Match(a, b, differs, _seeds(a) == _seeds(b)))
+    return (
+        matches,
+        [group for i, group in enumerate(mine) if i not in found],
+        [group for j, group in enumerate(theirs) if j not in found.values()],
+    )
+
+
+def _shared(group: Group) -> str:
+    return ", ".join(f"{name} = {group.key[name]}" for name in SHARED)
+
+
+def _seeds(group: Group) -> set[int]:
+    return {int(seed) for seed in group.members["seed"]}
