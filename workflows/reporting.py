@@ -122,7 +122,7 @@ def _digest(path: Where) -> str:
 
 def _made_from(path: Where, scene: Scene) -> str:
     """Digest of what a report depends on: data, scene, program."""
-    words = f"{name_of(path)} {scene.model_dump_json()} {__version__} {_digest(path)}"
+    words = f"{scene.title or name_of(path)} {scene.model_dump_json()} {__version__} {_digest(path)}"
     digest = hashlib.sha256(words.encode())
     folder = Path(analysis.__file__).parent
     for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
