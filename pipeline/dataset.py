@@ -73,7 +73,7 @@ def open_dataset(path: Where) -> Dataset:
     try:
         scene = stored_scene(place)
     except SceneError as error:
-        raise StoreError(f"{error}; restore the scene by running it once more with this directory") from None
+        raise StoreError(f"{error}; rerun the scene with this directory to restore it") from None
     if scene.hash != manifest.scene_hash:
         raise StoreError(
             f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "

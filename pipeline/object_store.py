@@ -184,9 +184,9 @@ class _Lease(Hold):
             self.place.create(LOCK, self._content(until))
         except OSError as error:  # also if only the answer to our put was lost
             found = self._found()
-            if found is None:
+            if found is None and not isinstance(error, FileExistsError):
                 raise
-            if found.token != self.token:
+            if found is None or found.token != self.token:  # none: it was there, and has been given back since
                 raise self._refusal(found) from error
         if is_taken_over:
             time.sleep(SETTLE)
@@ -205,6 +205,8 @@ class _Lease(Hold):
             return
         finally:
             self.place.remove(name)
+        self._renew()
+        self.check()  # whoever took over while this process was stopped has removed the object too
         raise StoreError(
             f"{self.place}: expected a store that refuses to create an object where one is, got one that overwrites "
             f"it, so that two drivers could write at once; update the store or its package (s3fs: 2024.12 or newer), "

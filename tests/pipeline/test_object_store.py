@@ -206,6 +206,30 @@ def test_a_store_that_overwrites_where_it_is_told_to_create_is_refused(scene, so
     assert objects_of(memory) == {}
 
 
+def test_a_store_is_not_blamed_for_who_took_over_between_its_two_puts(memory, monkeypatch):
+    """The probe's object goes with the leftovers of a driver that was stopped for longer than its lease."""
+    create = object_store.Prefix.create
+
+    def stopped_meanwhile(self, name, content):
+        create(self, name, content)
+        if name != ".lock":
+            self.remove(name)
+            leave_lock(60.0, "process 77 on elsewhere")
+
+    monkeypatch.setattr(object_store.Prefix, "create", stopped_meanwhile)
+    with pytest.raises(StoreError, match="lost the lock to process 77"), storage.place_of(OUT).own():
+        pass
+
+
+def test_a_lock_given_back_as_it_was_met_is_a_refusal(memory, impatient, monkeypatch):
+    def met(self, name, content):
+        raise FileExistsError(17, "At least one of the pre-conditions you specified did not hold", name)
+
+    monkeypatch.setattr(object_store.Prefix, "create", met)
+    with pytest.raises(StoreError, match="got a lock held by another process"), storage.place_of(OUT).own():
+        pass
+
+
 # ------------------------------------------------------------------------------------------ requests that fail
 
 
