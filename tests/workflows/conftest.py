@@ -1,5 +1,9 @@
+import html
+import re
+
 import pytest
 
+from stickslip.analysis.report.page import Drawn
 from stickslip.pipeline import SceneError
 from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
@@ -82,7 +86,25 @@ def in_this_process(monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages of charts without their figures, which take most of their time."""
-    monkeypatch.setitem(runner.FORMS, "picture", lambda draw: "")
+    monkeypatch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
+
+
+@pytest.fixture(scope="session")
+def said():
+    """What the folded part of a chart's page says in numbers: a line each, behind its heading."""
+
+    def lines(report):
+        numbers = report.html.partition('<details id="numbers">')[2].partition("</details>")[0]
+        found, heading = [], ""
+        for tag, content in re.findall(r"<(h3|li)>(.*?)</\1>", numbers, flags=re.DOTALL):
+            text = " ".join(html.unescape(re.sub(r"<[^>]*>", "", content)).split())
+            if tag == "h3":
+                heading = text
+            elif text:
+                found.append(f"{heading}: {text}")
+        return found
+
+    return lines
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The chart of the paper's figures: its scenes, known values in its tables, words that follow the numbers."""
+"""The chart of the paper: its scenes, known values in its tables, claims judged by what was measured."""
 
 import json
 import re
@@ -9,12 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.pipeline import run_scene
-from stickslip.sim import EventSeries, simulate
+from stickslip.analysis.report.page import Drawn
+from stickslip.sim import simulate
 from stickslip.workflows.charts import load_chart, runner
-from stickslip.workflows.charts.peers import random_ratios
+from stickslip.workflows.charts.peers import W0, Z0, random_ratios
 from stickslip.workflows.commands import main
-from stickslip.workflows.paper import claims, figures_1_2, figures_3_to_5
+from stickslip.workflows.paper import claims, figures_1_2, figures_3_to_5, runs
+from stickslip.workflows.paper.figures_3_to_5 import Cascades, Row
+from stickslip.workflows.paper.runs import Ask
+from stickslip.workflows.paper.runs import Path as Run
 from stickslip.workflows.scenes import shipped
 
 TINY = """
@@ -23,24 +26,16 @@ figures = [1, 2, 3, 4, 5, 6]
 title = "A tiny <chart>"
 n = [5, 20]
 draws = 2
-t_end = 30.0
-t_shown = 20.0
-sensitivity_n = [5, 20]
-sets = 2
-sizes = [0.01, 0.1]
-long_n = 40
-long_matrices = 3
-long_t_end = 60.0
+beyond = 25
+matrices = 3
+t_end = 60.0
 t_burn = 5.0
+t_shown = 20.0
+few = 1
+t_few = 30.0
+sizes = [0.01, 0.05, 0.1]
+escapes = 2
 dt = [0.1, 1.0]
-claims = true
-survival_n = [5, 20]
-survival_matrices = 2
-survival_t_end = 300.0
-certificate_n = 5
-certificate_draws = 3
-certificate_t_end = 300.0
-blocks = 8
 workers = 1
 seed = 0
 """
@@ -63,17 +58,14 @@ def scene(scene_file):
 
 @pytest.fixture(scope="module")
 def measured(scene):
-    """The ensemble without workers of its own: what the pipeline does with them is tested there."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(claims, "run_scene", lambda *of, **_: run_scene(*of[:3], 0))
-        return scene.measure(lambda line: None)
+    return scene.measure(lambda line: None)
 
 
 @pytest.fixture(scope="module")
 def report(scene, measured, page):
     """Without what is drawn, which is looked at figure by figure."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(runner.FORMS, "picture", lambda draw: "")
+        patch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
         return page(scene, measured)
 
 
@@ -84,22 +76,13 @@ def report(scene, measured, page):
 def test_shipped_scenes_have_their_figures(name):
     scene = load_chart(shipped()[name])
     assert scene.figures == (tuple(range(1, 7)) if name == "paper" else (int(name[3:]),))
-    assert scene.claims == (name == "paper")
-
-
-def test_the_shipped_certificate_is_tried_often_enough():
-    """At n = 20 and 50 every draw is certified, so that 200 certified runs are continued to t = 2000."""
-    scene = load_chart(shipped()["paper"])
-    assert {20, 50} <= set(scene.certificate_n)
-    assert scene.certificate_draws >= 100
-    assert scene.certificate_t_end == 2000.0
+    assert scene.n == (20, 100, 200)
 
 
 BAD = {
     "no such figure": ("figures = [1, 2, 3, 4, 5, 6]", "figures = [1, 7]", "figures[1]: expected", "got 7"),
     "shown beyond the end": ("t_shown = 20.0", "t_shown = 40.0", "t_shown: expected", "got 40"),
     "nothing after the burn": ("t_burn = 5.0", "t_burn = 60.0", "t_burn: expected", "got 60"),
-    "no such flag": ("claims = true", 'claims = "yes"', "claims: expected", "got 'yes'"),
 }
 
 
@@ -175,317 +158,13 @@ def test_two_blocks_from_entry_to_exit(report):
         assert second.block == 0
 
 
-def test_static_friction_above_kinetic_leaves_two_futures(measured):
-    """AUDIT, uniqueness. Two solutions for 1 < |F| / mu < r, z from -(r + rho v) / kappa to -(1 + rho v) / kappa."""
-    (one,) = measured.undetermined
-    r, rho, v = one.ratio, 0.1, -0.5
-    expected = [[-r - rho * v, -1 - rho * v], [1 - rho * v, r - rho * v]]
-    np.testing.assert_allclose(one.open, expected, atol=1e-9)
-    assert one.n_coulomb == 1
-    stick, slip = one.futures
-    assert (stick.begins, slip.begins) == ("sticks on", "slips at once to the right")
-    assert (stick.t[0], stick.z[0], stick.w[0]) == (slip.t[0], slip.z[0], slip.w[0]) == (0.0, one.z, v)
-    assert stick.events[0] == (pytest.approx((-r - rho * v - one.z) / v, abs=1e-9), "exit")
-    assert slip.events == []
-    assert np.ptp(slip.w[-140:]) < 0.5 * np.ptp(stick.w[-140:])  # one comes to rest, the other sticks and slips on
-
-
-def test_the_future_that_slips_is_the_exact_engines(measured):
-    """Where it slips Coulomb's friction acts: from just beyond the belt, the closed form is the engine's run."""
-    (one,) = measured.undetermined
-    slip = one.futures[1]
-    run = simulate(figures_1_2.single(one.v), one.z, one.v, slip.t[-1], tol=1e-12, stop_early=False)
-    assert run.z[0] == pytest.approx(slip.z[-1], abs=1e-8)
-
-
-def test_runs_around_a_double_exit_stay_close(measured):
-    assert len(measured.uniqueness) == claims.DIRECTIONS
-    assert all(pair.n_events >= 2 for pair in measured.uniqueness)  # both blocks leave
-    assert max(pair.apart for pair in measured.uniqueness) < 3 * claims.APART
-
-
-def test_no_single_block_sticks_again(measured):
-    (one,) = measured.one_block
-    assert one.n_blocks == 8
-    assert 0 < one.n_exits <= 8
-    assert one.n_again == 0
-
-
-def test_small_groups_come_to_rest_by_certificate(measured, report):
-    """AUDIT, section 4: n = 20 ends in n_stick = 0, linearly stable in every draw; and no certificate is false."""
-    for row in measured.survival:
-        assert (row.certified, row.moving, row.stable) == (2, 0, 2)
-    certificate = report.tables["certificate"]
-    assert (certificate.n_after == 0).all()
-    assert (certificate.t_certified > certificate.t_last).all()
-
-
-# ---------------------------------------------------------------------------------------------- the parts
-
-
-def events(t, block, mode, initial, t_end):
-    return EventSeries(np.array(t), np.array(block), np.array(mode), np.array(initial), 0.0, t_end)
-
-
-@pytest.mark.parametrize(
-    ("outcome", "t_last", "n_last", "expected"),
-    [
-        ("collapsed", 10.0, 0, "certified"),
-        ("finished", 10.0, 0, "silent"),
-        ("finished", 90.0, 0, "sustained"),  # too late to tell
-        ("finished", 10.0, 3, "sustained"),
-        ("diverged", 10.0, 0, "diverged"),
-        ("failed", 10.0, 0, "failed"),
-    ],
-)
-def test_fates(outcome, t_last, n_last, expected):
-    assert figures_3_to_5.fate(outcome, np.array([0.0, t_last]), np.array([5, n_last]), 100.0) == expected
-
-
-def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
-    """A unit of time with one block more or less on average: a delay of 0.5 never is, an absence at t = 4 is at 5."""
-
-    class Planted:
-        def __init__(self, exits):
-            self.events = events(exits, range(len(exits)), [1] * len(exits), [0, 0], 10.0)
-
-        def n_stick(self, times):
-            return self.events.n_stick(times)
-
-    base = Planted([2.0, 4.0])
-    assert figures_3_to_5.apart_from(Planted([2.5, 4.0]), base) is None
-    assert figures_3_to_5.apart_from(Planted([2.0]), base) == pytest.approx(5.0, abs=0.1)
-
-
-def test_perturbations_of_figure_4_are_those_of_an_ensemble(scene):
-    """One draw goes the same way at every size, and by at most the size."""
-    base = scene.system(20, 0)
-    small, large = (scene.perturbed(20, size, 0).stiffness - base.stiffness for size in (0.01, 0.1))
-    np.testing.assert_allclose(large, 10 * small, atol=1e-12)
-    assert 0 < np.abs(small).max() <= 0.01 * 0.2 * (1 + 1e-12)
-    r = random_ratios(scene.seed, 200, 1)
-    assert (r > 0).all()
-    assert (r <= 1).all()
-
-
-# ---------------------------------------------------------------------------------------------- words
-
-
-@pytest.fixture
-def said(scene, measured, page, undrawn):
-    """The lead of the page, of what was measured but for some changes: the lines that begin with some words."""
-
-    def lines(head, **changes):
-        found = page(scene, replace(measured, **changes)).headline
-        return [line.removeprefix(head) for line in found if line.startswith(head)]
-
-    return lines
-
-
-def draw(**changes):
-    row = figures_3_to_5.Draw(20, 0, "coulomb", "certified", 40, 6, 0.5, 25.0, 60.0, 0, 0.0)
-    return replace(row, **changes)
-
-
-def test_words_of_figure_3_follow_the_draws(said):
-    head = "Figure 3, n_stick of one draw: n = 20: "
-    other = [draw(n=5), draw(n=5, law="sigmoid"), draw(law="sigmoid")]
-    draws = [*other, draw(), draw(n_first=9, t_last=80.0), draw(fate="silent", t_last=70.0)]
-    (words,) = said(head, figure3=draws)
-    assert words.startswith("6 to 9 blocks stick at first")
-    assert "3 of 3 (44 to 100%) end with n_stick = 0, 2 of them by certificate" in words
-    assert "last event at t = 60 to 80 (median 70)" in words
-    draws = [*other, draw(fate="sustained", mean=31.5), draw(fate="diverged", mean=None)]
-    (words,) = said(head, figure3=draws)
-    assert "0 of 2 (0 to 66%) end with n_stick = 0; 1 keep on, with 31.5 blocks" in words
-    assert "certificate" not in words
-    assert "1 diverged" in words
-
-
-def survival(**changes):
-    row = claims.Survival(100, 20, 7, 3, 10, 0, 0, 7, 0, 0)
-    return replace(row, **changes)
-
-
-def test_words_of_the_survival_curve_keep_fates_apart(said):
-    (words,) = said("Claims: Fates of", survival=[survival()])
-    assert "7 at rest by certificate, 3 silent without one, 10 sustained, 0 diverged" in words
-    assert "3 have an unstable all-slip state" in words
-    assert "none of the linearly stable draws still move." in words
-    (words,) = said("Claims: Fates of", survival=[survival(stable_moving=1, failed=2)])
-    assert "1 of the linearly stable draws still moves." in words
-    assert "2 failed" in words
-    (words,) = said("Claims: Escape", survival=[survival(), survival(n=200, diverged=5)])
-    assert "5 of 20 (11 to 47%) at n = 200. A run that is sustained so far need not be bounded." in words
-
-
-def test_a_false_alarm_is_said(said):
-    rows = [claims.Certified(5, k, "collapsed", 10.0, 30.0 + k, 0) for k in range(3)]
-    (words,) = said("Claims: Certificate: ", certificate=rows)
-    assert "none of them had a further event" in words
-    assert "21 units of time after the last event in the median, 22 at most" in words
-    alarmed = [*rows, replace(rows[0], n_after=2)]
-    assert "1 of them had a further event" in said("Claims: Certificate: ", certificate=alarmed)[0]
-    assert claims.lateness(alarmed)[0]["alarms"] == 1
-    uncertified = [replace(rows[0], outcome="finished", t_certified=None, n_after=None)]
-    assert said("Claims: Certificate: ", certificate=uncertified) == ["none of 1 runs was certified."]
-
-
-def test_claims_that_fail_are_said(said, measured):
-    apart = [replace(measured.uniqueness[0], apart=1e-3)]
-    unique, again, *_ = said("Claims: ", uniqueness=apart, one_block=[claims.OneBlock(8, 6, 2)])
-    assert "come apart: at most 0.001 apart" in unique
-    assert "sticks again in 2." in again
-    unique, again, *_ = said("Claims: ")
-    assert "stay together" in unique
-    assert "never sticks again: no cycle" in again
-
-
-def cascade(**changes):
-    row = figures_3_to_5.Cascades("coulomb", "events", None, 10, 9000, 0.7, 0.69, 0.71, 0.695, None)
-    return replace(row, **changes)
-
-
-def test_words_of_the_law_give_all_definitions_and_pick_none(said):
-    head = "Figure 5, long runs and the law of cascades: "
-    rows = [cascade(), cascade(definition="length", dt=1.0, gamma=0.9, low=0.7, high=1.1)]
-    (words,) = said(head, cascades=rows)
-    assert "γ = 0.7 to 0.9 over 2 definitions of size; the paper's 0.74 lies in the interval of 1" in words
-    assert "0.900 at dt = 1" in words
-    assert "random order gives 0.695, within the interval" in words
-    (words,) = said(head, cascades=[cascade(gamma0=0.6)])
-    assert "lies in the interval of none" in words
-    assert "random order gives 0.600, outside the interval" in words
-    nothing = cascade(gamma=None, low=None, high=None, gamma0=None, reason="too few")
-    assert "no cascades to fit" in said(head, cascades=[nothing])[0]
-
-
-def test_words_of_figure_4_say_what_collapsed(said):
-    row = figures_3_to_5.Change("(iv)", 200, "10 %, draw 0", 0.1, "sustained", 2.0, 30.0, 31.0)
-    quiet = replace(row, t_apart=None, label="1 %", fate="certified", mean=0.0)
-    (words,) = said("Figure 4, sensitivity: ", figure4=[row, quiet])
-    assert "1 of 2 come apart from the unperturbed run, at t = 2" in words
-    assert "0 to 30 beside 31" in words
-    assert "none sticks at the end: 1 %" in words
-
-
-def test_words_of_an_open_future_name_each_and_pick_none(said, measured):
-    head = "Figure 6, hidden dynamics: Static"
-    (words,) = said(head)
-    assert "there are 2 forward solutions: it sticks on until t = 0.5" in words
-    assert "or it slips at once to the right, and never sticks again" in words
-    assert "none is picked here" in words
-    assert "the same state has 1;" in words
-    (found,) = measured.undetermined
-    (words,) = said(head, undetermined=[replace(found, futures=found.futures[:1])])
-    assert "there is 1 forward solution: it sticks on" in words
-    assert "none is picked" not in words
-
-
-def test_words_of_the_slow_runs_name_a_jump_only_where_there_is_one(said, measured):
-    head = "Figure 6, hidden dynamics: The modified law from entry to exit"
-    (words,) = said(head)
-    assert "at t = 0.0047988 the mode meets the saddle and is gone: a jump" in words
-    assert "this one ends by a jump" in words
-    assert "jump" not in said(head, slow_runs=measured.slow_runs[:1])[0]
-
-
-# ---------------------------------------------------------------------------------------------- drawings
-
-
-def labelled(figure):
-    """Every axes that is shown has a name, and those of the bottom row and left column theirs."""
-    shown = [ax for ax in figure.axes if ax.axison]
-    assert any(ax.get_xlabel() for ax in shown)
-    assert any(ax.get_ylabel() for ax in shown)
-    return shown
-
-
-@pytest.mark.parametrize(
-    ("number", "panels"),
-    [
-        (1, ["v = −0.5", "v = 0.5"]),
-        (2, ["s = +1, eq. (6) as printed", "s = −1, what section 3 goes on with",
-             *(f"({case}) s = +1" for case in "abc")]),
-        (3, ["(i) n = 5", "(ii) n = 20"]),
-        (4, ["(i) n = 5, r redrawn", "(ii) n = 20, r redrawn", "(iii) n = 20, constants moved by 1 %",
-             "(iv) n = 20, constants moved by more"]),
-        (5, ["(i) matrix 0", "(i) matrix 1", "(ii) events", "(ii) length, dt = 1"]),
-        (6, ["(a) Coulomb law", "(b) modified law"]),
-    ],
-)  # fmt: skip
-def test_each_drawing_has_its_panels(number, panels, scene, measured):
-    drawn = scene.show(measured).facts["drawn"]
-    assert [ax.get_title(loc="left") for ax in labelled(drawn[number]())] == panels
-
-
-def test_what_figure_6_leaves_open_is_drawn_beside_it(scene, measured):
-    drawn = scene.show(measured).facts["drawn"]
-    titles = [ax.get_title(loc="left") for name in ("slow", "open") for ax in labelled(drawn[name]())]
-    assert titles == ["(c) at first", "(d) to the exit", "(e) static above kinetic", "(f) runs from one state"]
-
-
-def test_curves_of_one_drawing_differ_in_colour(measured):
-    for ax in figures_3_to_5.figure4(measured.traces).axes:
-        colours = [line.get_color() for line in ax.lines]
-        assert len(set(colours)) == len(colours) == 3
-
-
-def test_the_survival_curve_shows_shares_with_intervals():
-    rows = [survival(n=n, sustained=moving, certified=20 - moving, silent=0) for n, moving in ((20, 0), (200, 20))]
-    assert claims.share(0, 20) == (0.0, 0.0, pytest.approx(0.161, abs=1e-3))  # Wilson
-    (ax,) = claims.survival_curve(rows, 2000.0).axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("number of blocks n", "share of draws")
-    moving, *_ = (container.lines[0] for container in ax.containers)
-    assert moving.get_ydata().tolist() == [0.0, 1.0]
-
-
-# ---------------------------------------------------------------------------------------------- end to end
-
-
-def test_the_page_has_every_figure_and_table(report, scene):
-    page = report.html
-    assert "A tiny &lt;chart&gt;" in page
-    for number in range(1, 7):
-        assert f"<h2>Figure {number}:" in page
-    assert "<h2>Claims</h2>" in page
-    assert page.count("As in the paper:") == page.count("Not as in the paper:") == 6
-    assert "All quantities and axes are dimensionless." in page
-    assert "https://" not in page
-    assert not re.search(r">\s*(nan|inf|None)\s*<", page)
-    assert {
-        "corners",
-        "figure3",
-        "figure4",
-        "cascades",
-        "hidden",
-        "futures",
-        "claims",
-        "survival",
-        "certificate",
-    } == set(report.tables)
-    figure3 = report.tables["figure3"]
-    assert len(figure3) == len(scene.n) * scene.draws * 2
-    assert (figure3.n_first <= figure3.n).all()
-
-
-def test_a_scene_of_one_figure_counts_no_claims(tmp_path, capsys, in_this_process):
-    file, out = tmp_path / "one.toml", tmp_path / "out"
-    file.write_text('chart = "paper"\nfigures = 2\nseed = 0\n')
-    assert main(["run", str(file), "--out", str(out)]) == 0
-    assert "block 2 at t = 0.5625" in capsys.readouterr().out
-    assert "Claims" not in (out / "report.html").read_text()
-    assert [f.stem for f in (out / "report").glob("*.parquet")] == ["corners"]
-    assert len(pd.read_parquet(out / "report" / "corners.parquet")) == 8
-    assert len(json.loads((out / "report" / "tables.json").read_text())["corners"]) == 8
-
-
-def test_the_table_of_futures_holds_each_with_its_events(report, tmp_path):
-    report.tables["futures"].to_parquet(tmp_path / "futures.parquet")
-    futures = pd.read_parquet(tmp_path / "futures.parquet").set_index("begins")
-    assert futures.index.tolist() == ["sticks on", "slips at once to the right"]
-    assert futures.events["sticks on"][:3].tolist() == ["exit", "entry", "exit"]
-    assert len(futures.t_events["slips at once to the right"]) == 0
+def test_runs_around_a_double_exit_stay_close_and_a_law_that_is_not_monotone_has_two_futures(measured):
+    """AUDIT, uniqueness."""
+    (one,) = measured.uniqueness
+    assert len(one.apart) == figures_1_2.DIRECTIONS
+    assert min(one.n_events) >= 2  # both blocks leave
+    assert max(one.apart) < 3 * figures_1_2.APART
+    assert (one.coulomb, one.static) == (1, 2)
 
 
 def test_modes_are_followed_without_a_leap(measured):
@@ -494,10 +173,257 @@ def test_modes_are_followed_without_a_leap(measured):
     for run, leaps in ((right, 0), (left, 1)):
         steps = np.abs(np.diff(np.array(run.lam), axis=1)).max(axis=0)
         assert np.count_nonzero(steps > 0.1) == leaps
-    stable = {(t, x) for t, x, _, is_stable in measured.branches[0].points if is_stable}
-    saddles = [t for t, *_, is_stable in measured.branches[0].points if not is_stable]
+    saddles = [t for t, _, is_stable in measured.modes if not is_stable]
     assert max(saddles) < 0.0047988095
-    assert len(stable) > len(saddles)
+
+
+# ---------------------------------------------------------------------------------------------- the runs
+
+
+def test_the_sigmoid_by_scipy_is_the_engines():
+    """tanh, until the errors of both have grown: the same blocks stick."""
+    ask = Ask("sigmoids", "", 20, 0, 30.0)
+    times, n_stick = runs.smoothed(runs.system(ask, 3), np.tanh, 0.03, 30.0)[1:3]
+    run = simulate(runs.system(ask, 3), Z0, W0, 30.0, engine="sigmoid", eps=0.03, rtol=1e-8, atol=1e-8)
+    assert (n_stick != run.n_stick(times)).mean() < 0.01
+
+
+@pytest.mark.parametrize("name", sorted(runs.SIGMOIDS))
+def test_every_sigmoid_is_odd_with_slope_one_and_ends_at_one(name):
+    phi = runs.SIGMOIDS[name]
+    u = np.array([1e-6, 0.5, 3.0])
+    np.testing.assert_array_equal(phi(-u), -phi(u))
+    assert phi(u)[0] == pytest.approx(1e-6, rel=1e-9)
+    assert phi(np.array([1e9]))[0] == pytest.approx(1.0)
+
+
+def test_perturbations_are_those_of_an_ensemble():
+    """One draw goes the same way at every size, and by at most the size; only the dampings' reading couples them."""
+    ask = Ask("constants", "", 20, 0, 1.0, "sigmoid", reading="scale")
+    base, small, large = (runs.system(replace(ask, size=size), 0) for size in (0.0, 0.01, 0.1))
+    moved = small.stiffness - base.stiffness
+    np.testing.assert_allclose(large.stiffness - base.stiffness, 10 * moved, atol=1e-12)
+    assert 0 < np.abs(moved).max() <= 0.01 * 0.2 * (1 + 1e-12)
+    noisy = runs.system(replace(ask, reading="damping matrix", size=0.1), 0)
+    assert large.cross_damping is None
+    assert 0 < np.abs(noisy.cross_damping).max() <= 0.1 * 3.5
+    r = random_ratios(0, 200, 1)
+    assert (r > 0).all()
+    assert (r <= 1).all()
+
+
+def test_halving_friction_is_doubling_the_speed_of_the_belt():
+    """In units of length of mu: the same events, of a start that is scaled as well."""
+    half = runs.system(Ask("keys", "", 12, 0, 1.0, scale="friction", factor=0.5), 0)
+    fast = runs.system(Ask("keys", "", 12, 0, 1.0, scale="belt_speed", factor=2.0), 0)
+    one, other = simulate(half, Z0, W0, 40.0), simulate(fast, 2 * Z0, 2 * W0, 40.0)
+    assert len(one.events) > 0
+    np.testing.assert_allclose(one.events.t, other.events.t, atol=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------- the parts
+
+
+def planted(t, n_stick, t_stop=10.0, **changes):
+    return Run(
+        Ask("base", "", 20, 0, t_stop, "sigmoid", **changes), "finished", np.array(t), np.array(n_stick), t_stop
+    )
+
+
+def test_a_late_event_is_not_yet_apart_but_a_missing_one_is():
+    """A unit of time with one block more or less on average: a delay of 0.5 never is, an absence at t = 4 is at 5."""
+    base = planted([0.0, 2.0, 4.0], [2, 1, 0])
+    assert figures_3_to_5.apart_from(planted([0.0, 2.5, 4.0], [2, 1, 0]), base, 1.0) is None
+    assert figures_3_to_5.apart_from(planted([0.0, 2.0], [2, 1]), base, 1.0) == pytest.approx(5.0, abs=0.1)
+
+
+def test_the_period_of_a_planted_oscillation():
+    t = np.arange(0.0, 400.0, 0.5)
+    n_stick = np.round(40 + 15 * np.sin(2 * np.pi * t / 22.0)).astype(int)
+    period, swing = figures_3_to_5.oscillation(planted(t, n_stick, 400.0))
+    assert period == pytest.approx(22.0, rel=0.02)
+    assert swing == pytest.approx(15 / 2**0.5, rel=0.03)
+    assert figures_3_to_5.oscillation(planted(t, n_stick, 120.0)) == (None, None)
+
+
+# ---------------------------------------------------------------------------------------------- claims and words
+
+
+@pytest.fixture
+def judged(scene, measured):
+    """The claims of what was measured but for some changes, by name."""
+
+    def found(**changes):
+        return {one["claim"]: one for one in claims.judge(scene, replace(measured, **changes))}
+
+    return found
+
+
+@pytest.fixture
+def told(scene, measured, page, undrawn):
+    """The lines of the table of claims, as text by claim."""
+
+    def found(**changes):
+        html = page(scene, replace(measured, **changes)).html
+        rows = re.findall(r"<tr>(<td data-h=\"claim\".*?)</tr>", html, flags=re.DOTALL)
+        texts = [[" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in row.split("</td>")] for row in rows]
+        return {text[0]: text[1:4] for text in texts}
+
+    return found
+
+
+def row(study, fate="sustained", **changes):
+    mean = 30.0 if fate == "sustained" else None
+    plain = Row(study, "", "coulomb", 20, 0, 0.0, fate, 60.0, 50.0, mean, None, None, None, 1.0)
+    return replace(plain, **changes)
+
+
+def others(measured, *studies):
+    return [one for one in measured.runs if one.study not in studies]
+
+
+def test_fates_are_counted_with_wilsons_interval(judged, measured):
+    rows = [row("long", n=5, fate="collapsed", t_last=t) for t in (30.0, 40.0, 50.0, 60.0)]
+    rest = judged(runs=[*others(measured, "long"), *rows, row("long"), row("long", n=25, fate="diverged")])
+    few = rest["few_come_to_rest"]
+    assert (few["found"], few["tried"], few["verdict"], few["ends"][-1]) == (4, 4, "reproduced", 60.0)
+    assert few["low"] == pytest.approx(0.510, abs=1e-3)
+    assert rest["more_come_to_rest"]["verdict"] == "cannot be told"  # none ends on both sides of t = 150
+    assert rest["many_keep_on"]["beyond"]["found"] == 1
+
+
+@pytest.mark.parametrize(
+    ("fates", "verdict"),
+    [
+        (("sustained",) * 3, "cannot be told"),
+        (("sustained", "silent", "sustained"), "reproduced"),
+        (("sustained", "diverged", "sustained"), "corrected"),
+    ],
+)
+def test_a_run_away_is_no_collapse(fates, verdict, judged, measured):
+    rows = [row("long", fate, matrix=k) for k, fate in enumerate(fates)]
+    found = judged(runs=[*others(measured, "long"), *rows, row("long", n=5), row("long", n=25)])["some_collapse"]
+    assert found["verdict"] == verdict
+
+
+def test_collapse_at_ten_percent_is_run_away_or_rest(judged, measured):
+    def verdict(fate):
+        rows = [row("dampings", fate, size=0.1, matrix=k, law="sigmoid", t_stop=80.0 + k) for k in range(3)]
+        return judged(runs=[*others(measured, "dampings"), *rows])["collapse_at_strongest"]["verdict"]
+
+    assert [verdict(fate) for fate in ("diverged", "silent", "sustained")] == [
+        "corrected", "reproduced", "not reproduced",
+    ]  # fmt: skip
+
+
+def test_what_changes_the_fate_is_a_key_parameter(judged, measured):
+    bases = [row("long", matrix=0), row("long", n=5), row("long", n=25)]
+
+    def verdict(*key):
+        rows = [
+            row("keys", "diverged" if name in key else "sustained", setting=f"{name} {factor}")
+            for name in runs.SCALES
+            for factor in ("0.5", "2")
+        ]
+        return judged(runs=[*others(measured, "keys", "long"), *bases, *rows])["key_parameters"]["verdict"]
+
+    assert verdict("kappa", "rho", "belt_speed") == "reproduced"
+    assert verdict("kappa", "rho", "belt_speed", "friction") == "corrected"
+    assert verdict("kappa", "rho") == "not reproduced"
+
+
+def test_another_sigmoid_matters_if_the_interval_of_what_it_moves_leaves_out_zero(judged, told, measured):
+    def changed(*means):
+        rows = [
+            row("sigmoids", law=law, matrix=k, mean=mean)
+            for k, more in enumerate(means)
+            for law, mean in (("sigmoid", 30.0 + k), ("algebraic", 30.0 + k), ("arctan", 30.0 + k + more))
+        ]
+        return {"runs": [*others(measured, "sigmoids"), *rows]}
+
+    assert judged(**changed(5.0, 5.5, 6.0))["sigmoid"]["verdict"] == "corrected"
+    assert judged(**changed(5.0, -5.5, 1.0))["sigmoid"]["verdict"] == "reproduced"
+    _, words, verdict = told(**changed(5.0, 5.5, 6.0))["The precise choice of sigmoid does not matter"]
+    assert "algebraic: keep on" in words
+    assert "arctan: keep on, nstick +18%" in words
+    assert verdict == "corrected"
+
+
+def test_the_law_has_a_gamma_a_definition_and_none_is_picked(judged, told, measured):
+    one = Cascades("events", None, 10, 9000, 14, 0.7, 0.69, 0.71, None, [[50, 20, 10]])
+    many = [one, replace(one, definition="length", dt=1.0, gamma=0.9, low=0.7, high=1.1)]
+    assert judged(cascades=many)["gamma"]["verdict"] == "cannot be told"
+    words = told(cascades=many)["f ∝ exp(−γ Δn), γ ≈ 0.74"][1]
+    assert words == "γ = 0.700 by events, 0.70 to 0.90 by 2 definitions; 0.74 lies in the interval of 1"
+    assert judged(cascades=many)["clusters"]["verdict"] == "not reproduced"
+    assert judged(cascades=[replace(one, gamma=0.5, low=0.45, high=0.55)])["clusters"]["verdict"] == "reproduced"
+    nothing = replace(one, gamma=None, low=None, high=None, reason="too few", counts=[[]])
+    assert told(cascades=[nothing])["Clusters of exits make the cascades"][1] == "too few cascades"
+
+
+def test_a_jump_is_told_only_where_there_is_one(told, measured):
+    name = "A sticking mode ends where it leaves the box"
+    assert told()[name][1:] == ["also inside: it meets the saddle at t = 0.0048 and jumps", "corrected"]
+    assert told(slow_runs=measured.slow_runs[:1])[name][2] == "reproduced"
+
+
+# ---------------------------------------------------------------------------------------------- drawings
+
+
+def test_each_figure_has_its_panels(scene, measured):
+    titles = {}
+    for name, recipe in scene.show(measured).figures.items():
+        figure = recipe()
+        assert any(ax.get_xlabel() for ax in figure.axes)
+        titles.setdefault(name.partition("_")[0], []).append(figure.axes[0].get_title(loc="left"))
+    assert titles == {
+        "figure1": ["(i) v = −0.5", "(ii) v = 0.5"],
+        "figure2": ["s = +1, eq. (6)", "s = −1, section 3", "(a) s = +1"],
+        "figure3": ["n = 5", "n = 20"],
+        "figure4": [
+            "(i) n = 5, r redrawn", "(ii) n = 20, r redrawn", "(iii) constants moved by 1%",
+            "(iv) all n² dampings moved", "(v) escape under noise on all n² dampings",
+        ],
+        "figure5": ["(i)", "(ii) by events"],
+        "figure6": ["(a) Coulomb law", "(b) modified law", "(c) modified law in slow time"],
+    }  # fmt: skip
+
+
+def test_curves_of_one_panel_differ_in_colour(measured):
+    for recipe in figures_3_to_5.panels(measured.traces, 4):
+        for ax in recipe().axes:
+            colours = [line.get_color() for line in ax.lines]
+            assert len(set(colours)) == len(colours) >= 3
+
+
+# ---------------------------------------------------------------------------------------------- end to end
+
+
+def test_the_page_has_every_claim_figure_and_table(report, scene):
+    page = report.html
+    assert "A tiny &lt;chart&gt;" in page
+    for number in range(1, 7):
+        assert f'<h2 id="figure{number}">Figure {number},' in page
+    assert page.count("As in the paper:") == page.count("<b>Not:</b>") == 6
+    assert "https://" not in page
+    assert not re.search(r">\s*(nan|inf|None)\s*<", page)
+    assert set(report.tables) == {"claims", "corners", "runs", "cascades", "hidden"}
+    table = report.tables["claims"]
+    assert page.count('class="verdict ') == len(table) == 20
+    assert set(table.verdict) <= {"reproduced", "corrected", "not reproduced", "cannot be told"}
+    assert report.headline[1].startswith("Of 20 claims ")
+    assert len(report.tables["runs"]) == len(set(scene.asks()))
+
+
+def test_a_scene_of_one_figure_judges_its_claims_alone(tmp_path, capsys, in_this_process):
+    file, out = tmp_path / "one.toml", tmp_path / "out"
+    file.write_text('chart = "paper"\nfigures = 2\nseed = 0\n')
+    assert main(["run", str(file), "--out", str(out)]) == 0
+    assert "Of 3 claims 0 reproduced, 2 true after a correction, 1 not reproduced" in capsys.readouterr().out
+    assert {f.stem for f in (out / "report").glob("*.parquet")} == {"claims", "corners"}
+    assert len(pd.read_parquet(out / "report" / "corners.parquet")) == 8
+    assert len(json.loads((out / "report" / "tables.json").read_text())["corners"]) == 8
+    assert {f.name for f in (out / "report" / "figures").glob("*.svg")} == {f"figure2_{k}.svg" for k in (1, 2, 3)}
 
 
 # ---------------------------------------------------------------------------------------------- workflows/paper.md

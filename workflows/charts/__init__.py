@@ -22,6 +22,8 @@ from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, d
 if TYPE_CHECKING:
     import pandas as pd
 
+    from stickslip.analysis.answer import Recipe
+
 Value = TypeVar("Value")
 #: A key that takes one value or a list of them, kept in order without duplicates.
 Several = Annotated[tuple[Value, ...], BeforeValidator(as_tuple), AfterValidator(distinct)]
@@ -45,13 +47,11 @@ class ChartError(RuntimeError):
 
 @dataclass(frozen=True)
 class Shown:
-    """What a page is made of: `facts` by their names in the template, and the tables to keep.
-
-    A figure among the facts is a function that draws it.
-    """
+    """What a page is made of: `facts` by their names in the template, and by name the tables and figures to keep."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    figures: dict[str, Recipe] = field(default_factory=dict)
 
 
 class ChartScene(StrictTable):

@@ -20,12 +20,12 @@ from typing import Any, get_type_hints
 import numpy as np
 import pandas as pd
 from jinja2 import ChoiceLoader, FileSystemLoader
-from matplotlib.figure import Figure
+from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
 from stickslip.analysis import Report
-from stickslip.analysis.report.formats import capital, number, percent, signed
 from stickslip.analysis.report.formats import environment as page_environment
+from stickslip.analysis.report.formats import number, signed
 from stickslip.analysis.report.page import Drawn, draw
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.storage import Place
@@ -124,25 +124,23 @@ def report(scene: ChartScene, found: Measurement) -> Report:
     environment = page_environment("stickslip.workflows.charts")
     assert environment.loader is not None
     environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
-    figures: dict[str, Drawn] = {}
-    environment.filters |= FORMS | {"picture": partial(_picture, figures)}
-    environment.globals |= FORMS
+    figures = {name: draw(recipe) for name, recipe in shown.figures.items()}
+    environment.filters |= FORMS
+    environment.globals |= FORMS | {"image": partial(_image, figures)}
     template = environment.get_template(f"{scene.chart}.html")
     page = template.render(shown.facts, scene=scene, measured=measured, versions=found.versions)
     return Report(page, shown.tables, [scene.title, *_headline(page)], figures)
 
 
 def _headline(page: str) -> list[str]:
-    """The items of the page's lead as lines of text, each behind its heading."""
-    (lead,) = re.findall(r'<div class="lead">(.*?)</div>', page, flags=re.DOTALL)
-    lines, heading = [], ""
-    for tag, content in re.findall(r"<(h3|li)>(.*?)</\1>", lead, flags=re.DOTALL):
-        text = " ".join(html.unescape(re.sub(r"<[^>]*>", "", content)).split())
-        if tag == "h3":
-            heading = text
-        elif text:
-            lines.append(f"{heading}: {text}")
-    return lines
+    """The items of the page's answer as lines of text."""
+    (answer,) = re.findall(r'<ul class="answer">(.*?)</ul>', page, flags=re.DOTALL)
+    items = re.findall(r"<li>(.*?)</li>", answer, flags=re.DOTALL)
+    return [" ".join(html.unescape(re.sub(r"<[^>]*>", "", item)).split()) for item in items]
+
+
+def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
+    return Markup('<img src="{}" alt="{}">').format(figures[name].address(), alt)
 
 
 def frame(rows: Sequence[Any], of: type) -> pd.DataFrame:
@@ -180,10 +178,6 @@ def beside(value: float, error: float | None) -> str:
     return f"{value:+.{decimals}f}" if round(value, decimals) else "0"
 
 
-def listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
 def span(values: Iterable[float], form: str = "%.3g") -> str:
     """The least and the most of some numbers, once if they look alike."""
     some = sorted(values)
@@ -193,22 +187,8 @@ def span(values: Iterable[float], form: str = "%.3g") -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def minus(text: str) -> str:
-    """Hyphens before numbers as minus signs; what is markup stays it."""
-    return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", "−", text))
-
-
-def _picture(kept: dict[str, Drawn], recipe: Callable[..., Figure]) -> str:
-    """A figure, drawn when the page needs it, as the address of an image that is part of it; its files are kept."""
-    name = getattr(recipe, "func", recipe).__name__
-    name = name if name not in kept else f"{name}_{len(kept)}"
-    kept[name] = draw(recipe)
-    return kept[name].address()
-
-
 #: What templates have, as filters and as functions.
 FORMS: dict[str, Callable[..., Any]] = {
     "count": count, "count3": partial(count, digits=3), "power": power, "seconds": seconds, "beside": beside,
-    "number": number, "percent": percent, "listed": listed, "span": span, "median": median, "capital": capital,
-    "minus": minus,
+    "number": number, "span": span, "median": median,
 }  # fmt: skip

@@ -188,7 +188,6 @@ class ScalingScene(ChartScene):
             "fits": fits,
             "costs": costs,
             "shared": saving(measured.lockstep, measured.smooth),
-            "drawn": partial(cost_against_size, groups, measured.lockstep),
         }
         tables = {
             "costs": frame(costs, Cost),
@@ -196,7 +195,7 @@ class ScalingScene(ChartScene):
             "throughput": frame(measured.throughput, Throughput),
             "lockstep": frame(measured.lockstep, Lockstep),
         }
-        return Shown(facts, tables)
+        return Shown(facts, tables, {"cost_against_size": partial(cost_against_size, groups, measured.lockstep)})
 
 
 # ---------------------------------------------------------------------------------------------- what is kept

@@ -127,12 +127,13 @@ class SpeedScene(ChartScene):
             for name, cost in panel.at(error, model).items()
         ]
         return Shown(
-            {"panels": panels, "targets": TARGETS, "drawn": partial(error_against_cost, panels)},
+            {"panels": panels, "targets": TARGETS},
             {
                 "costs": frame(measured.costs, Cost),
                 "at_error": pd.DataFrame(at_error),
                 "references": frame(measured.references, Reference),
             },
+            {"error_against_cost": partial(error_against_cost, panels)},
         )
 
 

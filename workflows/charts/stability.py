@@ -31,6 +31,7 @@ from matplotlib.patches import Patch, Rectangle
 from pydantic import Field, model_validator
 
 from stickslip import sim
+from stickslip.analysis.answer import Recipe
 from stickslip.analysis.style import CYCLE, GREY, STYLE, subplots
 from stickslip.pipeline.toml import Blocks, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown, hard_cases
@@ -179,10 +180,12 @@ class StabilityScene(ChartScene):
     def show(self, measured: Measured) -> Shown:
         """Tables: `cells`, `references`, `cases`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
+        figures: dict[str, Recipe] = {"linear_theory": linear_theory}
         pictures = []
         for title, axes in _FIGURES.items():
             if drawn := [one for axis in axes for one in groups.get(axis, [])]:
-                pictures.append((title, partial(stability_maps, drawn)))
+                pictures.append((title, f"stability_maps_{len(figures)}"))
+                figures[pictures[-1][1]] = partial(stability_maps, drawn)
         cases: dict[str, dict[str, Verdict]] = {}
         for case in measured.cases:
             cases.setdefault(case.case, {})[case.method] = case
@@ -191,7 +194,6 @@ class StabilityScene(ChartScene):
             "short": _in_short([one for maps in groups.values() for one in maps], measured.cases),
             "answers": _answers(measured.cases),
             "pictures": pictures,
-            "theory": linear_theory,
             "tableaus": TABLEAUS,
             "known": hard_cases,
             "mild": _MILD, "stiff": _STIFF, "h": _H,
@@ -202,7 +204,7 @@ class StabilityScene(ChartScene):
             "references": frame(measured.references, Reference),
             "cases": frame(measured.cases, Verdict),
         }
-        return Shown(facts, tables)
+        return Shown(facts, tables, figures)
 
 
 # ---------------------------------------------------------------------------------------------- measuring

@@ -136,7 +136,6 @@ class StatisticsScene(ChartScene):
             "differences": differences,
             "statistics": list(STATISTICS),
             "unfinished": [ran for ran in measured.runs if ran.outcome != "finished"],
-            "drawn": partial(bias_against_cost, choices, differences),
         }
         loosest_rows = [
             {"study": study} | row for study, by in by_study.items() for one in by.values() for row in one.rows()
@@ -147,7 +146,7 @@ class StatisticsScene(ChartScene):
             "laws": frame(differences, Difference).drop(columns="allowed"),
             "runs": frame(measured.runs, Ran),
         }
-        return Shown(facts, tables)
+        return Shown(facts, tables, {"bias_against_cost": partial(bias_against_cost, choices, differences)})
 
 
 # ---------------------------------------------------------------------------------------------- measuring

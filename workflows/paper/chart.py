@@ -1,26 +1,29 @@
-"""The chart `paper`: the paper's figures, computed again, and what its text says of them, counted.
+"""The chart `paper`: the paper's six figures, computed again, and its claims, judged.
 
 Exact law unless a law is named; dimensionless.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Annotated, Literal
 
 import pandas as pd
+from pydantic import Field, model_validator
 
-from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.workflows.charts import Say, Shown
+from stickslip import sim
+from stickslip.analysis.answer import Recipe
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
+from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5
-from stickslip.workflows.paper.claims import Certified, Claim, OneBlock, Pair, Survival
-from stickslip.workflows.paper.figure_6 import BlowUp, Branches, SlowEvent, SlowRun, Undetermined
-from stickslip.workflows.paper.figures_1_2 import ONE, Corner, Parallelogram, Portrait
-from stickslip.workflows.paper.figures_3_to_5 import Cascades, Change, Draw, Sizes, Trace
-from stickslip.workflows.paper.systems import LAWS, PaperSystems
+from stickslip.workflows.paper.figure_6 import BlowUp, SlowEvent, SlowRun
+from stickslip.workflows.paper.figures_1_2 import ONE, Corner, Parallelogram, Portrait, Uniqueness
+from stickslip.workflows.paper.figures_3_to_5 import Cascades, Row, Trace
+from stickslip.workflows.paper.runs import SCALES, Ask, run_all
 
 
 @dataclass(frozen=True)
@@ -29,130 +32,156 @@ class Measured:
 
     portraits: list[Portrait]
     parallelograms: list[Parallelogram]
+    uniqueness: list[Uniqueness]
+    runs: list[Row]
     traces: list[Trace]
-    figure3: list[Draw]
-    figure4: list[Change]
     cascades: list[Cascades]
-    sizes: list[Sizes]
-    uniqueness: list[Pair]
-    one_block: list[OneBlock]
-    survival: list[Survival]
-    certificate: list[Certified]
     blow_ups: list[BlowUp]
     slow_runs: list[SlowRun]
-    branches: list[Branches]
-    undetermined: list[Undetermined]
+    modes: list[tuple[float, float, bool]]
 
 
-class PaperScene(PaperSystems):
-    """A scene with ``chart = "paper"``."""
+class PaperScene(ChartScene):
+    """A scene with ``chart = "paper"``; dimensionless."""
 
-    libraries = ("scipy", "dask")
+    libraries = ("scipy",)
+
+    chart: Literal["paper"] = Field(description="kind of the chart", examples=["paper"])
+    title: str = Field(default="The paper, claim by claim", description="one line for the report's head")
+    figures: Several[Annotated[int, Field(ge=1, le=6)]] = Field(
+        min_length=1, description="numbers of the figures", examples=[[3, 5]]
+    )
+    n: BlockNumbers = Field(
+        default=(20, 100, 200), description="numbers of blocks of figure 3; the last is that of figures 4 and 5",
+        examples=[[20, 200]],
+    )  # fmt: skip
+    draws: Count = Field(default=20, description="number of matrices for each n but the last", examples=[20])
+    beyond: Blocks = Field(default=250, description="number of blocks at which runs escape", examples=[250])
+    matrices: Count = Field(default=40, description="number of matrices for the last n", examples=[40])
+    t_end: Positive = Field(default=1500.0, description="end of these runs", examples=[1500.0])
+    t_burn: Positive = Field(default=600.0, description="time before which nothing is counted", examples=[600.0])
+    t_shown: Positive = Field(default=200.0, description="time to which figures 3 and 4 are drawn", examples=[200.0])
+    eps: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.03, description="width of the sigmoid", examples=[0.03]
+    )
+    few: Count = Field(default=3, description="number of matrices for each change of the system", examples=[3])
+    t_few: Positive = Field(default=1000.0, description="end of changed runs", examples=[1000.0])
+    sizes: PositiveNumbers = Field(
+        default=(0.01, 0.02, 0.05, 0.1), description="sizes of the perturbations of figure 4", examples=[[0.01, 0.1]]
+    )
+    escapes: Count = Field(
+        default=8, description="number of matrices whose dampings are moved by each size", examples=[8]
+    )
+    dt: PositiveNumbers = Field(default=(0.1, 0.3, 1.0), description="sampling steps of cascades", examples=[[0.1]])
+    workers: Count = Field(default=2, description="number of local workers", examples=[2])
+
+    @model_validator(mode="after")
+    def _in_order(self) -> PaperScene:
+        for early, late in (("t_shown", "t_few"), ("t_burn", "t_few"), ("t_burn", "t_end")):
+            if getattr(self, early) >= getattr(self, late):
+                raise ValueError(
+                    f"{early}: expected less than {late} = {getattr(self, late):g}, got {getattr(self, early):g};"
+                    f" shorten the one or lengthen the other"
+                )
+        return self
 
     def extent(self) -> str:
         numbers = ", ".join(map(str, self.figures))
-        also = " and its claims" if self.claims else ""
-        return f"figure{'s' if len(self.figures) > 1 else ''} {numbers} of the paper{also}"
+        return f"figure{'s' if len(self.figures) > 1 else ''} {numbers} of the paper, {len(list(self.asks()))} runs"
+
+    def asks(self) -> Iterator[Ask]:
+        """The runs of random systems that the figures and their claims need, the longest first."""
+        n, few = self.n[-1], range(self.few)
+        if 4 in self.figures:
+            for matrix, law in product(range(2 * self.few), ("algebraic", "arctan", "sigmoid")):
+                yield Ask("sigmoids", law, n, matrix, self.t_few, law=law)
+            for matrix, size in product(range(self.escapes), self.sizes):
+                yield Ask(
+                    "dampings", f"{size:g}", n, matrix, self.t_few, "sigmoid", reading="damping matrix", size=size
+                )
+            for blocks in dict.fromkeys((self.n[0], n)):
+                yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
+                for draw in range(3):
+                    yield Ask("r", f"r, draw {draw}", blocks, 0, self.t_few, "sigmoid", detail="r", draw=draw)
+            for size, draw in (*product(self.sizes[:1], range(3)), *product(self.sizes[1:], (0,))):
+                label = f"{100 * size:g}%, draw {draw}"
+                yield Ask("constants", label, n, 0, self.t_few, "sigmoid", reading="scale", size=size, draw=draw)
+        if {3, 4, 5} & set(self.figures):
+            for matrix in range(self.matrices):
+                yield Ask("long", "", n, matrix, self.t_end)
+        if 3 in self.figures:
+            for blocks, matrix in product((*self.n[:-1], self.beyond), range(self.draws)):
+                yield Ask("long", "", blocks, matrix, self.t_end)
+            for blocks in self.n:
+                yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
+            for name, factor, matrix in product(SCALES, (0.5, 2.0), few):
+                yield Ask("keys", f"{name} {factor:g}", n, matrix, self.t_few, scale=name, factor=factor)
+            for detail, matrix in product(("start", "friction"), few):
+                yield Ask("details", detail, n, matrix, self.t_few, detail=detail)
+            for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, few):
+                yield Ask("readings", coupling, blocks, matrix, self.t_few, coupling=coupling)
 
     def measure(self, say: Say) -> Measured:
-        """All that the figures show and the text claims, in this process but for the ensembles."""
+        """What the figures show and their claims are judged by."""
         found = Measured(*([] for _ in Measured.__dataclass_fields__))
         if 1 in self.figures:
             found.portraits.extend(map(figures_1_2.portrait, (-ONE[3], ONE[3])))
         if 2 in self.figures:
             found.parallelograms.extend((figures_1_2.parallelogram(1), figures_1_2.parallelogram(-1)))
-        if 3 in self.figures:
-            for n, matrix, law in product(self.n, range(self.draws), LAWS):
-                run = self.run(self.system(n, matrix), self.t_end, law)
-                found.figure3.append(figures_3_to_5.draw(run, n, matrix, law, self.t_end))
-                if matrix == 0:
-                    found.traces.append(figures_3_to_5.trace(run, 3, f"n = {n}", law, self.t_shown))
-            say(f"figure 3: {len(found.figure3)} runs")
-        if 4 in self.figures:
-            for trace, change in figures_3_to_5.sensitivity(self):
-                found.traces.append(trace)
-                found.figure4.extend([] if change is None else [change])
-            say(f"figure 4: {len(found.figure4)} changes")
-        if 5 in self.figures:
-            for law in LAWS:
-                rows, shown, counts = figures_3_to_5.long_runs(self, law)
-                found.cascades.extend(rows)
-                found.traces.extend(shown)
-                found.sizes.extend(counts)
-                say(f"figure 5: {self.long_matrices} runs, {law}")
-        if self.claims:
-            found.survival.extend(claims.survival(self))
-            say(f"survival: {sum(row.n_draws for row in found.survival)} runs")
-            asked = product(self.certificate_n, range(self.certificate_draws))
-            found.certificate.extend(claims.certified(self, n, matrix) for n, matrix in asked)
-            say(f"certificate: {len(found.certificate)} runs")
-            found.uniqueness.extend(claims.around_a_double_exit())
-            found.one_block.append(claims.one_block(self))
+            found.uniqueness.append(figures_1_2.uniqueness())
         if 6 in self.figures:
             found.blow_ups.extend(figure_6.blow_ups())
             found.slow_runs.extend(figure_6.slow_run(side) for side in (1, -1))
-            found.branches.append(figure_6.branches(found.slow_runs[0].t[-1]))
-            found.undetermined.append(figure_6.undetermined())
+            found.modes.extend(figure_6.modes_in_time())
+        asks = list(dict.fromkeys(self.asks()))
+        paths = []
+        counted = figures_3_to_5.Counted(self.dt, self.t_burn)
+        for k, path in enumerate(run_all(asks, self.seed, self.eps, self.workers), start=1):
+            paths.append(path)
+            found.traces.extend(figures_3_to_5.traces(path, self.t_shown, self.n))
+            if path.ask.study == "long" and path.ask.n == self.n[-1]:
+                counted.add(path)
+            if k % 20 == 0 or k == len(asks):
+                say(f"{k} of {len(asks)} runs")
+        found.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
+        found.cascades.extend(counted.rows())
         return found
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `corners`, `figure3`, `figure4`, `cascades`, `hidden`, `futures`, those of the figures asked for;
-        of the claims `claims`, `survival`, `certificate`.
-        """
-        draws = product(self.n, LAWS) if measured.figure3 else ()
-        drawn = {
-            1: partial(figures_1_2.phase_portraits, measured.portraits),
-            2: partial(figures_1_2.parallelograms, measured.parallelograms),
-            3: partial(figures_3_to_5.figure3, measured.traces),
-            4: partial(figures_3_to_5.figure4, measured.traces),
-            5: partial(figures_3_to_5.figure5, measured.traces, measured.cascades, measured.sizes),
-            6: partial(figure_6.fast_flows, measured.blow_ups),
-            "slow": lambda: figure_6.slow_modes(measured.branches[0], measured.slow_runs),
-            "open": lambda: figure_6.open_futures(measured.undetermined[0]),
-            "survival": partial(claims.survival_curve, measured.survival, self.survival_t_end),
-        }
-        facts = {
-            "drawn": drawn,
-            "draws": [figures_3_to_5.draws_in_numbers(measured.figure3, n, law) for n, law in draws],
-            "changes": figures_3_to_5.changes_in_numbers(measured.figure4),
-            "laws": figures_3_to_5.laws_in_numbers(measured.cascades),
-            "late": claims.lateness(measured.certificate),
-            "share": claims.share,
-            "level": claims.CONFIDENCE,
-            "law_name": figures_3_to_5.curve_name,
-            "paper_gamma": PAPER_GAMMA,
-            "early": figures_3_to_5.EARLY,
-            "pair": figures_1_2,
-            "force": figure_6.FORCE,
-            "claimed": claims,
-        }
-        return Shown(facts, self._tables(measured))
-
-    def _tables(self, measured: Measured) -> dict[str, pd.DataFrame]:
+        """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `sizes`, `hidden`."""
+        judged = claims.judge(self, measured)
         corners = [corner for one in measured.parallelograms for corner in one.corners]
         slow = [event for run in measured.slow_runs for event in run.events]
-        futures = [
-            {"ratio": one.ratio, "v": one.v, "z": one.z, "begins": future.begins, "t_end": future.t[-1]}
-            | {"t_events": [t for t, _ in future.events], "events": [kind for _, kind in future.events]}
-            for one in measured.undetermined
-            for future in one.futures
-        ]
-        of_figures: dict[int, dict[str, Any]] = {
-            2: {"corners": frame(corners, Corner)},
-            3: {"figure3": frame(measured.figure3, Draw)},
-            4: {"figure4": frame(measured.figure4, Change)},
-            5: {"cascades": frame(measured.cascades, Cascades)},
-            6: {"hidden": frame(slow, SlowEvent), "futures": pd.DataFrame(futures)},
+        tables: dict[str, pd.DataFrame] = {"claims": claims.table(judged)}
+        tables |= {
+            name: frame(rows, of)
+            for name, rows, of in (
+                ("corners", corners, Corner), ("runs", measured.runs, Row), ("cascades", measured.cascades, Cascades),
+                ("hidden", slow, SlowEvent),
+            )
+            if rows
+        }  # fmt: skip
+        drawn: dict[int, list[Recipe]] = {
+            1: [partial(figures_1_2.phase_portrait, one) for one in measured.portraits],
+            2: [
+                *(partial(figures_1_2.region, one) for one in measured.parallelograms),
+                *(partial(figures_1_2.velocities, one) for one in measured.parallelograms[:1]),
+            ],
+            3: figures_3_to_5.panels(measured.traces, 3),
+            4: figures_3_to_5.panels(measured.traces, 4),
+            5: figures_3_to_5.panels(measured.traces, 5),
+            6: [partial(figure_6.fast_flow, one) for one in measured.blow_ups],
         }
-        tables = {name: table for number in self.figures for name, table in of_figures.get(number, {}).items()}
-        if self.claims:
-            counted = list(claims.claims(measured.uniqueness, measured.one_block, measured.survival))
-            tables["claims"] = frame(counted, Claim)
-            tables["survival"] = pd.DataFrame([asdict(row) | _moving(row) for row in measured.survival])
-            tables["certificate"] = frame(measured.certificate, Certified)
-        return tables
-
-
-def _moving(row: Survival) -> dict[str, float]:
-    value, low, high = claims.share(row.moving, row.n_draws)
-    return {"moving": row.moving, "moving_share": value, "moving_low": low, "moving_high": high}
+        if 4 in self.figures:
+            drawn[4].append(partial(figures_3_to_5.escape_times, measured.runs, self.t_few))
+        if 5 in self.figures:
+            drawn[5].append(partial(figures_3_to_5.size_law, measured.cascades))
+        if 6 in self.figures:
+            drawn[6].append(partial(figure_6.slow_modes, measured.modes, measured.slow_runs))
+        figures = {
+            f"figure{number}_{k}": recipe
+            for number in self.figures
+            for k, recipe in enumerate(drawn[number], start=1)
+        }
+        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "figures": list(figures)}
+        return Shown(facts, tables, figures)

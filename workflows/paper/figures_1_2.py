@@ -12,14 +12,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stickslip import sim
-from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, STYLE, blank, legend, subplots
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PANEL, PURPLE, STYLE
 from stickslip.sim.theory import folds, strata
+from stickslip.sim.theory.blowup import continuations
+from stickslip.sim.theory.laws import Coulomb, StaticAboveKinetic
 from stickslip.workflows.charts.peers import Floats
 
 #: Figure 1, of which the paper gives no constants: rho, kappa, mu, |v|.
 ONE = (0.1, 1.0, 1.0, 0.5)
 #: Figure 2: rho, kappa_1, kappa_2, kappa_12, mu, v as the caption has them.
 RHO, KAPPA_1, KAPPA_2, KAPPA_12, MU, V = 0.1, 1.1, 1.6, 0.5, 1.0, -1.0
+#: Forward uniqueness: how far apart two runs start, how long they are followed, from which directions.
+APART, FOLLOWED, DIRECTIONS = 1e-6, 10.0, 16
+#: Static over kinetic friction of a law that loses monotonicity.
+RATIO = 1.5
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,21 @@ class Parallelogram:
         return [w[1] > w[0] for w in self.paths[2].w]
 
 
+@dataclass(frozen=True)
+class Uniqueness:
+    """Around the double exit {+,+}: what becomes of a small distance, and how many futures a state has.
+
+    `apart` are the greatest distances that runs reach which start `APART` from the one through the corner, a
+    direction each, `n_events` their events; `coulomb` and `static` count the forward solutions of one block that
+    sticks where |F| is between mu and `RATIO` mu.
+    """
+
+    apart: list[float]
+    n_events: list[int]
+    coulomb: int
+    static: int
+
+
 _LOOKS = {"double exit": ("o", ORANGE), "mixed": ("D", "white"), "double entry": ("s", BLUE)}
 
 
@@ -151,6 +172,27 @@ def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     return Parallelogram(sign, corners, paths)
 
 
+def uniqueness() -> Uniqueness:
+    """Runs from all sides of the double exit, which exit in either order, and the futures of one block."""
+    system, belt = pair(1), np.full(2, V)
+    start = corner(system, (1, 1)) - 0.5 * belt
+    times = np.linspace(0.0, FOLLOWED, 201)
+
+    def run(z0: Floats) -> sim.Run:
+        return sim.simulate(system, z0, belt, FOLLOWED, t_eval=times, stop_early=False)
+
+    middle, apart, n_events = run(start).samples, [], []
+    for angle in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+        moved = run(start + APART * np.array([np.cos(angle), np.sin(angle)]))
+        distance = ((moved.samples.z - middle.z) ** 2 + (moved.samples.w - middle.w) ** 2).sum(axis=1)
+        apart.append(float(np.sqrt(distance.max())))
+        n_events.append(len(moved.events))
+    rho, kappa, mu, speed = ONE
+    one, z = single(-speed), (rho * speed - 0.5 * (1.0 + RATIO) * mu) / kappa
+    futures = (len(continuations(one, law, z, -speed)) for law in (Coulomb(), StaticAboveKinetic(RATIO)))
+    return Uniqueness(apart, n_events, *futures)
+
+
 def printed_corner(lambda_1: int, lambda_2: int) -> np.ndarray:
     """Eq. (8) as the paper prints it, shape (2,)."""
     p, q = RHO * V + lambda_1 * MU, RHO * V + lambda_2 * MU
@@ -167,32 +209,25 @@ _LEAVING = 1.5
 _DASHES = ("-", "--", "-.")
 
 
-def phase_portraits(portraits: Sequence[Portrait]) -> Figure:
-    """Figure 1: z against z' for each v; the stick interval thick, the exit point E marked, its path bold."""
+def phase_portrait(one: Portrait) -> Figure:
+    """Figure 1: z against z'; the stick interval thick, the exit point E marked, its path bold."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = subplots(1, len(portraits), 3.4, sharey=True)
-        for ax, one in zip(axes[0], portraits, strict=True):
-            ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9)
-            for z, w, is_exit in one.paths:
-                ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
-                        zorder=3 if is_exit else 2)  # fmt: skip
-                _arrow(ax, z, w, ORANGE if is_exit else BLUE)
-            ax.plot(one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4)
-            ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
-            ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
-                        ha="center", fontweight="bold")  # fmt: skip
-            ax.set(title=f"v = {one.v:g}".replace("-", "−"), xlabel="displacement z")
-        axes[0, 0].set_ylabel("velocity z'")
-        handles = [
-            axes[0, 0].plot([], [], color=colour, linewidth=width, linestyle=dash, label=label)[0]
-            for colour, width, dash, label in (
-                ("black", 3.0, "-", "sticks, z' = v"),
-                (GREY, 0.9, "--", "z' = v, crossed"),
-                (BLUE, 0.9, "-", "paths"),
-                (ORANGE, 2.4, "-", "path from the exit point E"),
-            )
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
+        for z, w, is_exit in one.paths:
+            ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
+                    zorder=3 if is_exit else 2, label="path from E" if is_exit else "_")  # fmt: skip
+            _arrow(ax, z, w, ORANGE if is_exit else BLUE)
+        ax.plot(
+            one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks"
+        )
+        ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
+        ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
+                    ha="center", fontweight="bold")  # fmt: skip
+        ax.set(title=f"({'i' if one.v < 0 else 'ii'}) v = {one.v:g}".replace("-", "−"), xlabel="displacement z",
+               ylabel="velocity z'")  # fmt: skip
+        ax.legend(loc="upper right" if one.v < 0 else "lower left", fontsize=7)
     return figure
 
 
@@ -203,33 +238,40 @@ def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> Non
         ax.annotate("", (x[k + 1], y[k + 1]), (x[k], y[k]), arrowprops={"arrowstyle": "-|>", "color": colour})
 
 
-def parallelograms(signs: Sequence[Parallelogram]) -> Figure:
-    """Figure 2: (z_1, z_2) with folds, corners and the three cases, a column a sign; below, z' - v of the first sign.
+def velocities(one: Parallelogram) -> Figure:
+    """Figure 2: z' - v of both blocks in the cases (a), (b), (c); dotted: exits."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        axes = figure.subplots(len(one.paths), 1, sharex=True)
+        for ax, path in zip(axes, one.paths, strict=True):
+            for block, w in enumerate(path.w):
+                ax.plot(
+                    path.t,
+                    np.asarray(w) - V,
+                    color=CYCLE[block],
+                    linestyle=_DASHES[block],
+                    label=f"block {block + 1}",
+                )
+            for t, block, mode in path.events:
+                ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
+            ax.set_title(f"({path.case}) {_sign(one)}")
+        axes[0].legend(fontsize=7, loc="upper left")
+        axes[-1].set_xlabel("time t")
+        figure.supylabel("relative velocity z' − v", fontsize=9)
+    return figure
+
+
+def region(one: Parallelogram) -> Figure:
+    """Figure 2: (z_1, z_2) with folds, corners and the three cases.
 
     Solid edges are visible folds (exits), dashed ones invisible (entries).
     """
-    first = signs[0]
     with matplotlib.rc_context(STYLE):
-        figure = blank(6.0)
-        grid = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
-        for k, one in enumerate(signs):
-            ax = figure.add_subplot(grid[0, 3 * k : 3 * k + 3])
-            _region(ax, one)
-            if k == 0:
-                ax.set_ylabel("displacement z₂")
-        below: list[Axes] = []
-        for k, path in enumerate(first.paths):
-            ax = figure.add_subplot(grid[1, 2 * k : 2 * k + 2], sharey=below[0] if below else None)
-            below.append(ax)
-            for block, w in enumerate(path.w):
-                ax.plot(path.t, np.asarray(w) - V, color=CYCLE[block], linestyle=_DASHES[block],
-                        linewidth=1.6, label=f"block {block + 1}")  # fmt: skip
-            for t, block, mode in path.events:
-                ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
-            ax.set(title=f"({path.case}) {_sign(first)}", xlabel="time t")
-        below[0].set_ylabel("relative velocity z' − v")
-        below[0].legend()
-        legend(figure, 4, figure.axes[: len(signs)])
+        figure = Figure(figsize=PANEL, layout="constrained")
+        _region(figure.subplots(), one)
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        named = dict(zip(labels, handles, strict=True))
+        figure.legend(named.values(), named, loc="outside lower center", ncols=3, fontsize=7)
     return figure
 
 
@@ -266,8 +308,9 @@ def _region(ax: Axes, one: Parallelogram) -> None:
         ax.plot(path.z[0][0], path.z[1][0], ".", color=colour, zorder=6)
     low, high = z.min(axis=0), z.max(axis=0)
     margin = 0.3 * (high - low)
-    reading = "eq. (6) as printed" if one.sign > 0 else "what section 3 goes on with"
-    ax.set(title=f"{_sign(one)}, {reading}", xlabel="displacement z₁", xlim=(low[0] - margin[0], high[0] + margin[0]),
+    reading = "eq. (6)" if one.sign > 0 else "section 3"
+    ax.set(title=f"{_sign(one)}, {reading}", xlabel="displacement z₁", ylabel="z₂",
+           xlim=(low[0] - margin[0], high[0] + margin[0]),
            ylim=(low[1] - margin[1], high[1] + margin[1]))  # fmt: skip
     start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
     ax.annotate("", start + 0.2 * float(span.min()) * np.sign(V), start,

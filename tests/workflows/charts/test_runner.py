@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from pydantic import Field, TypeAdapter
 
+from stickslip.analysis.report import formats
 from stickslip.workflows import charts
 from stickslip.workflows.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.commands import main
@@ -44,17 +45,17 @@ class PlantedScene(ChartScene):
         def draw():
             return Figure()
 
-        return Shown({"n_rows": len(measured.rows), "drawn": draw}, {"rows": runner.frame(measured.rows, Row)})
+        return Shown({"n_rows": len(measured.rows)}, {"rows": runner.frame(measured.rows, Row)}, {"drawn": draw})
 
 
 TEMPLATE = """{% extends "chart.html" %}
-{% from "macros.html" import figure, table %}
+{% from "macros.html" import figure %}
 {% block answer %}
-<h3>Rows</h3><ul><li>There are {{ n_rows }} &lt;rows&gt;,
- the first {{ measured.rows[0].value|power }}.</li></ul>
+<li>There are {{ n_rows }} &lt;rows&gt;,
+ the first {{ measured.rows[0].value|power }}.</li>
 {% endblock %}
 {% block chart %}
-{% call figure(drawn, "nothing") %}Nothing.{% endcall %}
+{% call figure("drawn", "nothing") %}Nothing.{% endcall %}
 {{ table(measured.rows, [("n", "n", "%d"), ("value", "value", "%.1e")]) }}
 {% endblock %}
 """
@@ -79,13 +80,13 @@ def run(planted, capsys):
 
 def test_the_page_its_headline_and_its_tables(planted, capsys):
     printed = run(planted, capsys)
-    assert "A planted <chart>\nRows: There are 2 <rows>, the first 5e-1.\n" in printed.out
+    assert "A planted <chart>\nThere are 2 <rows>, the first 5e-1.\n" in printed.out
     assert "measuring 5" in printed.err
     page = (planted[1] / "report.html").read_text()
     assert "A planted &lt;chart&gt;" in page
-    assert '<td class="num">5.0e−01</td>' not in page  # an exponent keeps its sign as it is written
-    assert '<td class="num">5.0e-01</td>' in page
-    assert '<td class="num">–</td>' in page
+    assert '<td data-h="value">5.0e-01</td>' in page  # an exponent keeps its sign as it is written
+    assert '<td data-h="value">–</td>' in page
+    assert {file.name for file in (planted[1] / "report" / "figures").iterdir()} == {"drawn.svg", "drawn.pdf"}
     rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
     assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
 
@@ -181,7 +182,7 @@ def test_a_count_has_two_digits(value, words):
 
 
 def test_minus_signs():
-    assert runner.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
+    assert formats.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
         "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, -}"
     )
 

@@ -288,12 +288,16 @@ def planted(scene, event=1.0, time=2.0, scatter=(1.0, 1.0, 1.0, 1.0), **changes)
     return runner.report(scene, runner.Measurement("", {}, replace(measured, **changes)))
 
 
-def line(report, words):
-    (found,) = (line for line in report.headline if words in line)
+@pytest.fixture
+def line(said):
+    def found(report, words):
+        (one,) = (line for line in said(report) if words in line)
+        return one
+
     return found
 
 
-def test_words_follow_the_exponents(scene):
+def test_words_follow_the_exponents(scene, line):
     as_claimed, steeper = planted(scene, 1.0, 2.0), planted(scene, 1.5, 2.5)
     assert "It goes as n^1.00 ± 0.00" in line(as_claimed, "An event costs 100 µs at n = 100 and 800 µs at n = 800")
     assert "It goes as n^2.00" in line(as_claimed, "A unit of time costs")
@@ -303,12 +307,12 @@ def test_words_follow_the_exponents(scene):
     assert line(planted(scene, 0.5, 1.5), "A unit of time costs").endswith(": below n^2.")
 
 
-def test_a_claim_inside_the_interval_is_not_excluded(scene):
+def test_a_claim_inside_the_interval_is_not_excluded(scene, line):
     report = planted(scene, scatter=(1.1, 0.9, 1.15, 0.95))
     assert line(report, "An event costs").endswith("n^1 is not excluded.")
 
 
-def test_systems_at_rest_and_rows_that_failed_are_named_and_left_out(scene):
+def test_systems_at_rest_and_rows_that_failed_are_named_and_left_out(scene, line):
     report = planted(scene)
     assert "n = 20 (39 of 40)" in line(report, "came to rest")
     assert "n = 100 was not measured: it broke." in line(report, "Chains, exact engine: n = 100")
@@ -318,7 +322,7 @@ def test_systems_at_rest_and_rows_that_failed_are_named_and_left_out(scene):
     assert "it broke" in report.html
 
 
-def test_throughput_words(scene):
+def test_throughput_words(scene, line):
     report = planted(scene)
     words = line(report, "The coulomb engine at 1e-10 runs")
     assert "runs 100 members a minute on 2 workers that are there, 80 when they have to be started" in words
@@ -329,7 +333,7 @@ def test_throughput_words(scene):
     assert "the start is lost in the scatter" in words
 
 
-def test_lockstep_gains_what_sharing_saves_of_the_products(scene):
+def test_lockstep_gains_what_sharing_saves_of_the_products(scene, line):
     """Half the run is products, each a quarter of its price when 8 share: 3/8 saved, a factor of 8/5."""
     words = line(planted(scene), "lockstep")
     assert "products at that price are 50% of a sigmoid run" in words

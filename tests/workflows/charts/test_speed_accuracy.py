@@ -273,9 +273,10 @@ def planted():
     return Measured(costs, references)
 
 
-def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, page, undrawn):
+def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, page, said, undrawn):
     report = page(load_chart(scene_file), planted())
-    _, at_4, at_6, _, tolerance = report.headline
+    at_4, at_6, _, tolerance = said(report)
+    assert "the sigmoid engine comes to an error of 1e-4 with 1,000 products, 3 times less than" in report.headline[1]
     for line in (at_4, at_6):
         assert (
             "the cheapest is the sigmoid engine with 1,000 products, 3 times less than the next, CyRK DOP853" in line

@@ -245,9 +245,11 @@ def planted(outcome, error, reason=None):
     return Measured(cells, [Reference("layer", 10.0, "a", "b", 1e-12, 0.1)], cases)
 
 
-def test_words_follow_the_cells(scene, page, undrawn):
+def test_words_follow_the_cells(scene, page, said, undrawn):
     wrong, failed = (
-        " ".join(page(scene, planted(*outcome)).headline) for outcome in (("wrong", 0.5), ("failed", None, "stalled"))
+        " ".join([*report.headline, *said(report)])
+        for outcome in (("wrong", 0.5), ("failed", None, "stalled"))
+        for report in [page(scene, planted(*outcome))]
     )
     assert "The sigmoid engine is wrong without a word in 1 of its cells and cases" in wrong
     assert "sigmoid engine in 1 of 2 cells (from stiffness 1e+3, tolerance 1e-3; error up to 5e-1)" in wrong

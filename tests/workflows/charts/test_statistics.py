@@ -325,9 +325,9 @@ def test_statistics_of_a_run_by_hand(scene_file, monkeypatch):
 # ---------------------------------------------------------------------------------------------- the words
 
 
-def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene, page, undrawn):
+def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene, page, said, undrawn):
     report = page(scene, planted())
-    first, remains, by_statistic, looser = report.headline[1:5]
+    first, remains, by_statistic, looser = said(report)[:4]
     assert first.startswith("Exact law: The coulomb engine may be as loose as tol = 1e-4: 1,000 products a run")
     assert "4 times less than the 4,000 at tol = 1e-10" in first
     assert "What remains at tol = 1e-4: mean n_stick" in remains
@@ -336,30 +336,30 @@ def test_words_say_how_loose_what_it_saves_and_why_no_looser(scene, page, undraw
     assert "beyond the sampling error" in looser
 
 
-def test_words_change_when_nothing_is_sufficient_or_everything_is(scene, page, undrawn):
-    assert "No setting of the coulomb engine" in page(scene, planted({1e-10: (3.0, 0.1)})).headline[1]
-    lines = page(scene, planted({1e-10: (0.0, 0.1)})).headline
-    assert lines[1].endswith("that is the tightest asked for.")
-    assert "Nothing looser than tol = 1e-10 was asked for" in lines[4]
+def test_words_change_when_nothing_is_sufficient_or_everything_is(scene, page, said, undrawn):
+    assert "No setting of the coulomb engine" in said(page(scene, planted({1e-10: (3.0, 0.1)})))[0]
+    lines = said(page(scene, planted({1e-10: (0.0, 0.1)})))
+    assert lines[0].endswith("that is the tightest asked for.")
+    assert "Nothing looser than tol = 1e-10 was asked for" in lines[3]
 
 
-def test_noise_is_not_called_a_move(scene, page, undrawn):
-    lines = page(scene, planted({1e-10: (0.0, 0.01), 1e-4: (0.0, 4.0)})).headline
-    assert "none is shown, but one beyond the sampling error" in lines[4]
+def test_noise_is_not_called_a_move(scene, page, said, undrawn):
+    lines = said(page(scene, planted({1e-10: (0.0, 0.01), 1e-4: (0.0, 4.0)})))
+    assert "none is shown, but one beyond the sampling error" in lines[3]
 
 
-def test_a_tighter_setting_that_is_cheaper_is_named(scene, page, undrawn):
+def test_a_tighter_setting_that_is_cheaper_is_named(scene, page, said, undrawn):
     measured = planted()
     runs = [replace(ran, products=300.0) if ran.setting == 1e-8 else ran for ran in measured.runs]
-    first = page(scene, replace(measured, runs=runs)).headline[1]
+    first = said(page(scene, replace(measured, runs=runs)))[0]
     assert "tighter and yet cheaper is tol = 1e-8 with 300, 13 times less than at tol = 1e-10" in first
 
 
-def test_methods_for_the_same_law_are_compared_where_both_are_sufficient(scene, page, undrawn):
+def test_methods_for_the_same_law_are_compared_where_both_are_sufficient(scene, page, said, undrawn):
     engine = planted({1e-10: (0.0, 0.1)})
     stepping = [ran for ran in planted({0.1: (0.0, 0.1)}, "Moreau-Jean").runs if ran.setting == 0.1]
     measured = replace(engine, runs=engine.runs + [replace(ran, products=12000.0) for ran in stepping])
-    lines = page(scene, measured).headline
+    lines = said(page(scene, measured))
     assert "Exact law: Moreau-Jean may be as loose as h = 0.1" in "".join(lines)
     assert any("Moreau-Jean at h = 0.1 takes 3 times more products than the coulomb engine" in line for line in lines)
 
@@ -388,7 +388,7 @@ def test_the_figure_holds_every_point_and_the_band():
     assert [line.get_ydata()[0] for line in sigmoid.lines] == [0.5]
 
 
-def test_a_diverged_run_is_on_the_page_with_its_reason(scene, page, undrawn):
+def test_a_diverged_run_is_on_the_page_with_its_reason(scene, page, said, undrawn):
     measured = planted()
     lost = Ran(0, "Moreau-Jean", 0.3, "diverged", "|z| passed 1e+12")
     html = page(scene, replace(measured, runs=[*measured.runs, lost])).html

@@ -1,0 +1,149 @@
+"""Random systems from the paper's start: which runs are asked for, and n_stick of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from stickslip import sim
+from stickslip.pipeline.design import MATRIX, PERTURBATION
+from stickslip.pipeline.scene import TOLERANCES
+from stickslip.workflows.charts.peers import W0, Z0, Floats, random_ratios, seed_of
+
+#: The ensemble that gives all of figure 3; the constants of section 4.
+ENSEMBLE = "antisymmetric"
+SCALES: Mapping[str, float] = MappingProxyType({"kappa": 0.2, "rho": 3.5, "friction": 1.0, "belt_speed": -0.2})
+#: Sigmoids of slope one in the middle that no engine has.
+SIGMOIDS: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
+    {
+        "tanh": np.tanh,
+        "algebraic": lambda u: u / np.sqrt(1.0 + u * u),
+        "arctan": lambda u: 2.0 / np.pi * np.arctan(0.5 * np.pi * u),
+    }
+)
+#: Runs that escape are stiff and short: at this tolerance they leave within 0.1 of when they do at 1e-4.
+_ESCAPE_TOLERANCE = 1e-3
+#: n_stick of those sigmoids is sampled so often.
+_STEP = 0.1
+#: What the seeds of changed details are for, beside the words in `stickslip.pipeline.design`.
+_DETAIL = 1001
+
+
+@dataclass(frozen=True)
+class Ask:
+    """One run: system `matrix` of the ensemble at n, or of another coupling, with something about it changed.
+
+    Attributes
+    ----------
+    study, setting : str
+        What it is for, and which of the study's settings it has.
+    law : str
+        "coulomb", "sigmoid" (the engines), or one of `SIGMOIDS` by SciPy.
+    scale, factor
+        Which of `SCALES` is multiplied by what; none if `scale` is empty.
+    detail : str
+        "start" or "friction": drawn for each block; "r": the widths of the sigmoid drawn.
+    reading, size, draw
+        Of a perturbation, as `sim.perturb_system` takes them; none if `reading` is empty.
+    """
+
+    study: str
+    setting: str
+    n: int
+    matrix: int
+    t_end: float
+    law: str = "coulomb"
+    coupling: str = ENSEMBLE
+    scale: str = ""
+    factor: float = 1.0
+    detail: str = ""
+    reading: str = ""
+    size: float = 0.0
+    draw: int = 0
+
+
+class Path(NamedTuple):
+    """n_stick of a run at its change points."""
+
+    ask: Ask
+    outcome: str
+    t: Floats
+    n_stick: np.ndarray
+    t_stop: float
+
+
+def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterator[Path]:
+    """Each run, in order, by so many processes."""
+    work = partial(run, seed=seed, eps=eps)
+    if workers == 1:
+        yield from map(work, asks)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(work, asks)
+
+
+def system(ask: Ask, seed: int) -> sim.System:
+    scales = {name: value * (ask.factor if name == ask.scale else 1.0) for name, value in SCALES.items()}
+    friction: Floats | float = scales.pop("friction")
+    if ask.detail == "friction":
+        friction = friction * _generator(ask, seed).uniform(0.8, 1.2, ask.n)
+    found = sim.draw_system(
+        ask.coupling, ask.n, seed_of(seed, MATRIX, ask.n, ask.matrix), friction=friction, **scales
+    )
+    if not ask.reading:
+        return found
+    key = seed_of(seed, PERTURBATION, ask.n, ask.matrix, ask.draw)
+    return sim.perturb_system(found, ask.coupling, ask.size, key, reading=ask.reading)
+
+
+def _generator(ask: Ask, seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed_of(seed, _DETAIL, ask.n, ask.matrix))
+
+
+def run(ask: Ask, seed: int, eps: float) -> Path:
+    """Run it from the paper's start."""
+    one = system(ask, seed)
+    if ask.law in SIGMOIDS:
+        return Path(ask, *smoothed(one, SIGMOIDS[ask.law], eps, ask.t_end))
+    z0: Floats | float = _generator(ask, seed).uniform(-1.0, 1.0, ask.n) if ask.detail == "start" else Z0
+    picked = TOLERANCES["statistics"]
+    if ask.law == "coulomb":
+        found = sim.simulate(one, z0, W0, ask.t_end, tol=picked["tol"])
+    else:
+        ratio = random_ratios(seed, ask.n, ask.draw) if ask.detail == "r" else 1.0
+        rtol, atol = picked["rtol"], picked["atol"]
+        if one.cross_damping is not None:
+            rtol = atol = _ESCAPE_TOLERANCE
+        found = sim.simulate(one, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
+    return Path(ask, found.outcome, *found.events.change_points(), found.events.t_end)
+
+
+def smoothed(
+    one: sim.System, sigmoid: Callable[[Floats], Floats], eps: float, t_end: float
+) -> tuple[str, Floats, np.ndarray, float]:
+    """Outcome, times, n_stick and end of a run under a sigmoid, by SciPy.
+
+    The friction is mu sigmoid((w - v) / eps); a block sticks as under the sigmoid engine.
+    """
+    n, mu, v = one.n, one.friction, one.belt_speed
+    stiffness = np.asarray(one.stiffness)
+
+    def rate(t: float, y: Floats) -> Floats:
+        w = y[n:]
+        return np.concatenate((w, -stiffness @ y[:n] - one.damping * w - mu * sigmoid((w - v) / eps)))
+
+    times = _STEP * np.arange(round(t_end / _STEP) + 1)
+    start = np.concatenate((np.full(n, Z0), np.full(n, W0)))
+    found = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-6, atol=1e-6)
+    z, w = found.y[:n], found.y[n:]
+    is_held = np.abs(one.damping[:, None] * v + stiffness @ z) < mu[:, None]
+    n_stick = (is_held & (np.abs(w - v) < eps * np.log(1.0 / eps))).sum(axis=0)
+    return "finished", found.t, n_stick, float(found.t[-1])
