@@ -162,6 +162,22 @@ class Study:
             _fill(group, self.data.series, self.settings)
         return found
 
+    @cached_property
+    def ends(self) -> Mapping[str, tuple[str, float]]:
+        """Outcome and t_stop of each member."""
+        table = self.data.members
+        return dict(zip(table["member_id"], zip(table["outcome"], table["t_stop"], strict=True), strict=True))
+
+    def window(self, member_id: str, t_end: float) -> Window:
+        """n_stick of a member on [t_burn, t_end].
+
+        Raises
+        ------
+        ValueError
+            If its series is not one, naming the member.
+        """
+        return _window(self.data.series, member_id, self.settings.t_burn, t_end)
+
     def windows(self, group: Group, series: Series | None = None) -> Iterator[tuple[int, str, Window]]:
         """Row (matrix), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
 
@@ -294,8 +310,11 @@ def _windows(
     for matrix, member_id, t_end in zip(table["matrix"], table["member_id"], table["t_end"], strict=True):
         if may_lack and member_id not in series:
             continue
-        try:
-            win = window(*series[member_id], t_burn, float(t_end))
-        except ValueError as error:
-            raise ValueError(f"series of member {member_id!r}: {error}") from error
-        yield row_of[int(matrix)], str(member_id), win
+        yield row_of[int(matrix)], str(member_id), _window(series, member_id, t_burn, float(t_end))
+
+
+def _window(series: Series, member_id: str, t_burn: float, t_end: float) -> Window:
+    try:
+        return window(*series[member_id], t_burn, t_end)
+    except ValueError as error:
+        raise ValueError(f"series of member {member_id!r}: {error}") from error

@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, label, split
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
+from stickslip.analysis.stats import parting
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: what a perturbation moves, if the members do not say: every constant by up to a share of its scale
@@ -32,10 +34,11 @@ class Change:
 
     def __str__(self) -> str:
         if self.kind == START:
-            return f"start displaced by {self.size:g}"
+            return f"start moved by {self.size:g}"
         if self.kind == RATIOS:
             return "stiffness ratios redrawn"
-        return f"constants by {100 * self.size:.3g}% ({self.reading})"
+        how = "" if self.reading == DEFAULT_READING else f" ({self.reading})"
+        return f"constants moved by {100 * self.size:.3g}%{how}"
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,49 @@ class Setting:
     key: dict[str, Any]
     bases: dict[int, str]
     comparisons: tuple[Comparison, ...]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A pair up to t_stop, the end of the run that was watched for less long.
+
+    Attributes
+    ----------
+    gaps : ndarray
+        `parting.gap` of the two.
+    t : float or None
+        When the changed run had parted from its base.
+    """
+
+    pair: Pair
+    t_stop: float
+    gaps: np.ndarray
+    t: float | None
+
+
+def level(study: Study, setting: Setting) -> float | None:
+    """What two different matrices show after t_burn, see `parting.level`; None if they show nothing."""
+    ends = study.ends
+    bases = [study.data.series[base] for base in setting.bases.values() if ends[base][0] == "finished"]
+    if len(bases) < 2:
+        return None
+    return parting.level(bases, study.settings.t_burn, float(setting.key["t_end"])) or None
+
+
+def watch(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Watched]:
+    """The pairs of a comparison up to t_end at most; those of which a run failed are left out.
+
+    A collapsed run stays as it is; one that ran away is watched until then.
+    """
+    found = []
+    for pair in comparison.pairs:
+        two = [study.ends[member] for member in (pair.base, pair.changed)]
+        if any(outcome == "failed" for outcome, _ in two):
+            continue
+        t_stop = min([t_end, *(t for outcome, t in two if outcome == "diverged")])
+        gaps = parting.gap(study.data.series[pair.base], study.data.series[pair.changed], t_stop)
+        found.append(Watched(pair, t_stop, gaps, parting.parted_at(gaps, level)))
+    return found
 
 
 def settings(members: pd.DataFrame) -> list[Setting]:

@@ -3,4 +3,4 @@
 The order is that of the page.
 """
 
-QUESTIONS = ("cascades", "fates", "engines")
+QUESTIONS = ("cascades", "fates", "engines", "sensitivity", "robustness")

@@ -220,10 +220,7 @@ def environment(*packages: str) -> Environment:
         "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
     }  # fmt: skip
     found.globals |= {
-        "count": count,
-        "between": between,
-        "table": table,
-        "signed": signed,
-        "signed_percent": signed_percent,
-    }
+        "count": count, "between": between, "table": table, "number": number, "fixed": fixed, "percent": percent,
+        "signed": signed, "signed_percent": signed_percent,
+    }  # fmt: skip
     return found

@@ -77,6 +77,10 @@ class Against:
         `UNBOUNDED` if the matrices cannot be told apart from replicates.
     change, replicate, redraw : float
         A, B and C.
+    covariance : ndarray, shape (2, 2)
+        Of A - B and C - B.
+    dof : int
+        Degrees of freedom of their errors.
     """
 
     theta: Estimate
@@ -84,6 +88,27 @@ class Against:
     change: float
     replicate: float
     redraw: float
+    covariance: np.ndarray
+    dof: int
+
+    def p_below(self, bound: float) -> float:
+        """p-value of "the change does less than so much of a redraw"; 1 if the matrices cannot be told apart.
+
+        One-sided and doubled: it is below alpha just when the 1 - alpha interval lies below the bound.
+        """
+        return 1.0 if self.kind == UNBOUNDED else self._p(bound, 1.0)
+
+    def p_above(self, bound: float) -> float:
+        """p-value of "the change does more than so much of a redraw", in the same way."""
+        return self._p(bound, -1.0)
+
+    def _p(self, bound: float, side: float) -> float:
+        gap = (self.change - self.replicate) - bound * (self.redraw - self.replicate)
+        weights = np.array([1.0, -bound])
+        error = float(np.sqrt(weights @ self.covariance @ weights))
+        if error == 0:
+            return float(side * gap >= 0)
+        return min(2 * student.below(side * gap / error, self.dof), 1.0)
 
 
 def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -> Against:
@@ -126,7 +151,7 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
     t2 = student.half_width(confidence, g - 1) ** 2
     value = float(top / bottom) if bottom > 0 else None
     interval = _fieller(top, bottom, t2 * covariance)
-    sides = (float(a), float(b), redraw)
+    sides = (float(a), float(b), redraw, covariance, g - 1)
     if interval is None:
         return Against(Estimate(value, reason="matrices cannot be told apart"), UNBOUNDED, *sides)
     return Against(Estimate(value, *interval), BOUNDED, *sides)

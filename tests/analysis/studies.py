@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal, special
 
+from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.stats import (
     clustering,
+    compare,
     components,
     dispersion,
     effective,
@@ -21,6 +23,7 @@ from stickslip.analysis.stats import (
     escape,
     growth,
     multiplicity,
+    parting,
     pool,
     slow_mode,
 )
@@ -344,6 +347,71 @@ def components_study(rng, ensembles):
         yield Row("change over redraw", name, theta, np.median(errors), errors.std(), np.mean(held), ensembles)
 
 
+def change_study(rng, ensembles):
+    """Verdicts on planted changes: the share without a false one, at least 95%, and in the name what is told."""
+    for correlation, theta in ((0.8, 0), (0.8, BOUND), (0.8, 1), (0.5, 0), (0.5, BOUND), (0.1, 0), (0.1, 1)):
+        every = [
+            components.against_redraw(*matrices(rng, correlation, theta, k=3), CONFIDENCE) for _ in range(ensembles)
+        ]
+        stays = np.mean([one.p_below(BOUND) < 1 - CONFIDENCE for one in every])
+        moves = np.mean([one.p_above(0.0) < 1 - CONFIDENCE for one in every])
+        name = f"{theta:g}, correlation {correlation:g}; stays {stays:.2f}, moves {moves:.2f}"
+        false = moves if theta == 0 else stays
+        yield Row("change: verdict", name, theta, np.nan, np.nan, 1 - false, ensembles)
+
+
+# --------------------------------------------------------------------------------- two means, shares, parting
+
+#: n = 200, exact law, t = 600 to 1000, 20 matrices: spread over matrices of the base and of the paired difference,
+#: both relative to the base; and a margin.
+OBSERVED = {
+    "mean": (0.07, 0.08, 0.10), "variance": (0.45, 0.53, 0.25), "rate": (0.057, 0.067, 0.10),
+    "gamma": (0.025, 0.030, 0.05),
+}  # fmt: skip
+
+
+def equivalence_study(rng, ensembles):
+    """Share of ensembles without a false verdict, at least 95%: different at no difference, equal at the margin."""
+    for name, (spread, of_difference, margin) in OBSERVED.items():
+        within = of_difference / np.sqrt(2)
+        between = np.sqrt(max(spread**2 - within**2, 0.0))
+        for true in (0.0, margin, -margin):
+            false = 0
+            for _ in range(ensembles):
+                own = np.clip(1 + between * rng.standard_normal(MATRICES), 0.1, None)
+                base, changed = rng.gamma(1 / within**2, within**2, (2, MATRICES)) * own
+                sums = [np.column_stack([values, np.ones(MATRICES)]) for values in (base, changed * (1 + true))]
+                test = compare.equivalence_test(*compare.relative_difference(ratio, *sums, True), margin)
+                told = compare.verdict(test.p_equivalent, test.p_different, 1 - CONFIDENCE)
+                false += told == (compare.EQUIVALENT if true else compare.DIFFERENT)
+            row = f"{name} by {true:g}, margin {margin:g}"
+            yield Row("equivalence", row, true, np.nan, np.nan, 1 - false / ensembles, ensembles)
+
+
+def share_study(rng, ensembles):
+    """Share of runs where runs of one matrix agree: a beta distribution between matrices, 3 runs of each."""
+    for share in (0.3, 0.1):
+        own = rng.beta(2 * share, 2 * (1 - share), (ensembles, MATRICES))
+        found = []
+        for row in rng.binomial(3, own):
+            counts = np.column_stack([row, np.full(MATRICES, 3)])
+            found.append(Estimate(*compare.share_over_matrices(counts, CONFIDENCE)[:3]))
+        yield judged("share of runs", f"{share:g}", share, found)
+
+
+def parting_study(rng, ensembles):
+    """Median time of parting, 20 and 60 pairs; some runs end before, some are never seen to part."""
+    for g in (MATRICES, 60):
+        for name, share, t_end in (("all part", 0, np.inf), ("a third run away", 0.33, np.inf), ("to 400", 0, 400)):
+            found = []
+            for _ in range(ensembles):
+                at = 300.0 * np.exp(0.5 * rng.standard_normal(g))
+                end = np.minimum(np.where(rng.random(g) < share, rng.uniform(0, 600, g), np.inf), t_end)
+                one = parting.median_time(np.minimum(at, end), at <= end, CONFIDENCE)
+                found.append(Estimate(one.value or t_end, one.low or 0.0, one.high or np.inf))
+            yield judged("parting: median", f"300, {g} pairs, {name}", 300.0, found)
+
+
 # ------------------------------------------------------------------------------ escape, many tests, stationarity
 
 
@@ -409,6 +477,10 @@ STUDIES = {
     "effective": effective_study,
     "growth": growth_study,
     "components": components_study,
+    "change": change_study,
+    "equivalence": equivalence_study,
+    "share": share_study,
+    "parting": parting_study,
     "escape": escape_study,
     "multiplicity": multiplicity_study,
     "drift": drift_study,

@@ -1,192 +1,134 @@
-"""Pairs of runs that part at a planted rate, and the horizon of n_stick."""
+"""Pairs of runs that part at a planted rate, and when they have parted."""
 
-import importlib.util
-from pathlib import Path
+import secrets
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
-from stickslip.analysis.questions.sensitivity_section import sensitivity_section
-from stickslip.analysis.report.section import Data
 
-from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, settings
-from stickslip.analysis.stats.sensitivity import (
-    BLOCKS,
-    amplification_gap,
-    horizon,
-    linear_range,
-    mean_difference,
-    median_interval,
-    redraw_difference,
-    slope,
-    slope_error,
-)
+from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START
+from stickslip.analysis.pairs import settings as sorted_settings
+from stickslip.analysis.questions.sensitivity import GROWS, PARTS, SHRINKS, STAYS_NEAR, UNKNOWN, answer
+from stickslip.analysis.stats import parting
 
-_spec = importlib.util.spec_from_file_location("twin_studies", Path(__file__).with_name("twin_studies.py"))
-studies = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(studies)
+T_END = 1000.0
+
+
+@pytest.fixture
+def rng():
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    return np.random.default_rng(seed)
 
 
 def test_mean_difference_against_the_integral_by_hand():
     # |difference| is 2 on [0, 1), 1 on [1, 1.5), 3 on [1.5, 3): windows of one unit have means 2, (0.5 + 1.5), 3
     first = np.array([0.0, 1.0]), np.array([5, 4])
     second = np.array([0.0, 1.5]), np.array([3, 1])
-    assert mean_difference(first, second, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
-    assert mean_difference(second, first, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
+    assert parting.mean_difference(first, second, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
+    assert parting.mean_difference(second, first, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
 
 
-def test_redraw_difference_is_the_mean_over_all_pairs():
-    rng = np.random.default_rng(0)
+def test_the_level_is_the_mean_over_all_pairs(rng):
     values = rng.integers(0, 50, 7)
     bases = [(np.zeros(1), np.array([value])) for value in values]
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
-    assert redraw_difference(bases, np.array([1.0])) == pytest.approx(np.mean(pairs))
+    assert parting.level(bases, 1.0, 5.0) == pytest.approx(np.mean(pairs))
     with pytest.raises(ValueError, match="two runs"):
-        redraw_difference(bases[:1], np.array([1.0]))
+        parting.level(bases[:1], 1.0, 5.0)
 
 
-def test_slope_recovers_the_rate_in_the_linear_range_alone():
-    t = np.linspace(0, 1000, 501)
-    grown = 1e-10 * np.exp(0.03 * t)
-    distance = np.minimum(grown, 1.0) + 1e-10 * np.exp(-t)  # an early transient, and saturation at one
-    one = slope((t, distance), 1e-2)
-    assert one.rate == pytest.approx(0.03, rel=1e-3)
-    assert one.late - one.early == pytest.approx(0, abs=1e-4)
-    assert one.t_last < np.log(1e8) / 0.03 + 2
-    assert slope((t, np.full(501, 1e-10)), 1e-2) is None
-    assert linear_range(np.array([1, 2, 4, 8, 16, 8]), 3, 10) == slice(2, 4)
+def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_level():
+    base = np.zeros(1), np.array([10])
+    moved = np.array([0.0, 50.0]), np.array([10, 14])  # apart by 4 from t = 50 on
+    gaps = parting.gap(base, moved, 100.0)
+    assert parting.gap_times(gaps)[[0, -1]] == pytest.approx([20.0, 100.0])
+    assert parting.parted_at(gaps, 4.0) == 60.0  # ten of the last twenty units
+    assert parting.parted_at(gaps, 8.0) == 70.0
+    assert parting.parted_at(gaps, 8.1) is None
+    assert len(parting.gap(base, moved, 10.0)) == 0
 
 
-def test_error_of_one_slope_on_a_random_walk():
-    """Increments of a drifting random walk are independent, its residuals are not: coverage of one slope."""
-    rng = np.random.default_rng(2)
-    t, hits = np.linspace(0, 1000, 201), 0
-    for _ in range(400):
-        log = 0.012 * t + np.cumsum(0.2 * rng.standard_normal(201))
-        error = slope_error(t, log)
-        hits += abs(np.polyfit(t, log, 1)[0] - 0.012) < stats.t.ppf(0.975, BLOCKS - 1) * error
-    assert abs(hits / 400 - 0.95) < 0.033  # three binomial errors
+def test_the_median_time_counts_what_was_not_seen_to_part():
+    every = parting.median_time(np.arange(1.0, 21.0), [True] * 20, 0.95)
+    assert every.value == 10.0
+    assert every.low < 10.0 < every.high
+    # half of them are only known not to have parted by 5
+    some = parting.median_time([5.0] * 10 + list(range(11, 21)), [False] * 10 + [True] * 10, 0.95)
+    assert some.value == 15.0
+    assert parting.median_time([5.0] * 10, [False] * 10, 0.95).reason == "none has parted"
+    few = parting.median_time([5.0] * 8 + [1.0, 2.0], [False] * 8 + [True] * 2, 0.95)
+    assert few.value is None
+    assert few.reason
 
 
-def test_draws_are_told_apart_by_their_own_error(planted):
-    """Four draws grow, two shrink after they have grown, one wanders, and one runs away."""
-    rng = np.random.default_rng(3)
-    t = np.linspace(0, 1000, 501)
-    members, series, separations = _planted(planted)
-    for matrix in range(8):
-        trend = [0.012, 0.012, 0.012, 0.012, -0.004, -0.004, 0.0, 0.0][matrix] * t
-        noise = np.cumsum((0.3 if matrix == 6 else 0.01) * rng.standard_normal(501))
-        for size in (1e-10, 1e-6):
-            separations[f"m{matrix}-t{size:g}"] = t, size * np.exp(5 * (t > 0) + trend + noise)
-    members.loc[members["member_id"].str.startswith("m7-t"), "outcome"] = "diverged"
-    data = Data(members, series, {}, separations)
-    section = sensitivity_section(data, t_burn=600.0, confidence=0.95, scale=1e6)
-    tables = {table.name: table.frame for table in section.tables}
-    row = tables["growth"].iloc[0]
-    assert (row["n_growing"], row["n_shrinking"], row["n_open"], row["n_runaway"]) == (4, 2, 1, 1)
-    assert row["runaways"] == "7"
-    draws = tables["growth_rates"].query("size == 1e-10").set_index("matrix")["verdict"]
-    assert draws[7] == "run away"
-    assert "4 grow beyond their own error, 2 shrink, 1 do neither; 1 ran away" in " ".join(section.statements)
-
-
-def test_displacements_below_the_errors_of_the_sigmoid_are_not_read(planted):
-    members, series, separations = _planted(planted)
-    kept = members["perturbation_size"] == 0
-    members = members[kept].assign(**{**planted.sigmoid, "ratio": "one", "rtol": 1e-8})
-    section = sensitivity_section(Data(members, series, {}, separations), t_burn=600.0, confidence=0.95)
-    growth = section.tables[0].frame
-    assert growth["is_above_error"].tolist() == [False, True]
-    assert "displaced by 1e-06" in " ".join(section.statements)
-    assert "displaced by 1e-10" not in " ".join(section.statements)
-
-
-def test_integration_error_shows_in_the_amplification():
-    t = np.linspace(0, 500, 251)
-    growth = np.exp(0.02 * t)
-    assert amplification_gap((t, 1e-10 * growth), (t, 1e-4 * growth), 1.0) == pytest.approx(0, abs=1e-9)
-    error = 1e-9 * t / 500  # does not scale with the displacement
-    assert amplification_gap((t, 1e-10 * growth + error), (t, 1e-4 * growth), 1.0) > 0.1
-
-
-def test_horizon_and_its_median():
-    edges = np.arange(5.0)
-    assert horizon(np.array([0, 1, 3, 0.0]), edges, 2) == 2.0
-    assert np.isinf(horizon(np.zeros(4), edges, 2))
-    # order statistics 6 and 15 of 20: P(Binomial(20, 1/2) <= 5) = 0.0207, P(<= 6) = 0.058
-    assert median_interval(np.arange(1, 21), 0.95) == (10.5, 6.0, 15.0)
-    assert median_interval([1.0, 2.0, np.inf], 0.95) == (2.0, None, None)
-
-
-def test_coverage_of_the_growth_rate():
-    # 100 ensembles at 95%: 95 +- 6.6 points is three binomial errors
-    assert abs(studies.growth_coverage(100, seed=1) - 0.95) < 0.066
-
-
-def _planted(planted, rate=0.02):
-    rng = np.random.default_rng(0)
+def ensemble(rng, planted, rate, g=12, size=1e-6, t_part=400.0, **settings):
+    """Matrices with one displaced start: distances exp(rate t), and a path that is the base's until t_part."""
     rows, series, separations = [], {}, {}
-    t = np.linspace(0, 1000, 501)
-    for matrix in range(8):
-        base = f"m{matrix}"
-        rows.append(planted.member(base, matrix))
-        series[base] = planted.runs(rng, 800, 0.69)
-        own = rate + 0.001 * rng.standard_normal()
-        for size in (1e-10, 1e-6):
-            rows.append(planted.member(f"{base}-t{size:g}", matrix, twin_size=size))
-            series[rows[-1]["member_id"]] = series[base]
-            separations[rows[-1]["member_id"]] = t, np.minimum(size * np.exp(own * t), 1.0)
-        rows.append(planted.member(f"{base}-p", matrix, perturbation_size=0.01, perturbation_reading="relative"))
-        times, values = series[base]  # follows the base up to t = 300, then parts from it for good
-        changed = np.sort(np.append(times, 300.0))
-        at = np.searchsorted(times, changed, side="right") - 1
-        series[f"{base}-p"] = changed, values[at] + np.where(changed >= 300, 60, 0)
-    return pd.DataFrame(rows), series, separations
+    times = np.arange(0.0, T_END + 1, 5.0)
+    for matrix in range(g):
+        own = rng.integers(0, 60, 2 * int(T_END))
+        for name, extra in ((f"m{matrix}", {"twin_size": None}), (f"m{matrix}-t", {"twin_size": size})):
+            rows.append(planted.member(name, matrix, **settings, **extra))
+        t = np.arange(0.0, T_END, 0.5)
+        series[f"m{matrix}"] = t, own
+        series[f"m{matrix}-t"] = t, np.where(t < t_part, own, rng.integers(0, 60, len(own)))
+        noise = np.cumsum(0.01 * rng.standard_normal(len(times)))
+        separations[f"m{matrix}-t"] = times, size * np.exp(rate * times + noise)
+    return Data(pd.DataFrame(rows), series, {}, separations)
 
 
-def test_section_on_planted_pairs(planted):
-    members, series, separations = _planted(planted)
-    section = sensitivity_section(Data(members, series, {}, separations), t_burn=600.0, confidence=0.95)
-    tables = {table.name: table.frame for table in section.tables}
-    growth = tables["growth"]
-    assert growth["low"][0] <= 0.02 <= growth["high"][0]
-    assert growth["e_fold"][0] == pytest.approx(50, rel=0.05)
-    of_constants = tables["horizons"].query("kind == 'constants'").iloc[0]
-    assert of_constants["median"] == 300
-    text = " ".join(section.statements)
-    assert "integration error is not its cause" in text
-    assert "the reverse of" in text
-    for frame in tables.values():
-        assert not any(
-            isinstance(v, float) and np.isnan(v) for v in frame.to_numpy(dtype=object, na_value=None).ravel()
-        )
+@pytest.mark.parametrize(("rate", "verdict"), [(0.01, GROWS), (-0.0128, SHRINKS)])
+def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
+    found = answer(Study(ensemble(rng, planted, rate), settings))
+    row = found.tables["growth"].iloc[0]
+    assert row["rate"] == pytest.approx(rate, abs=0.002)
+    assert row["verdict"] == verdict
+    assert row["e_fold_low"] < 1 / abs(rate) < row["e_fold_high"]
 
 
-def test_statements_change_with_the_numbers(planted):
-    members, series, separations = _planted(planted, rate=-0.01)
-    for matrix in range(8):  # the changed run leaves at once and comes back
-        t, values = series[f"m{matrix}"]
-        series[f"m{matrix}-p"] = t, np.where(t < 300, values + 30, values)
-    section = sensitivity_section(Data(members, series, {}, separations), t_burn=600.0, confidence=0.95)
-    text = " ".join(section.statements)
-    assert "paths differ at short times and agree at long ones" in text
-    assert "no growth rate" in text
-    assert "the reverse of" not in text
+def test_displacements_below_the_errors_of_a_smoothed_law_tell_nothing(rng, planted, settings):
+    smoothed = {**planted.sigmoid, "ratio": "one"}
+    found = answer(Study(ensemble(rng, planted, 0.001, size=1e-8, **smoothed), settings))
+    row = found.tables["growth"].iloc[0]
+    assert (row["n_used"], row["n_floor"], row["verdict"]) == (0, 12, UNKNOWN)
 
 
-def test_a_runaway_is_kept_apart(planted):
-    members, series, separations = _planted(planted)
-    members.loc[members["member_id"] == "m0-t1e-10", "outcome"] = "diverged"
-    section = sensitivity_section(Data(members, series, {}, separations), t_burn=600.0, confidence=0.95)
-    growth = section.tables[0].frame
-    assert (growth["n_runaway"][0], growth["n_fitted"][0]) == (1, 7)
-    assert "1 pair in which a run ran away or failed" in " ".join(section.statements)
+def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):
+    data = ensemble(rng, planted, 0.01)
+    for matrix in range(4):
+        times, distance = data.separations[f"m{matrix}-t"]
+        data.separations[f"m{matrix}-t"] = times[:30], distance[:30]
+    row = answer(Study(data, settings)).tables["growth"].iloc[0]
+    assert row["is_selected"]
+    assert row["verdict"] == UNKNOWN
 
 
-def test_none_without_changed_members(planted):
-    members, series = planted.ensemble({"coulomb": 0.69}, 3)
-    assert sensitivity_section(Data(members, series), t_burn=100.0, confidence=0.95) is None
+def test_when_copies_part(rng, planted, settings):
+    row = answer(Study(ensemble(rng, planted, 0.01), settings)).tables["parting"].iloc[0]
+    assert row["median"] == pytest.approx(410, abs=10)
+    assert row["verdict"] == PARTS
+    assert row["early"] == 0.0
+    row = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).tables["parting"].iloc[0]
+    assert pd.isna(row["median"])
+    assert row["verdict"] == STAYS_NEAR
+    row = answer(Study(ensemble(rng, planted, 0.01, g=4, t_part=2 * T_END), settings)).tables["parting"].iloc[0]
+    assert row["verdict"] == UNKNOWN
+
+
+def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
+    data = ensemble(rng, planted, 0.01)
+    away = data.members["member_id"].isin([f"m{k}-t" for k in range(4)])
+    data.members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
+    found = answer(Study(data, settings))
+    row = found.tables["parting"].iloc[0]
+    assert (row["n_pairs"], row["n_parted"]) == (12, 8)
+    assert found.facts["away"][0]["n_away"] == 4
+
+
+def test_nothing_to_compare(planted, settings):
+    assert answer(Study(Data(*planted.ensemble({"coulomb": 0.69}, 3)), settings)) is None
 
 
 def test_pairs_of_every_kind(planted):
@@ -200,7 +142,7 @@ def test_pairs_of_every_kind(planted):
     ]  # fmt: skip
     found = {
         (c.change.kind, p.base, p.changed): c.change
-        for setting in settings(pd.DataFrame(rows))
+        for setting in sorted_settings(pd.DataFrame(rows))
         for c in setting.comparisons
         for p in c.pairs
     }
@@ -210,6 +152,6 @@ def test_pairs_of_every_kind(planted):
     assert found[CONSTANTS, "c0", "c0-p"].reading == "scale"
     # with a member of equal ratios, that one is the base of every draw
     equal = planted.member("one", 0, **{**planted.sigmoid, "ratio": "one"})
-    (sigmoid,) = [s for s in settings(pd.DataFrame([*rows, equal])) if s.key["engine"] == "sigmoid"]
+    (sigmoid,) = [s for s in sorted_settings(pd.DataFrame([*rows, equal])) if s.key["engine"] == "sigmoid"]
     (ratios,) = [c for c in sigmoid.comparisons if c.change.kind == RATIOS]
     assert {(p.base, p.changed) for p in ratios.pairs} == {("one", "s0"), ("one", "s1")}

@@ -1,0 +1,280 @@
+"""Whether changed systems keep their statistics: each matrix beside its changed copy, its replicates and the others.
+
+Replicates of a matrix are its base and the copies that only started elsewhere and have parted from it by t_burn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
+from stickslip.analysis.stats import components, enough
+from stickslip.analysis.stats.cascades import Law, Window, sizes
+from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, relative_difference, verdict
+from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.stats.multiplicity import adjusted
+from stickslip.analysis.stats.quantities import LABELS, QUANTITIES
+from stickslip.analysis.stats.student import half_width
+from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE
+
+PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
+BOUND = 0.5  # a quantity stays if a change does less than so much of what a fresh matrix does
+STAYS, MOVES, UNKNOWN = "stays", "moves", "cannot be told"
+NO_REPLICATES, NO_MOTION = "no replicates", "no motion"
+_CHANGES: Mapping[str, str] = {
+    "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "quantity": S, "label": S,
+    "n_matrices": I, "n_replicates": I, "base": F, "changed": F, "shift": F, "shift_low": F, "shift_high": F,
+    "theta": F, "theta_low": F, "theta_high": F, "p_stays": F, "p_moves": F, "p_stays_adjusted": F,
+    "p_moves_adjusted": F, "verdict": S,
+}  # fmt: skip
+_MATRICES: Mapping[str, str] = {
+    "setting": S, "quantity": S, "label": S, "n_matrices": I, "n_replicates": I, "correlation": F,
+    "correlation_low": F, "correlation_high": F,
+}  # fmt: skip
+_RUNS: Mapping[str, str] = {"setting": S, "matrix": I, "member_id": S, "change": S, **dict.fromkeys(PRIMARY, F)}
+
+
+def answer(study: Study) -> Answer | None:
+    """What each change of constants or of stiffness ratios does, beside a fresh matrix."""
+    asked = [one for one in settings(study.data.members) if _changes(one)]
+    if not asked:
+        return None
+    judged = sorted((_Judged(study, one) for one in asked), key=lambda one: (bool(one.lack), -one.setting.key["n"]))
+    tables = {
+        "robustness": frame(_CHANGES, [row for one in judged for row in one.rows]),
+        "robustness_matrices": frame(_MATRICES, [row for one in judged for row in one.matrices]),
+        "robustness_runs": frame(_RUNS, [row for one in judged for row in one.run_rows()]),
+    }
+    lead = judged[0]
+    ends = [study.ends[member][0] for member in lead.members]
+    facts: dict[str, Any] = {
+        "setting": lead.setting.label,
+        "t_burn": study.settings.t_burn,
+        "t_end": lead.setting.key["t_end"],
+        "bound": BOUND,
+        "rows": lead.rows,
+        "matrices": lead.matrices,
+        "replicates": [one.change.size for one in lead.replicates],
+        "basis": lead.basis,
+        "n_runs": len(ends),
+        "n_finished": ends.count("finished"),
+        "others": [(one.setting.label, one.lack, one.rows) for one in judged[1:]],
+    }
+    if lead.lack:
+        return Answer(facts, lead.lack, tables)
+    facts["lead"] = [row for row in lead.rows if row["quantity"] == PRIMARY[0] and row["shift"] is not None][-1]
+    figures = {"robustness": partial(against_base, lead.points())}
+    return Answer(facts, tables=tables, figures=figures)
+
+
+def _changes(setting: Setting) -> list[Comparison]:
+    return [one for one in setting.comparisons if one.change.kind != START]
+
+
+class _Judged:
+    """One setting: its runs' values, and what they say about each change."""
+
+    def __init__(self, study: Study, setting: Setting) -> None:
+        self.setting, self.level = setting, study.settings.confidence
+        t_end = float(setting.key["t_end"])
+        self.changes = _changes(setting)
+        self.replicates = _replicates(study, setting)
+        bases = list(setting.bases.values())
+        self.members = [*bases, *(pair.changed for one in setting.comparisons for pair in one.pairs)]
+        self.sums: dict[str, np.ndarray] = {}
+        halves, n_cascades = [], 0
+        for member in self.members:
+            if study.ends[member][0] != "finished":
+                continue
+            win = study.window(member, t_end)
+            found = _sums(win)
+            if found is not None:
+                self.sums[member] = found
+            if found is not None and member in bases:
+                halves.append(enough.halves(win))
+                n_cascades += len(sizes(win, Law("events")))
+        self.basis = enough.basis(np.array(halves), n_cascades, self.level)
+        self.lack = self._lack()
+        self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()
+        if not self.lack and all(row["shift"] is None for row in self.rows):
+            self.lack = enough.FEW_MATRICES
+        self.matrices: list[Row] = self._matrix_rows()
+
+    def _lack(self) -> str:
+        if not self.sums:
+            return NO_MOTION
+        if not self.replicates:
+            return NO_REPLICATES
+        return "" if self.basis.code in (enough.ENOUGH, enough.DRIFT_UNKNOWN) else self.basis.code
+
+    def _complete(self, change: Comparison | None = None) -> list[tuple[list[str], list[str]]]:
+        """Of each matrix whose runs all reached t_end in motion: base and replicates, and its changed runs."""
+        found = []
+        for matrix, base in self.setting.bases.items():
+            own = [base, *(member for one in self.replicates for member in _of(one, matrix))]
+            changed = [] if change is None else _of(change, matrix)
+            if all(member in self.sums for member in (*own, *changed)):
+                found.append((own, changed))
+        full = max((len(own) for own, _ in found), default=0), max((len(changed) for _, changed in found), default=0)
+        return [one for one in found if (len(one[0]), len(one[1])) == full and (change is None or one[1])]
+
+    def _values(self, quantity: str, members: Sequence[Sequence[str]]) -> np.ndarray:
+        """Of runs, shape as `members`."""
+        k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
+        return np.array([of(np.array([self.sums[member][k] for member in some])) for some in members])
+
+    def _rows(self) -> list[Row]:
+        rows = []
+        for quantity in PRIMARY:
+            for comparison in sorted(self.changes, key=lambda one: (one.change.kind == CONSTANTS, one.change)):
+                rows.append(self._row(quantity, comparison))
+        stays, moves = adjusted(
+            [1.0 if row["p_stays"] is None else row["p_stays"] for row in rows],
+            [1.0 if row["p_moves"] is None else row["p_moves"] for row in rows],
+        )
+        codes = {EQUIVALENT: STAYS, DIFFERENT: MOVES}
+        for row, p_stays, p_moves in zip(rows, stays, moves, strict=True):
+            if row["p_moves"] is not None:
+                row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}
+            if not self.lack:
+                row["verdict"] = codes.get(verdict(float(p_stays), float(p_moves), 1 - self.level), UNKNOWN)
+        return rows
+
+    def _row(self, quantity: str, comparison: Comparison) -> Row:
+        """A quantity under a change: the shift of its mean over matrices, and the change over a redraw."""
+        change, complete = comparison.change, self._complete(comparison)
+        row: Row = dict.fromkeys(_CHANGES) | {
+            "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
+            "of": change, "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
+            "quantity": quantity, "label": LABELS[quantity], "n_matrices": len(complete),
+            "n_replicates": 1 + len(self.replicates), "verdict": UNKNOWN,
+        }  # fmt: skip
+        if len(complete) < enough.LEAST_MATRICES:
+            return row
+        own, changed = [one for one, _ in complete], [one for _, one in complete]
+        row |= self._shift(quantity, own, changed)
+        if self.replicates:
+            found = components.against_redraw(
+                self._values(quantity, own), self._values(quantity, changed), self.level
+            )
+            known = found.kind == components.BOUNDED
+            row |= {
+                "theta": found.theta.value if known else None, "theta_low": found.theta.low,
+                "theta_high": found.theta.high, "p_stays": found.p_below(BOUND), "p_moves": found.p_above(0.0),
+            }  # fmt: skip
+        return row
+
+    def _shift(self, quantity: str, own: Sequence[Sequence[str]], changed: Sequence[Sequence[str]]) -> Row:
+        k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
+        before, after = (
+            np.array([np.mean([self.sums[member][k] for member in some], axis=0) for some in side])
+            for side in (own, changed)
+        )
+        shift, error, dof = relative_difference(of, before, after, True)
+        half = half_width(self.level, dof) * error
+        return {
+            "base": float(of(before.sum(axis=0, keepdims=True))[0]),
+            "changed": float(of(after.sum(axis=0, keepdims=True))[0]),
+            "shift": shift, "shift_low": shift - half, "shift_high": shift + half,
+        }  # fmt: skip
+
+    def _matrix_rows(self) -> list[Row]:
+        """How much of the spread of each quantity is between matrices."""
+        own = [one for one, _ in self._complete()]
+        if not self.replicates or len(own) < enough.LEAST_MATRICES:
+            return []
+        rows: list[Row] = []
+        for quantity in PRIMARY:
+            found = components.intraclass(self._values(quantity, own), self.level)
+            rows.append(
+                {
+                    "setting": self.setting.label, "quantity": quantity, "label": LABELS[quantity],
+                    "n_matrices": len(own), "n_replicates": len(own[0]), "correlation": found.value,
+                    "correlation_low": found.low, "correlation_high": found.high,
+                }
+            )  # fmt: skip
+        return rows
+
+    def run_rows(self) -> list[Row]:
+        """The quantities of each run."""
+        names = {base: (matrix, "none") for matrix, base in self.setting.bases.items()}
+        for one in self.setting.comparisons:
+            names |= {pair.changed: (pair.matrix, str(one.change)) for pair in one.pairs}
+        return [
+            {
+                "setting": self.setting.label, "matrix": names[member][0], "member_id": member,
+                "change": names[member][1],
+                **{name: float(self._values(name, [[member]])[0, 0]) for name in PRIMARY},
+            }
+            for member in self.sums
+        ]  # fmt: skip
+
+    def points(self) -> list[tuple[str, bool, np.ndarray]]:
+        """Of each replicate and change its name, whether it is a change, and the mean n_stick of base and copy."""
+        found = []
+        for comparison in (*self.replicates, *self.changes):
+            pairs = [p for p in comparison.pairs if p.base in self.sums and p.changed in self.sums]
+            means = self._values(PRIMARY[0], [[pair.base, pair.changed] for pair in pairs])
+            name = str(comparison.change)
+            found.append((name, comparison.change.kind != START, means.reshape(-1, 2)))
+        return found
+
+
+def _replicates(study: Study, setting: Setting) -> list[Comparison]:
+    """Displaced starts of which every run has parted from its base by t_burn."""
+    starts = [one for one in setting.comparisons if one.change.kind == START]
+    apart = level(study, setting) if starts else None
+    if apart is None:
+        return []
+    return [
+        one for one in starts if all(pair.t is not None for pair in watch(study, one, apart, study.settings.t_burn))
+    ]
+
+
+def _of(comparison: Comparison, matrix: int) -> list[str]:
+    return [pair.changed for pair in comparison.pairs if pair.matrix == matrix]
+
+
+def _sums(win: Window) -> np.ndarray | None:
+    """Sums of each of `PRIMARY`, shape (3, 2); None where one of them has no value."""
+    rows = np.array([QUANTITIES[name].sums(win) for name in PRIMARY])
+    try:
+        for name, row in zip(PRIMARY, rows, strict=True):
+            QUANTITIES[name].of(row[None])
+    except Undefined:
+        return None
+    return rows
+
+
+def against_base(points: Sequence[tuple[str, bool, np.ndarray]]) -> Figure:
+    """Mean n_stick of each copy against that of its base, one point a matrix; replicates open, changes filled.
+
+    Parameters
+    ----------
+    points : sequence of (name, whether it is a change, means of shape (G, 2))
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
+        ax = figure.subplots()
+        both = np.concatenate([some.ravel() for _, _, some in points])
+        margin = 0.05 * (both.max() - both.min())
+        ends = (both.min() - margin, both.max() + margin)
+        ax.plot(ends, ends, "--", color=GREY, linewidth=0.9)
+        marks = {True: iter("s^Dv"), False: iter("ophP")}
+        colours = {True: iter((SMOOTHED, "#e0a030", "#8c2d04")), False: iter((EXACT, "#56a0d3", "#9ecae1"))}
+        for name, is_change, means in points:
+            colour = next(colours[is_change], GREY)
+            form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}
+            ax.plot(means[:, 0], means[:, 1], markerfacecolor=colour if is_change else "white", label=name, **form)
+        ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
+        ax.set_ylabel("mean $n_{stick}$ of the copy")
+        figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
+    return figure

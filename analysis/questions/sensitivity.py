@@ -1,0 +1,259 @@
+"""How fast changed copies leave their base: growth rates of small displacements, and when runs have parted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
+from stickslip.analysis.stats import parting
+from stickslip.analysis.stats.estimates import over_matrices, ratio
+from stickslip.analysis.stats.growth import growth
+from stickslip.analysis.style import CYCLE, GREY, PANEL, STYLE
+
+GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
+PARTS, STAYS_NEAR = "parts", "stays near"
+T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
+CEILING = 3e-2  # of distances that grow still in proportion
+FLOOR, TOLERANCES = 1e-13, 10.0  # under the exact law; of a smoothed one so many times its relative tolerance
+EARLY = 20.0  # what a copy has left its base by, so soon
+_GROWTH: Mapping[str, str] = {
+    "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
+    "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
+    "n_ceiling": I, "is_selected": "boolean", "verdict": S,
+}  # fmt: skip
+_RATES: Mapping[str, str] = {"setting": S, "size": F, "matrix": I, "rate": F}
+_PARTING: Mapping[str, str] = {
+    "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "level": F, "n_pairs": I,
+    "n_parted": I, "median": F, "median_low": F, "median_high": F, "early": F, "early_low": F, "early_high": F,
+    "verdict": S,
+}  # fmt: skip
+_CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
+
+
+def answer(study: Study) -> Answer | None:
+    """Growth rates of displaced starts, and when each change has parted the runs."""
+    found = [one for one in settings(study.data.members) if one.comparisons]
+    if not found:
+        return None
+    growths, rates, partings, curves = [], [], [], []
+    for setting in found:
+        for comparison in setting.comparisons:
+            if comparison.change.kind == START:
+                row, of_matrix = _growth_row(study, setting, comparison)
+                growths.append(row)
+                rates += of_matrix
+        apart = level(study, setting)
+        if apart is None:
+            continue
+        for comparison in setting.comparisons:
+            watched = watch(study, comparison, apart, float(setting.key["t_end"]))
+            if watched:
+                partings.append(_parting_row(study, setting, comparison, watched, apart))
+                curves += _curve_rows(setting, comparison, watched, apart)
+    growths.sort(key=lambda row: -row["n"])
+    tables = {
+        "growth": frame(_GROWTH, growths),
+        "growth_rates": frame(_RATES, rates),
+        "parting": frame(_PARTING, partings),
+        "parting_curves": frame(_CURVES, curves),
+    }
+    told = [row for row in growths if row["verdict"] != UNKNOWN]
+    largest = max((row["n"] for row in (*told, *partings)), default=None)
+    facts: dict[str, Any] = {
+        "span": parting.SPAN,
+        "share": parting.SHARE,
+        "early": EARLY,
+        "t_burn": study.settings.t_burn,
+        "ceiling": CEILING,
+        "floor": FLOOR,
+        "tolerances": TOLERANCES,
+    }
+    if largest is None:
+        return Answer(facts, "no pairs", tables)
+    lead = next((row for row in told if row["n"] == largest), None)
+    label = next(row["setting"] for row in (*([lead] if lead else []), *partings) if row["n"] == largest)
+    facts |= {
+        "lead": lead,
+        "setting": label,
+        "parting": [row for row in partings if row["setting"] == label],
+        "away": _away(study, found),
+        "rates": [row for row in growths if row["rate"] is not None],
+    }
+    some = [row for row in curves if row["setting"] == label]
+    lines = _distance_lines(study, found)
+    figures = {"parting": partial(parting_curves, _by_change(some))} if some else {}
+    if lines:
+        figures["growth"] = partial(distances, lines)
+    return Answer(facts, tables=tables, figures=figures)
+
+
+def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> tuple[Row, list[Row]]:
+    """Growth rate of starts displaced by one size, with its verdict; and by matrix."""
+    size, rtol = comparison.change.size, setting.key["rtol"]
+    identity = {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "size": size}
+    row: Row = dict.fromkeys(_GROWTH) | identity | {"verdict": UNKNOWN, "n_pairs": len(comparison.pairs), "n_used": 0}
+    pairs = [pair for pair in comparison.pairs if len(study.data.separations.get(pair.changed, ((),))[0])]
+    if not pairs:
+        return row, []
+    known = [study.data.separations[pair.changed] for pair in pairs]
+    times = max((t for t, _ in known), key=len)
+    floor = FLOOR if rtol is None else TOLERANCES * rtol
+    found = growth(
+        times, [distance for _, distance in known], [pair.matrix for pair in pairs],
+        T_FROM, LEAST, (floor, CEILING), study.settings.confidence,
+    )  # fmt: skip
+    rate = found.rate
+    row |= {
+        "rate": rate.value, "rate_low": rate.low, "rate_high": rate.high, "t_from": found.t_from, "t_to": found.t_to,
+        "n_used": found.n_pairs - found.n_floor - found.n_ceiling, "n_floor": found.n_floor,
+        "n_ceiling": found.n_ceiling, "is_selected": found.is_selected,
+    }  # fmt: skip
+    if rate.low is not None and rate.high is not None and rate.value and not rate.low <= 0 <= rate.high:
+        ends = sorted((abs(1 / rate.low), abs(1 / rate.high)))
+        row |= {"e_fold": abs(1 / rate.value), "e_fold_low": ends[0], "e_fold_high": ends[1]}
+        if not found.is_selected:
+            row["verdict"] = GROWS if rate.value > 0 else SHRINKS
+    rates = zip(found.matrices.tolist(), found.rates.tolist(), strict=True)
+    return row, [{"setting": setting.label, "size": size, "matrix": matrix, "rate": one} for matrix, one in rates]
+
+
+def _parting_row(
+    study: Study, setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float
+) -> Row:
+    """When half of the matrices' copies have parted, and how far all have come by `EARLY`, in units of the level."""
+    confidence, change = study.settings.confidence, comparison.change
+    by_matrix: dict[int, list[Watched]] = {}
+    for one in watched:
+        by_matrix.setdefault(one.pair.matrix, []).append(one)
+    one_each = [some[0] for some in by_matrix.values()]  # of several draws one: matrices are the independent units
+    times = [one.t_stop if one.t is None else one.t for one in one_each]
+    median = parting.median_time(times, [one.t is not None for one in one_each], confidence)
+    t_end = float(setting.key["t_end"])
+    row: Row = {
+        "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
+        "of": change, "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
+        "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), "median": median.value,
+        "median_low": median.low, "median_high": median.high, "early": None, "early_low": None, "early_high": None,
+        "verdict": UNKNOWN,
+    }  # fmt: skip
+    if median.high is not None:
+        row["verdict"] = PARTS
+    elif median.low is None and all(one.t_stop >= t_end for one in watched):
+        is_told = 2 * 0.5 ** len(one_each) < 1 - confidence  # as the interval of a median without any parting
+        row["verdict"] = STAYS_NEAR if is_told else UNKNOWN
+    at = round((EARLY - parting.SPAN) / parting.STEP)
+    soon = np.array([np.mean([one.gaps[at] for one in some if len(one.gaps) > at]) for some in by_matrix.values()])
+    if np.isfinite(soon).all():
+        found = over_matrices(ratio, np.column_stack([soon / apart, np.ones(len(soon))]), confidence)
+        row |= {"early": found.value, "early_low": found.low, "early_high": found.high}
+    return row
+
+
+def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float) -> list[Row]:
+    """Mean gap over the pairs, in units of the level, at times that are evenly spread on a logarithmic axis."""
+    longest = max((one.gaps for one in watched), key=len)
+    if not len(longest):
+        return []
+    picks = np.unique(np.geomspace(1, len(longest), 150).astype(int)) - 1
+    times = parting.gap_times(longest)
+    rows = []
+    for k in picks:
+        still = [one.gaps[k] for one in watched if len(one.gaps) > k]
+        if 2 * len(still) < len(watched):
+            break
+        rows.append(
+            {
+                "setting": setting.label,
+                "change": str(comparison.change),
+                "t": float(times[k]),
+                "n_pairs": len(still),
+                "gap": float(np.mean(still)) / apart,
+            }
+        )
+    return rows
+
+
+def _away(study: Study, found: Sequence[Setting]) -> list[Row]:
+    """How many runs of each setting ran away before the end."""
+    rows = []
+    for setting in found:
+        members = [*setting.bases.values(), *(pair.changed for one in setting.comparisons for pair in one.pairs)]
+        away = sum(study.ends[member][0] == "diverged" for member in members)
+        if away:
+            rows.append({"setting": setting.label, "n_runs": len(members), "n_away": away})
+    return rows
+
+
+Line = tuple[str, np.ndarray, np.ndarray]
+
+
+def _by_change(rows: Sequence[Row]) -> list[Line]:
+    names = list(dict.fromkeys(row["change"] for row in rows))
+    return [(name, *np.array([[row["t"], row["gap"]] for row in rows if row["change"] == name]).T) for name in names]
+
+
+def _distance_lines(study: Study, found: Sequence[Setting]) -> list[Line]:
+    """Median distance of the pairs of each setting and size from its start."""
+    lines: list[Line] = []
+    for setting in found:
+        for comparison in setting.comparisons:
+            names = [pair.changed for pair in comparison.pairs]
+            some = [study.data.separations[name] for name in names if name in study.data.separations]
+            if comparison.change.kind != START or not some:
+                continue
+            m = int(np.median([len(distance) for _, distance in some]))
+            times = max((t for t, _ in some), key=len)[:m]
+            middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
+            lines.append((f"{setting.label}: {comparison.change.size:g}", times, middle))
+    return lines
+
+
+def parting_curves(lines: Sequence[Line]) -> Figure:
+    """Gap of n_stick between copy and base, over that of two matrices, against time.
+
+    Parameters
+    ----------
+    lines : sequence of (name, times, gaps)
+    """
+    colours = ("#08306b", "#2171b5", "#6baed6", "#f0a860", "#c4561a", "#8c2d04")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
+        ax = figure.subplots()
+        for k, (name, t, gaps) in enumerate(lines):
+            ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)
+        ax.axhline(1.0, linestyle="--", color=GREY, linewidth=0.9)
+        ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+        ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
+        ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap, over two matrices")
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def distances(lines: Sequence[Line]) -> Figure:
+    """Median distance of displaced runs from their base, on a logarithmic axis, between floor and saturation.
+
+    Parameters
+    ----------
+    lines : sequence of (name, times, distances)
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
+        ax = figure.subplots()
+        for k, (name, t, distance) in enumerate(lines):
+            shown = distance > 0
+            form = ("-", "--", ":")[k // len(CYCLE) % 3]
+            ax.plot(t[shown], distance[shown], form, color=CYCLE[k % len(CYCLE)], label=name)
+        ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
+        ax.axvline(T_FROM, linestyle=":", color=GREY, linewidth=0.9)
+        ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
+        figure.legend(loc="outside lower center", ncols=1, fontsize=7)
+    return figure

@@ -1,0 +1,109 @@
+"""When a changed run is apart from its base, in one meaning.
+
+The gap of two runs is |difference of n_stick|, averaged over the last `SPAN` units of time. A run has parted when the
+gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two different matrices.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from stickslip.analysis.stats.cascades import sample
+from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.estimates import Estimate
+
+SPAN = 20.0
+SHARE = 0.5
+STEP = 1.0  # of the times at which gaps are known
+
+#: Change points of n_stick of a run: t and n_stick, each (m,); the last value holds for ever.
+ChangePoints = tuple[np.ndarray, np.ndarray]
+
+
+def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
+    """Mean over each window [edges[k], edges[k+1]) of |n_stick difference|, exact.
+
+    Parameters
+    ----------
+    first, second : ChangePoints
+        Known from edges[0] on.
+    edges : ndarray, shape (k + 1,)
+        Ascending.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+    """
+    t = np.unique(np.concatenate([edges, first[0], second[0]]))
+    t = t[(t >= edges[0]) & (t <= edges[-1])]
+    gap = np.abs(sample(*first, t[:-1]).astype(np.int64) - sample(*second, t[:-1]))
+    area = np.concatenate(([0.0], np.cumsum(gap * np.diff(t))))
+    return np.diff(area[np.searchsorted(t, edges)]) / np.diff(edges)
+
+
+def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
+    """The gap at `SPAN`, `SPAN` + `STEP` ... up to t_stop, see `gap_times`; empty if t_stop is less than `SPAN`."""
+    edges = STEP * np.arange(int(t_stop / STEP) + 1)
+    width = round(SPAN / STEP)
+    if len(edges) <= width:
+        return np.zeros(0)
+    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, edges))))
+    return (sums[width:] - sums[:-width]) / width
+
+
+def gap_times(gaps: np.ndarray) -> np.ndarray:
+    """Times at which the values of `gap` are known, shape (len(gaps),)."""
+    return SPAN + STEP * np.arange(len(gaps))
+
+
+def parted_at(gaps: np.ndarray, level: float) -> float | None:
+    """When a run has parted; None if it has not by the end of its gaps."""
+    over = np.flatnonzero(gaps >= SHARE * level)
+    return float(gap_times(gaps)[over[0]]) if len(over) else None
+
+
+def level(bases: Sequence[ChangePoints], t_from: float, t_stop: float) -> float:
+    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices.
+
+    Raises
+    ------
+    ValueError
+        With fewer than two runs.
+    """
+    g = len(bases)
+    if g < 2:
+        raise ValueError(f"bases: expected two runs or more, got {g}")
+    # of sorted values x_(i): sum over pairs of differences = sum_i (2 i - g + 1) x_(i)
+    times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
+    values = np.sort([sample(*base, times) for base in bases], axis=0)
+    weights = 2 * np.arange(g) - g + 1
+    return float((weights @ values).mean() / (g * (g - 1) / 2))
+
+
+def median_time(times: Sequence[float], has_parted: Sequence[bool], confidence: float) -> Estimate:
+    """Time by which half have parted; what was watched to a time without parting is censored there.
+
+    Kaplan and Meier's survival; the interval holds the times at which Greenwood's interval on the log-log scale
+    contains one half (Brookmeyer and Crowley 1982, Biometrics 38, 29). An end that the data do not reach is None.
+    """
+    at, parted = np.asarray(times, dtype=np.float64), np.asarray(has_parted, dtype=bool)
+    if not parted.any():
+        return Estimate(reason="none has parted")
+    curve = stats.ecdf(stats.CensoredData(uncensored=at[parted], right=at[~parted])).sf
+    t = np.unique(at[parted])
+    with warnings.catch_warnings():  # it has no width where all have parted: Wilson's stands in
+        warnings.simplefilter("ignore", RuntimeWarning)
+        bounds = curve.confidence_interval(confidence, method="log-log")
+    left = curve.evaluate(t)
+    high = np.where(left > 0, bounds.high.evaluate(t), wilson(0, len(at), confidence)[1])
+
+    def first(below: np.ndarray) -> float | None:
+        return float(t[np.argmax(below)]) if below.any() else None
+
+    value = first(left <= 0.5)
+    reason = "fewer than half have parted" if value is None else ""
+    return Estimate(value, first(bounds.low.evaluate(t) <= 0.5), first(high < 0.5), reason)
