@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife
@@ -181,15 +181,16 @@ def matrices_needed(spread: float, margin: float, alpha: float) -> int | None:
     if spread == 0:
         return 2
 
-    def shortfall(n_matrices: float) -> float:
-        return POWER - power(max(int(n_matrices), 2), spread, margin, alpha)
-
-    if shortfall(2) <= 0:
-        return 2
-    if shortfall(MOST_MATRICES) > 0:
+    few, many = 2, MOST_MATRICES
+    if power(many, spread, margin, alpha) < POWER:
         return None
-    found = int(optimize.bisect(shortfall, 2, MOST_MATRICES, xtol=0.4))  # a step function: off by one at most
-    return next(n for n in range(max(found - 1, 2), found + 3) if shortfall(n) <= 0)
+    while few < many:
+        middle = (few + many) // 2
+        if power(middle, spread, margin, alpha) < POWER:
+            few = middle + 1
+        else:
+            many = middle
+    return few
 
 
 def wilson(successes: float, trials: float, confidence: float) -> tuple[float, float]:

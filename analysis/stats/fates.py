@@ -12,13 +12,12 @@ d_k(s) the runs that meet fate k at s, r(s) those still in motion and watched, S
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import wilson
 
 COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"
@@ -73,23 +72,18 @@ def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve
     ended = np.isin(how, ENDS)
     n_runs, n_ends = len(at), int(ended.sum())
     t = np.concatenate(([0.0], np.unique(at[ended])))
-    if n_ends:
-        estimate = stats.ecdf(stats.CensoredData(uncensored=at[ended], right=at[~ended])).sf
-        alive = estimate.evaluate(t)
-        with warnings.catch_warnings():  # it has no width where none or all have ended: Wilson's stands in below
-            warnings.simplefilter("ignore", RuntimeWarning)
-            bounds = estimate.confidence_interval(confidence, method="log-log")
-        low, high = bounds.low.evaluate(t), bounds.high.evaluate(t)
-    else:
-        alive, low, high = np.ones(1), np.full(1, np.nan), np.full(1, np.nan)
-    at_risk = np.array([(at >= s).sum() for s in t])
-    for k in np.flatnonzero(~(np.isfinite(low) & np.isfinite(high)) | (alive == 1) | (alive == 0)):
+    n_at_risk = np.array([(at >= s).sum() for s in t], dtype=np.float64)
+    n_ended = {end: np.array([((at == s) & (how == end)).sum() for s in t], dtype=np.float64) for end in ENDS}
+    n_stay = n_at_risk - sum(n_ended.values())
+    alive = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):  # no width where none or all have ended: Wilson's stands in
+        variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
+        half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(alive)
+        low, high = alive ** np.exp(-half), alive ** np.exp(half)
+    for k in np.flatnonzero((alive == 1) | (alive == 0)):
         low[k], high[k] = wilson(alive[k] * n_runs, n_runs, confidence)
     before = np.concatenate(([1.0], alive[:-1]))
-    incidence = {
-        end: np.cumsum(before * np.array([((at == s) & (how == end)).sum() for s in t]) / np.maximum(at_risk, 1))
-        for end in ENDS
-    }
+    incidence = {end: np.cumsum(before * n / np.maximum(n_at_risk, 1)) for end, n in n_ended.items()}
     return Curve(t, alive, low, high, incidence, n_runs, n_ends)
 
 

@@ -22,7 +22,7 @@ Which null answers which question:
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import Statistic
@@ -42,6 +42,13 @@ def _share(n: int, mean: float) -> float:
     return mean / n
 
 
+def _others(n: int, p: float) -> np.ndarray:
+    """Chance that k = 0..n - 1 of the other n - 1 blocks stick: binomial."""
+    k, m = np.arange(n), n - 1
+    ways = special.gammaln(m + 1) - special.gammaln(k + 1) - special.gammaln(m - k + 1)
+    return np.exp(ways + special.xlogy(k, p) + special.xlog1py(m - k, -p))
+
+
 def gamma(n: int, mean: float) -> float:
     """gamma by `events` of a pool of n blocks of which `mean` stick on average.
 
@@ -51,7 +58,7 @@ def gamma(n: int, mean: float) -> float:
         If n < 2, or the mean is not in (0, n).
     """
     p = _share(n, mean)
-    return float(-np.log1p(-stats.binom.pmf(np.arange(n), n - 1, p) @ _entry_next(n, p)))
+    return float(-np.log1p(-_others(n, p) @ _entry_next(n, p)))
 
 
 def law(n: int, mean: float, k_max: int) -> np.ndarray:
@@ -70,7 +77,7 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
     # The chain is reversible: as many stick after an entry as before an exit, J + 1. An exit next begins a cascade.
     stuck = np.arange(1, n + 1)
     exit_next = (1 - p) * stuck / (p * (n - stuck) + (1 - p) * stuck)
-    after = stats.binom.pmf(np.arange(n), n - 1, p) * exit_next
+    after = _others(n, p) * exit_next
     after /= after.sum()
     found = np.zeros(k_max)
     for k in range(k_max):
