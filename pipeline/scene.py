@@ -283,7 +283,7 @@ class MarginsTable(StrictTable):
 
 #: What a report can be asked first: the names of `analysis.questions`.
 QuestionName = Literal[
-    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "robustness", "sensitivity"
+    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness"
 ]
 
 

@@ -85,7 +85,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     }  # fmt: skip
     if _is_same(first, second):
         return _report(facts, {})
-    one, other = _study(first, settings, ""), _study(second, settings, f", under the settings of {first.name}")
+    one, other = (_study(each, settings, first.name) for each in (first, second))
     matches, *left = matched(first.name, one.groups, second.name, other.groups)
     found: list[tuple[Match, list[Row]]] = []
     for match in matches:
@@ -144,11 +144,11 @@ def _is_same(first: Ensemble, second: Ensemble) -> bool:
     )
 
 
-def _study(one: Ensemble, settings: AnalysisSettings, under: str) -> Study:
+def _study(one: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
     try:
         return Study(one.data, settings)
     except ValueError as error:
-        raise ValueError(f"{one.name}{under}: {error}") from None
+        raise ValueError(f"{one.name}, under the settings of {whose}: {error}") from None
 
 
 def matched(

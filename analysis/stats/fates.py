@@ -34,8 +34,7 @@ class Curve:
     t : ndarray, shape (m,)
         0 and the times of ends, ascending; every value holds from its time on.
     survival, low, high : ndarray, shape (m,)
-        Kaplan and Meier's estimate with Greenwood's interval on the log-log scale; where no run or every run has
-        ended that interval has no width, and Wilson's stands in its place.
+        Of `kaplan_meier`.
     incidence : dict of str to ndarray, shape (m,)
         By end, one of `ENDS`; with the survival they add up to one.
     n_runs, n_ends : int
@@ -70,21 +69,43 @@ def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve
     if at.ndim != 1 or at.shape != how.shape or not len(at):
         raise ValueError(f"times, ends: expected two non-empty arrays of one length, got {at.shape} and {how.shape}")
     ended = np.isin(how, ENDS)
-    n_runs, n_ends = len(at), int(ended.sum())
-    t = np.concatenate(([0.0], np.unique(at[ended])))
-    n_at_risk = np.array([(at >= s).sum() for s in t], dtype=np.float64)
-    n_ended = {end: np.array([((at == s) & (how == end)).sum() for s in t], dtype=np.float64) for end in ENDS}
-    n_stay = n_at_risk - sum(n_ended.values())
-    alive = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):  # no width where none or all have ended: Wilson's stands in
-        variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
-        half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(alive)
-        low, high = alive ** np.exp(-half), alive ** np.exp(half)
-    for k in np.flatnonzero((alive == 1) | (alive == 0)):
-        low[k], high[k] = wilson(alive[k] * n_runs, n_runs, confidence)
+    t, alive, low, high = kaplan_meier(at, ended, confidence)
+    n_at_risk = np.array([(at >= s).sum() for s in t])
+    n_ended = {end: np.array([((at == s) & (how == end)).sum() for s in t]) for end in ENDS}
     before = np.concatenate(([1.0], alive[:-1]))
     incidence = {end: np.cumsum(before * n / np.maximum(n_at_risk, 1)) for end, n in n_ended.items()}
-    return Curve(t, alive, low, high, incidence, n_runs, n_ends)
+    return Curve(t, alive, low, high, incidence, len(at), int(ended.sum()))
+
+
+def kaplan_meier(
+    times: np.ndarray, ended: np.ndarray, confidence: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Share that has not ended by a time, with Greenwood's interval on the log-log scale.
+
+    Parameters
+    ----------
+    times : ndarray, shape (m,), float64
+    ended : ndarray, shape (m,), bool
+        Whether it ended then, or was only watched until then.
+    confidence : float
+
+    Returns
+    -------
+    t, share, low, high : ndarray
+        From 0 and each time of an end on. Where the share is 0 or 1 that interval has no width, and Wilson's stands
+        in its place.
+    """
+    t = np.concatenate(([0.0], np.unique(times[ended])))
+    n_at_risk = np.array([(times >= s).sum() for s in t], dtype=np.float64)
+    n_stay = n_at_risk - np.array([((times == s) & ended).sum() for s in t])
+    share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):  # where there is no width
+        variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
+        half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
+        low, high = share ** np.exp(-half), share ** np.exp(half)
+    for k in np.flatnonzero((share == 0) | (share == 1)):
+        low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
+    return t, share, low, high
 
 
 def median(curve: Curve) -> float | None:

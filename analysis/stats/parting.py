@@ -6,15 +6,13 @@ gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from stickslip.analysis.stats.cascades import sample
-from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.fates import kaplan_meier
 
 SPAN = 20.0
 SHARE = 0.5
@@ -93,17 +91,11 @@ def median_time(times: Sequence[float], has_parted: Sequence[bool], confidence: 
     at, parted = np.asarray(times, dtype=np.float64), np.asarray(has_parted, dtype=bool)
     if not parted.any():
         return Estimate(reason="none has parted")
-    curve = stats.ecdf(stats.CensoredData(uncensored=at[parted], right=at[~parted])).sf
-    t = np.unique(at[parted])
-    with warnings.catch_warnings():  # it has no width where all have parted: Wilson's stands in
-        warnings.simplefilter("ignore", RuntimeWarning)
-        bounds = curve.confidence_interval(confidence, method="log-log")
-    left = curve.evaluate(t)
-    high = np.where(left > 0, bounds.high.evaluate(t), wilson(0, len(at), confidence)[1])
+    t, left, low, high = (column[1:] for column in kaplan_meier(at, parted, confidence))
 
     def first(below: np.ndarray) -> float | None:
         return float(t[np.argmax(below)]) if below.any() else None
 
     value = first(left <= 0.5)
     reason = "fewer than half have parted" if value is None else ""
-    return Estimate(value, first(bounds.low.evaluate(t) <= 0.5), first(high < 0.5), reason)
+    return Estimate(value, first(low <= 0.5), first(high < 0.5), reason)
