@@ -178,6 +178,16 @@ class Study:
         """
         return _window(self.data.series, member_id, self.settings.t_burn, t_end)
 
+    def judged(self) -> list[Group]:
+        """Groups whose runs allow a statistic of a steady state, those of the largest n first."""
+        found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
+        return sorted(found, key=lambda one: -int(one.key["n"]))
+
+    def refusal(self) -> tuple[str, dict[str, Any]]:
+        """Why no group is judged, a code of `stats.enough`, and the facts that `basis.html` says of it."""
+        best = max((one.basis(self.settings.confidence) for one in self.groups), key=lambda one: one.n_cascades)
+        return best.code, {"best": best, "t_burn": self.settings.t_burn}
+
     def windows(self, group: Group, series: Series | None = None) -> Iterator[tuple[int, str, Window]]:
         """Row (matrix), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
 

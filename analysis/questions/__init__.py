@@ -3,4 +3,6 @@
 The order is that of the page.
 """
 
-QUESTIONS = ("cascades", "fates", "engines", "sensitivity", "robustness")
+QUESTIONS = (
+    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness",
+)  # fmt: skip

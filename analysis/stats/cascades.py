@@ -14,21 +14,18 @@ decreases    samples every dt, steps without change erased  number of falling st
 ===========  =============================================  ==================================
 
 On samples, `drop` and `length` end at a plateau (a step without change); `descent` and `decreases` are the same two
-with plateaus allowed inside a fall. `events` has none: a change point without change is no step. A last definition
-leaves the entries out: `clusters` joins exits that follow each other by less than tau, and counts the exits.
+with plateaus allowed inside a fall. `events` has none: a change point without change is no step.
 
 What happens at one instant is one change of n_stick: k exits are a step by -k, and an exit and an entry of two blocks
 at one instant cancel, so that no definition sees either. (Exact runs of random systems have no two events at one
 instant: none of 220,000 in 20 runs of n = 200.)
 
-A run that touches the first or the last step of the window, and a cluster less than tau from its ends, is cut, since
-what lies beyond is not seen; it is dropped. The null models lose their cut cascades by the same rule, so the
-comparison with chance is not biased by it.
+A run that touches the first or the last step of the window is cut, since what lies beyond is not seen; it is dropped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,28 +36,24 @@ DEFINITIONS: Mapping[str, str] = {
     "length": "number of steps in a run of consecutive decreasing samples",
     "descent": "total decrease of n_stick between two increasing samples, steps without change ignored",
     "decreases": "number of decreasing steps between two increases, steps without change ignored",
-    "clusters": "exits that follow each other by less than tau, entries ignored; no sampling",
 }
 SAMPLED = ("drop", "length", "descent", "decreases")
 
 
 @dataclass(frozen=True, order=True)
 class Law:
-    """A definition of size together with its sampling step (`SAMPLED` alone) or its gap tau (`clusters` alone)."""
+    """A definition of size together with its sampling step (`SAMPLED` alone)."""
 
     definition: str
     dt: float | None = None
-    tau: float | None = None
 
     def __str__(self) -> str:
-        scales = (("dt", self.dt), ("tau", self.tau))
-        return ", ".join([self.definition, *(f"{name} = {value:g}" for name, value in scales if value is not None)])
+        return self.definition if self.dt is None else f"{self.definition}, dt = {self.dt:g}"
 
 
-def laws(dts: tuple[float, ...], taus: tuple[float, ...] = ()) -> list[Law]:
-    """Every definition, the sampled ones at each step of `dts`, clusters at each gap of `taus`."""
-    sampled = [Law(name, dt) for name in SAMPLED for dt in dts]
-    return [Law("events"), *sampled, *(Law("clusters", tau=tau) for tau in taus)]
+def laws(dts: Iterable[float]) -> list[Law]:
+    """Every definition, the sampled ones at each step of `dts`."""
+    return [Law("events"), *(Law(name, dt) for name in SAMPLED for dt in dts)]
 
 
 @dataclass(frozen=True)
@@ -213,37 +206,19 @@ def sizes(win: Window, law: Law) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the definition is not one of `DEFINITIONS`, or its dt or tau is missing or unwanted.
+        If the definition is not one of `DEFINITIONS`, or its dt is missing or unwanted.
     """
     if law.definition not in DEFINITIONS:
         raise ValueError(f"definition: expected one of {', '.join(DEFINITIONS)}, got {law.definition!r}")
     if (law.dt is None) == (law.definition in SAMPLED):
-        raise ValueError(f"dt: expected a step for a sampled definition and None for any other, got {law!r}")
-    if (law.tau is None) == (law.definition == "clusters"):
-        raise ValueError(f"tau: expected a gap for `clusters` and None for any other, got {law!r}")
-    if law.tau is not None:
-        return cluster_sizes(win.exits(), law.tau, win.t_start, win.t_stop)
-    dts = () if law.dt is None else (law.dt,)
-    return sizes_of_path(win.path(), {dt: win.grid_index(dt) for dt in dts})[law]
-
-
-def cluster_sizes(exits: np.ndarray, tau: float, t_start: float, t_stop: float) -> np.ndarray:
-    """Exits in each complete cluster: a gap of tau or more ends it, and so much of the window must lie around it.
-
-    Parameters
-    ----------
-    exits : ndarray, shape (m,)
-        Times, not decreasing, within [t_start, t_stop].
-    tau : float
-    t_start, t_stop : float
-    """
-    if not len(exits):
-        return np.zeros(0, dtype=np.int64)
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(exits) >= tau) + 1, [len(exits)]))
-    found = np.diff(edges)
-    first = int(exits[0] - t_start < tau)
-    last = len(found) - int(t_stop - exits[-1] < tau)
-    return found[first:last]
+        raise ValueError(f"dt: expected a step for a sampled definition and None for `events`, got {law!r}")
+    path = win.path()
+    if law.dt is not None:
+        path = path[win.grid_index(law.dt)]
+    if law.definition in ("descent", "decreases"):
+        path = path[np.concatenate(([True], np.diff(path) != 0))]
+    start, stop = falls(path)
+    return stop - start if law.definition in ("length", "decreases") else path[start] - path[stop]
 
 
 @dataclass(frozen=True)
@@ -272,25 +247,34 @@ def spans(win: Window) -> Spans:
     return Spans(path[start] - path[stop], win.t[start], win.t[stop - 1])
 
 
-def sizes_of_path(path: np.ndarray, grid_index: Mapping[float, np.ndarray]) -> dict[Law, np.ndarray]:
-    """Sizes by `events` and every sampled definition at once; each path is sampled once a dt.
+def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
+    """Total size and number of the complete cascades, the two columns of `estimates.gamma`, from changes of n_stick.
+
+    What `sizes` gives, added up, without a list of the sizes.
 
     Parameters
     ----------
-    path : ndarray of int, shape (m + 1,)
-        n_stick before the first change and after each (`Window.path`).
-    grid_index : mapping of dt to ndarray of int
-        Which entry of `path` each sample sees (`Window.grid_index`).
+    steps : ndarray of int, shape (m,)
+        Change of n_stick in each step of dt; without dt each change, and the one law is `events`.
+    dt : float, optional
     """
-    start, stop = falls(path)
-    found = {Law("events"): path[start] - path[stop]}
-    for dt, index in grid_index.items():
-        samples = path[index]
-        start, stop = falls(samples)
-        found[Law("drop", dt)] = samples[start] - samples[stop]
-        found[Law("length", dt)] = stop - start
-        moved = samples[np.concatenate(([True], np.diff(samples) != 0))]
-        start, stop = falls(moved)
-        found[Law("descent", dt)] = moved[start] - moved[stop]
-        found[Law("decreases", dt)] = stop - start
-    return found
+    moved = steps[steps != 0]
+    if dt is None:
+        return {Law("events"): _sums(moved)[[0, 2]]}
+    fall, pausing = _sums(steps), _sums(moved)
+    return {
+        Law("drop", dt): fall[[0, 2]], Law("length", dt): fall[[1, 2]],
+        Law("descent", dt): pausing[[0, 2]], Law("decreases", dt): pausing[[1, 2]],
+    }  # fmt: skip
+
+
+def _sums(steps: np.ndarray) -> np.ndarray:
+    """Of the complete falls: their depths and their numbers of steps, added up, and how many there are."""
+    falling = steps < 0
+    bounds = np.flatnonzero(~falling)
+    if not len(bounds):
+        return np.zeros(3)
+    inside = slice(bounds[0], bounds[-1] + 1)
+    falling, steps = falling[inside], steps[inside]
+    ends = np.count_nonzero(falling[:-1] & ~falling[1:])
+    return np.array([-np.minimum(steps, 0).sum(), np.count_nonzero(falling), ends], dtype=np.float64)

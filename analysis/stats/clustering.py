@@ -1,9 +1,13 @@
-"""Do exits cluster beyond chance? Pairs of exits close in time, Fano factors, spans of cascades, a positive control.
+"""Do exits cluster, and do the blocks swing together? Each quantity beside what blocks that ignore each other give.
 
-Pairs and Fano factors need no simulation of the null: turning each block's series by a random amount of its own
-(`stats.nulls.rotated`) makes the exits of two blocks independent and uniform in the window, and leaves the
-gaps within a block as they are, so both have expectations in closed form. Where only n_stick is known, each exit
-stands as a block of its own (`steps_of_series`), and the same formulas give two Poisson processes.
+n_stick is the sum of the blocks' series x_i (1 where block i sticks), so its power, its variance, the variance of the
+number of exits in a window and the number of pairs of exits close in time are sums over pairs of blocks. The null is
+`nulls.rotated`, each block's series turned by a random amount of its own. Terms of two different blocks then have
+expectations that depend on the blocks' numbers alone, terms of one block stay, and no draws are needed:
+
+    power      sum_i |X_i(f)|^2          variance   sum_i var x_i          Fano, pairs   `OwnGaps`.
+
+Pairs see what happens within a mean gap between exits, power what happens in hundreds of them.
 """
 
 from __future__ import annotations
@@ -12,112 +16,85 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft, signal
 
-from stickslip.analysis.stats.cascades import Spans, Window, spans
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import BlockSteps, rotated, triggered
+from stickslip.analysis.stats.nulls import BlockSteps
 
-
-def steps_of_series(win: Window) -> BlockSteps:
-    """The changes of n_stick as steps of blocks that are not known: each of its own block."""
-    unit = win.unit_steps()
-    return BlockSteps(win.t_start, win.t_stop, unit.t, np.arange(len(unit.t)), unit.step)
-
-
-# ------------------------------------------------------------------------------------------ pairs of exits
-
-
-def pairs(t: np.ndarray, taus: Sequence[float]) -> np.ndarray:
-    """Number of pairs with 0 <= t_j - t_i < tau, i before j, for each tau.
-
-    Parameters
-    ----------
-    t : ndarray, shape (m,)
-        Times, not decreasing.
-    taus : sequence of float
-    """
-    later = np.arange(1, len(t) + 1)
-    return np.array([np.sum(np.searchsorted(t, t + tau, side="left") - later) for tau in taus], dtype=np.float64)
-
-
-def chance_within(taus: Sequence[float], span: float) -> np.ndarray:
-    """P(|U - V| < tau) of two independent uniform times in a window of length `span`: 2x - x^2, x = tau / span."""
-    x = np.minimum(np.asarray(taus, dtype=np.float64) / span, 1.0)
-    return x * (2.0 - x)
-
-
-def pairs_in_random_order(win: Window, taus: Sequence[float]) -> np.ndarray:
-    """Expected pairs of exits if exits and entries fell at random on the observed times of change.
-
-    Each pair of changes is a pair of exits with probability m (m - 1) / (N (N - 1)), m exits among N changes.
-    """
-    unit = win.unit_steps()
-    n, m = len(unit.t), int(np.sum(unit.step < 0))
-    return pairs(unit.t, taus) * (m * (m - 1) / (n * (n - 1)) if n > 1 else 0.0)
+POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
+SAMPLES = 4096  # of a window: periods from a thousandth of it on are free of aliases
+SEGMENTS = 2  # Welch's segments are so much shorter than the window, tapered by Hann and overlapping by half
+CHUNK = 256  # blocks whose samples are in memory at once
 
 
 @dataclass(frozen=True)
-class OwnGaps:
-    """What the exits of single blocks keep under rotation: numbers a block, and gaps within blocks.
+class Part:
+    """One thing that is measured.
 
     Attributes
     ----------
-    counts : ndarray, shape (b,)
-        Exits of each block.
-    gaps : ndarray
-        t_j - t_i of every pair of exits of one block.
-    span : float
+    kind : str
+        `POWER`, mean over a band of periods; `VARIANCE` in time; `FANO`, variance over mean of the numbers of exits
+        in windows; `PAIRS`, number of pairs of exits.
+    upto : float, optional
+        Longest period; length of the windows; gap within which a pair counts.
+    above : float, optional
+        Shortest period.
     """
 
-    counts: np.ndarray
-    gaps: np.ndarray
-    span: float
-
-    def pairs(self, taus: Sequence[float]) -> np.ndarray:
-        """Expected pairs of exits within tau under rotation.
-
-        Two blocks of m_i and m_j exits have m_i m_j (2x - x^2) pairs, x = tau / span. A gap d within a block is
-        cut by the seam with probability d / span, and then stands as span - d.
-        """
-        total = float(self.counts.sum())
-        between = 0.5 * (total**2 - np.sum(self.counts.astype(np.float64) ** 2))
-        is_cut = self.gaps / self.span
-        own = [np.sum((1 - is_cut)[self.gaps < tau]) + np.sum(is_cut[self.span - self.gaps < tau]) for tau in taus]
-        return between * chance_within(taus, self.span) + np.array(own)
-
-    def fano(self, n_windows: int) -> float:
-        """Expected Fano factor under rotation, of counts in `n_windows` >= 2 equal windows that tile the span.
-
-        The blocks' counts are uncorrelated, so their variances add; that of a block follows from its gaps d on
-        the circle: E c^2 = m / K + 2 sum (L - d)_+ / span, with K windows of length L.
-        """
-        length = self.span / n_windows
-        on_circle = np.minimum(self.gaps, self.span - self.gaps)
-        second = self.counts.sum() / n_windows + 2.0 * np.sum(np.maximum(length - on_circle, 0.0)) / self.span
-        variance = second - np.sum((self.counts / n_windows) ** 2)
-        return float(n_windows / (n_windows - 1) * variance / (self.counts.sum() / n_windows))
+    kind: str
+    upto: float | None = None
+    above: float | None = None
 
 
-def own_gaps(t: np.ndarray, block: np.ndarray, span: float) -> OwnGaps:
-    """Gaps between exits of the same block; `t` in order of time."""
-    order = np.argsort(block, kind="stable")
-    times, blocks = t[order], block[order]
-    counts = np.unique(blocks, return_counts=True)[1]
-    gaps = [np.zeros(0)]
-    for lag in range(1, int(counts.max(initial=0))):
-        is_own = blocks[lag:] == blocks[:-lag]
-        gaps.append((times[lag:] - times[:-lag])[is_own])
-    return OwnGaps(counts, np.concatenate(gaps), span)
+def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
+    """Each part of one run: what is observed, and what rotation gives; shape (p, 2).
+
+    Parameters
+    ----------
+    steps : BlockSteps
+    parts : sequence of Part
+        Periods within `periods(span)`.
+
+    Raises
+    ------
+    ValueError
+        If a period is longer than a segment or too short for the samples, or a gap or a window longer than half of
+        the run's.
+    Undefined
+        If fewer than two exits are seen.
+    """
+    t, block = steps.exits()
+    if len(t) < 2:
+        raise Undefined("fewer than two exits")
+    reach = max((part.upto or 0.0 for part in parts if part.kind in (FANO, PAIRS)), default=0.0)
+    if 2 * reach > steps.span:
+        raise ValueError(f"parts: expected gaps and windows of at most {steps.span / 2:g}, got {reach:g}")
+    own = own_gaps(t, block, steps.span, min(1.5 * reach, steps.span / 2))  # windows are made to tile the span
+    share = _share_stuck(steps)
+    spectra = _spectra(steps, share) if any(part.kind == POWER for part in parts) else None
+    found = []
+    for part in parts:
+        if part.kind == POWER:
+            assert spectra is not None
+            found.append(_band(*spectra, *_checked(part, steps.span)))
+        elif part.kind == VARIANCE:
+            found.append(np.array([steps.window().time_variance(), np.sum(share * (1 - share))]))
+        elif part.kind == FANO:
+            k = n_windows(part.upto or steps.span, steps.span)
+            found.append(np.array([fano(t, steps.t_start, steps.t_stop, k), own.fano(k)]))
+        else:
+            tau = part.upto or 0.0
+            found.append(np.array([pairs(t, tau), own.pairs(tau)]))
+    return np.array(found)
 
 
-def excess(sums: np.ndarray) -> np.ndarray:
-    """Pairs observed over pairs by chance, minus one: the cumulative pair correlation g(tau) - 1."""
-    if (sums[:, 1] <= 0).any():
-        raise Undefined("chance gives no pair of exits so close")
-    return sums[:, 0] / sums[:, 1] - 1.0
+# ------------------------------------------------------------------------------------------ pairs and counts
 
 
-# ---------------------------------------------------------------------------------------------- Fano factor
+def pairs(t: np.ndarray, tau: float) -> float:
+    """Number of pairs with 0 <= t_j - t_i < tau, i before j, of times that do not decrease."""
+    return float(np.sum(np.searchsorted(t, t + tau, side="left") - np.arange(1, len(t) + 1)))
 
 
 def n_windows(length: float, span: float) -> int:
@@ -132,139 +109,127 @@ def fano(t: np.ndarray, t_start: float, t_stop: float, n_windows: int) -> float:
     return float(counts.var(ddof=1) / counts.mean())
 
 
-# --------------------------------------------------------------------------------------- spans of cascades
-
-
-def moments(values: np.ndarray) -> np.ndarray:
-    """Number, sum and sum of squares: the three columns that `variation` reads."""
-    return np.array([len(values), values.sum(), np.square(values).sum()], dtype=np.float64)
-
-
-def variation(sums: np.ndarray) -> np.ndarray:
-    """Coefficient of variation, standard deviation over mean: 1 for an exponential distribution."""
-    if (sums[:, 0] < 2).any() or (sums[:, 1] <= 0).any():
-        raise Undefined("fewer than two of them")
-    return np.sqrt(np.maximum(sums[:, 0] * sums[:, 2] / sums[:, 1] ** 2 - 1.0, 0.0))
-
-
-def variation_difference(sums: np.ndarray) -> np.ndarray:
-    """`variation` of columns 0 to 2 minus that of columns 3 to 5, paired matrix by matrix."""
-    return variation(sums[:, :3]) - variation(sums[:, 3:6])
-
-
-def long_durations(found: Spans) -> np.ndarray:
-    """Durations of the cascades of two exits and more; a cascade of one has none."""
-    return found.duration[found.size > 1]
-
-
-def independent_variation(n_exits: int, n_entries: int) -> tuple[float, float]:
-    """Variation of durations and of waiting times if exits and entries are Poisson processes of rates a and b.
-
-    Changes come at rate a + b, and each is the end of the cascade with probability b / (a + b): the duration of
-    a cascade of two exits and more is exponential of rate b, so its variation is 1. From one start to the next
-    an entry and then an exit are waited for: the sum of two exponentials of rates b and a, variation
-    sqrt(a^2 + b^2) / (a + b), which is 0.71 at equal rates. Exponential waiting times are not what chance gives.
-    """
-    return 1.0, float(np.hypot(n_exits, n_entries) / (n_exits + n_entries))
-
-
-# ------------------------------------------------------------------------------------------ of one run
-
-
 @dataclass(frozen=True)
-class Clustering:
-    """What a run says about clustering, in sums that add over the runs of a matrix.
+class OwnGaps:
+    """What the exits of single blocks keep under rotation: numbers a block, and gaps within blocks.
 
     Attributes
     ----------
-    pairs : ndarray, shape (len(taus), 2)
-        Pairs observed and by rotation.
-    fano : ndarray, shape (len(windows), 3)
-        Fano factor observed and by rotation, and 1 for the run.
-    events : ndarray, shape (4,)
-        Total size and number of cascades by `events`, observed and by rotation.
-    durations, waits : ndarray, shape (6,)
-        `moments` observed and by rotation.
+    counts : ndarray, shape (b,)
+        Exits of each block.
+    gaps : ndarray
+        Between exits of one block, those below a reach of at most half the span; the window is closed to a circle.
+    span : float
     """
 
-    pairs: np.ndarray
-    fano: np.ndarray
-    events: np.ndarray
-    durations: np.ndarray
-    waits: np.ndarray
+    counts: np.ndarray
+    gaps: np.ndarray
+    span: float
+
+    def pairs(self, tau: float) -> float:
+        """Expected pairs of exits within tau under rotation, tau <= the reach.
+
+        Two blocks of m_i and m_j exits have m_i m_j (2x - x^2) pairs, x = tau / span. A gap g within a block is
+        cut by the seam with probability g / span, and is then no longer short.
+        """
+        total, x = float(self.counts.sum()), tau / self.span
+        between = 0.5 * (total**2 - np.sum(self.counts.astype(np.float64) ** 2))
+        return float(between * x * (2 - x) + np.sum(1 - self.gaps[self.gaps < tau] / self.span))
+
+    def fano(self, n_windows: int) -> float:
+        """Expected Fano factor under rotation, of counts in `n_windows` equal windows of length L <= the reach.
+
+        The blocks' counts are uncorrelated, so their variances add; that of a block follows from its gaps g:
+        E c^2 = m / K + 2 sum (L - g)_+ / span, with K windows.
+        """
+        length = self.span / n_windows
+        second = self.counts.sum() / n_windows + 2.0 * np.sum(np.maximum(length - self.gaps, 0.0)) / self.span
+        variance = second - np.sum((self.counts / n_windows) ** 2)
+        return float(n_windows / (n_windows - 1) * variance / (self.counts.sum() / n_windows))
 
 
-def measure(
-    steps: BlockSteps, taus: Sequence[float], windows: Sequence[float], null: np.ndarray | None = None
-) -> Clustering | None:
-    """Clustering of the exits of a run, or None with fewer than two exits.
+def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> OwnGaps:
+    """Gaps below `reach` between exits of the same block; `t` in order of time, reach <= span / 2."""
+    order = np.argsort(block, kind="stable")
+    times = t[order]
+    _, first, index, counts = np.unique(block[order], return_index=True, return_inverse=True, return_counts=True)
+    size, start = counts[index], first[index]
+    place = np.arange(len(times)) - start
+    gaps, lag = [np.zeros(0)], 1
+    while lag < counts.max(initial=0):
+        forward = (times[start + (place + lag) % size] - times) % span  # grows with the lag
+        near = (forward < reach) & (lag < size)
+        if not near.any():
+            break
+        gaps.append(forward[near])
+        lag += 1
+    return OwnGaps(counts, np.concatenate(gaps), span)
 
-    Parameters
-    ----------
-    steps : BlockSteps
-    taus, windows : sequence of float
-    null : ndarray, shape (8,), optional
-        `rotated_spans` of the run; zero if left out.
+
+# ------------------------------------------------------------------------------------------ power and variance
+
+
+def periods(span: float) -> tuple[float, float]:
+    """The shortest and the longest period that the power of a window resolves."""
+    return 4 * span / SAMPLES, span / SEGMENTS
+
+
+def _checked(part: Part, span: float) -> tuple[float, float]:
+    shortest, longest = periods(span)
+    if part.above is None or part.upto is None or not shortest <= part.above < part.upto <= longest:
+        raise ValueError(f"parts: expected a band of periods within {shortest:g} and {longest:g}, got {part}")
+    return part.above, part.upto
+
+
+def _share_stuck(steps: BlockSteps) -> np.ndarray:
+    """The share of the window that each block sticks, of those that change."""
+    blocks, index = np.unique(steps.block, return_inverse=True)
+    stuck = np.where(_first_steps(steps, len(blocks), index) < 0, steps.span, 0.0)
+    return (stuck + np.bincount(index, steps.step * (steps.t_stop - steps.t))) / steps.span
+
+
+def _first_steps(steps: BlockSteps, n_blocks: int, index: np.ndarray) -> np.ndarray:
+    """The first step of each block; an exit means that it stuck before."""
+    first = np.zeros(n_blocks, dtype=np.int64)
+    first[index[::-1]] = steps.step[::-1]
+    return first
+
+
+def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, shape (m,), and power of n_stick and of the blocks added up, shape (2, m)."""
+    dt = steps.span / SAMPLES
+    index = np.unique(steps.block, return_inverse=True)[1]
+    first = _first_steps(steps, len(share), index)
+    place = np.minimum(np.ceil((steps.t - steps.t_start) / dt).astype(np.int64), SAMPLES)
+    total, own = np.zeros(SAMPLES), np.zeros(SAMPLES // SEGMENTS // 2 + 1)
+    for begin in range(0, len(share), CHUNK):
+        some = slice(begin, begin + CHUNK)
+        inside = (index >= begin) & (index < begin + CHUNK)
+        shape = len(share[some]), SAMPLES + 1
+        at = (index[inside] - begin) * shape[1] + place[inside]
+        jumps = np.bincount(at, steps.step[inside].astype(np.float64), shape[0] * shape[1]).reshape(shape)
+        jumps[:, 0] += first[some] < 0
+        x = np.cumsum(jumps, axis=1)[:, :SAMPLES] - share[some, None]
+        total += x.sum(axis=0)
+        own += _welch(x, dt).sum(axis=0)
+    return np.fft.rfftfreq(SAMPLES // SEGMENTS, dt), np.array([_welch(total[None], dt)[0], own])
+
+
+def _welch(x: np.ndarray, dt: float) -> np.ndarray:
+    """One-sided power of each row of x, from which the mean of the whole window has been taken.
+
+    Not that of each segment (`scipy.signal.welch` knows no other): the slowest motion would go with it.
     """
-    t, block = steps.exits()
-    if len(t) < 2:
-        return None
-    own = own_gaps(t, block, steps.span)
-    tiles = [n_windows(length, steps.span) for length in windows]
-    found = spans(steps.window())
-    by_chance = np.zeros(8) if null is None else null
-    return Clustering(
-        pairs=np.column_stack([pairs(t, taus), own.pairs(taus)]),
-        fano=np.array([[fano(t, steps.t_start, steps.t_stop, k), own.fano(k), 1.0] for k in tiles]),
-        events=np.array([found.size.sum(), len(found.size), *by_chance[:2]]),
-        durations=np.concatenate([moments(long_durations(found)), by_chance[2:5]]),
-        waits=np.concatenate([moments(found.waiting), by_chance[5:8]]),
-    )
+    m = SAMPLES // SEGMENTS
+    taper = signal.windows.hann(m, sym=False)
+    power = [np.abs(fft.rfft(x[:, k : k + m] * taper)) ** 2 for k in range(0, SAMPLES - m + 1, m // 2)]
+    return np.mean(power, axis=0) * (2 * dt / np.sum(taper**2))
 
 
-def rotated_spans(steps: BlockSteps, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """Cascades by `events` over `draws` rotations: total size, number, moments of durations and of waits, (8,)."""
-    sums = np.zeros(8)
-    for _ in range(draws):
-        found = spans(rotated(steps, rng).window())
-        sums[:2] += [found.size.sum(), len(found.size)]
-        sums[2:5] += moments(long_durations(found))
-        sums[5:] += moments(found.waiting)
-    return sums
-
-
-def control(
-    steps: BlockSteps,
-    shares: Sequence[float],
-    delay: float,
-    taus: Sequence[float],
-    windows: Sequence[float],
-    null: np.ndarray,
-    repeats: int,
-    rng: np.random.Generator,
-) -> list[list[Clustering]]:
-    """The same measurements on surrogates without coupling in which a share of the exits follows others.
-
-    Parameters
-    ----------
-    shares : sequence of float
-    delay : float
-        Mean of the exponential delay after the exit that is followed, in mean gaps between exits.
-    null : ndarray, shape (8,)
-        `rotated_spans` of the run.
-    repeats : int
-
-    Returns
-    -------
-    list of list of Clustering
-        By share, then by repetition; empty lists for a run with fewer than two exits.
-    """
-    n_exits = int(np.sum(steps.step < 0))
-    if n_exits < 2:
-        return [[] for _ in shares]
-    mean_delay = delay * steps.span / n_exits
-    found = []
-    for share in shares:
-        runs = [measure(triggered(steps, share, mean_delay, rng), taus, windows, null) for _ in range(repeats)]
-        found.append([run for run in runs if run is not None])
-    return found
+def _band(frequency: np.ndarray, spectra: np.ndarray, shortest: float, longest: float) -> np.ndarray:
+    """Mean power between two periods, by the trapezoidal rule: a band holds two frequencies or none."""
+    low, high = 1 / longest, 1 / shortest
+    inside = frequency[(frequency > low) & (frequency < high)]
+    nodes = np.concatenate(([low], inside, [high]))
+    at = np.array([np.interp(nodes, frequency, one) for one in spectra])
+    return np.trapezoid(at, nodes, axis=1) / (high - low)

@@ -15,10 +15,14 @@ import numpy as np
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
 
 
-def moments(sizes: np.ndarray) -> np.ndarray:
-    """Number of cascades of a run, sum of their sizes, and sum of squares: shape (3,)."""
-    sizes = np.asarray(sizes, dtype=np.float64)
-    return np.array([len(sizes), sizes.sum(), np.square(sizes).sum()])
+def moments(counts: np.ndarray) -> np.ndarray:
+    """Number of cascades, sum of their sizes, and sum of squares, of histograms: (..., K) to (..., 3).
+
+    counts[..., k] is the number of size k + 1. Counted from a least size on instead of from 1, an exponential is the
+    same exponential: cut off what is below.
+    """
+    sizes = np.arange(1.0, counts.shape[-1] + 1)
+    return np.asarray(counts, dtype=np.float64) @ np.column_stack([sizes**0, sizes, sizes**2])
 
 
 def excess(sums: np.ndarray) -> np.ndarray:
@@ -35,9 +39,9 @@ def excess(sums: np.ndarray) -> np.ndarray:
     """
     count, total, squares = sums.T
     if (count < 2).any():
-        raise Undefined("fewer than two complete cascades")
+        raise Undefined("fewer than two cascades")
     if (total <= count).any():
-        raise Undefined("every cascade has size 1")
+        raise Undefined("one size only")
     mean = total / count
     # (N + 1) / (N - 1) in the place of 1 makes the expectation exactly zero for N independent geometric sizes.
     unbiased = (squares / count - mean**2) * (count + 1) / (count - 1)

@@ -14,6 +14,7 @@ ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
     "enough", "few matrices", "few cascades", "drifts", "drift unknown",
 )  # fmt: skip
 CODES = (ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN)
+JUDGED = (ENOUGH, DRIFT_UNKNOWN)
 LEAST_MATRICES = 4  # below, a jackknife-t interval rests on two degrees of freedom or fewer
 LEAST_CASCADES = 200  # in all: gamma is then known to about a tenth
 MARGIN = 0.5  # drift of the mean from half to half that does no harm, in standard deviations of n_stick in time

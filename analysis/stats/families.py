@@ -213,7 +213,7 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     """
     total = counts.sum()
     if np.count_nonzero(counts) < 2:
-        raise Undefined("no cascade" if total == 0 else f"every cascade has size {sizes[counts.argmax()]:.0f}")
+        raise Undefined("no cascade" if total == 0 else "one size only")
     shares = counts / total
 
     def cost(theta: np.ndarray) -> float:

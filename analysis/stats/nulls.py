@@ -4,178 +4,86 @@
 model              kept                                     broken
 =================  =======================================  =============================================
 fair order         nothing                                  all: exits and entries by the toss of a coin
-random order       times of change, numbers of exits and    which of the changes are exits
-                   entries
-independent        rates of exits and entries               all else: two Poisson processes
+random order       times of change, share of exits          which of the changes are exits
 finite pool        number of blocks, mean n_stick           all else: blocks with constant rates (`stats.pool`)
 rotation           each block's own series of events        the blocks' timing relative to each other
 =================  =======================================  =============================================
 
 Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`). The finite pool has gamma by `events` in
-closed form too, `independent` by every definition (`independent_sums`). Random order and rotation are simulated.
-Rotation is the null of "no coupling": it keeps that a block cannot let go twice without having stuck in between, and
-the block's own rhythm. `stats.pool` says which null answers which question.
+closed form too, random order the expected cascades by every definition. Rotation is simulated. It is the null of "no
+coupling": it keeps that a block cannot let go twice without having stuck in between, and the block's own rhythm.
+`stats.pool` says which null answers which question.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
-from stickslip.analysis.stats.cascades import SAMPLED, Law, Window, cluster_sizes, sizes_of_path
-from stickslip.analysis.stats.estimates import add_histograms, gamma, jackknife
+from stickslip.analysis.stats import cascades
+from stickslip.analysis.stats.cascades import Law, Window
+
+Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` reads
+
+# ------------------------------------------------------------------------------------------- random order
 
 
-@dataclass
-class NullTally:
-    """Cascades of one definition under a null model, added up over its draws and over members.
+def random_order(win: Window, dts: Sequence[float]) -> Sums:
+    """Expected cascades if each change is an exit with the observed share of exits, whatever the others are.
 
-    Attributes
-    ----------
-    totals, counts : ndarray, shape (draws,)
-        Total size and number of cascades of each draw.
-    histogram : ndarray of int
-        histogram[k] is the number of cascades of size k over all draws.
-    """
+    The times stay, so a step of dt with k changes falls by 2X - k, X ~ Binomial(k, p), independently of the other
+    steps; p is the share of exits. With f, u and o the probabilities that a step falls, rises and does neither:
 
-    totals: np.ndarray
-    counts: np.ndarray
-    histogram: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
-
-    def __iadd__(self, other: NullTally) -> NullTally:
-        self.totals = self.totals + other.totals
-        self.counts = self.counts + other.counts
-        self.histogram = add_histograms(self.histogram, other.histogram)
-        return self
-
-    def add(self, draw: int, found: np.ndarray) -> None:
-        """Put in the sizes found in one draw."""
-        self.totals[draw] += found.sum()
-        self.counts[draw] += len(found)
-        self.histogram = add_histograms(self.histogram, np.bincount(found))
-
-    def sums(self) -> np.ndarray:
-        """Totals and counts as the two columns that `gamma` reads, shape (draws, 2)."""
-        return np.column_stack([self.totals, self.counts])
-
-    def rate(self) -> tuple[float, float]:
-        """gamma under the null and its Monte-Carlo error; raises `Undefined` where there is none."""
-        return jackknife(gamma, self.sums())
-
-
-Tallies = dict[Law, NullTally]
-PLENTY = 20  # runs of a group; with more, each needs fewer draws
-
-
-def draws_each(asked: int, n_runs: int, least: int) -> int:
-    """Draws of a null model for each run of a group: `asked`, or as many in all as `PLENTY` runs would have.
-
-    The draws of a run scatter as the run itself does, so d of them add a share of at most about 1 / d to the
-    variance of a difference from chance, whatever the number of runs: 20 widen intervals by 2.5%, 10 by 5%. The
-    intervals contain it, since each matrix is set against its own draws.
-    """
-    return min(asked, max(least, asked * PLENTY // max(n_runs, 1)))
-
-
-def random_order(
-    win: Window, dts: tuple[float, ...], draws: int, rng: np.random.Generator, taus: tuple[float, ...] = ()
-) -> Tallies:
-    """Cascades in random order: the window's own change times, its exits and entries shuffled over them.
-
-    The null hypothesis is that the order is exchangeable. Times of change and the numbers of exits and
-    entries stay as observed; a change by k counts as k changes at one time, so simultaneous exits are not
-    taken as given. The random path may leave 0..n: only falls are counted, their level is not used. With as
-    many exits as entries `events` gives P(k) = 2^-k, gamma = ln 2, up to terms of order one over the number
-    of events.
-
-    On 1000 planted ensembles of 20 exchangeable series (540 changes each), the 95% interval of the paired
-    difference from chance missed zero in 4.7% by `events` and in 4.5 to 5.8% by the sampled definitions.
+    - `length`, `drop`: a step that falls is the last of its run with probability 1 - f of the next step;
+    - `decreases`, `descent`: with the probability x that the next step which moves rises, x_j = u_j + o_j x_j+1;
+    - the sizes of all runs add up to the number of falling steps, or to E[2X - k; 2X > k].
 
     Parameters
     ----------
     win : Window
-    dts : tuple of float
-        Sampling steps of the sampled definitions.
-    draws : int
-        Number of random orders.
-    rng : numpy.random.Generator
-    taus : tuple of float
-        Gaps of `clusters`.
+    dts : sequence of float
     """
     unit = win.unit_steps()
-    grid_index = {dt: unit.grid_index(dt) for dt in dts}
-    tallies: Tallies = {}
-    signs = unit.step.copy()
-    for draw in range(draws):
-        rng.shuffle(signs)
-        _tally(tallies, draws, draw, sizes_of_path(np.concatenate(([0], np.cumsum(signs))), grid_index))
-        _tally_clusters(tallies, draws, draw, unit, unit.t[signs < 0], taus)
-    return tallies
+    n_changes, n_exits = len(unit.t), int(np.count_nonzero(unit.step < 0))
+    p = n_exits / max(n_changes, 1)
+    found: Sums = {Law("events"): np.array([n_exits, n_exits * (1 - p)])}
+    for dt in dts:
+        changes = np.diff(unit.grid_index(dt))
+        falls, rises, depths = _binomial_step(np.arange(changes.max(initial=0) + 1), p)
+        fall = falls[changes]
+        last = np.sum(fall[:-1] * (1 - fall[1:]))
+        found[Law("drop", dt)] = np.array([depths[changes[:-1]].sum(), last])
+        found[Law("length", dt)] = np.array([fall[:-1].sum(), last])
+        changes = changes[changes > 0]
+        fall, rise = falls[changes], rises[changes]
+        last = np.sum(fall[:-1] * _next_rises(rise[1:], 1 - fall[1:] - rise[1:]))
+        found[Law("descent", dt)] = np.array([depths[changes[:-1]].sum(), last])
+        found[Law("decreases", dt)] = np.array([fall[:-1].sum(), last])
+    return found
 
 
-def _tally(tallies: Tallies, draws: int, draw: int, found: Mapping[Law, np.ndarray]) -> None:
-    for law, sizes in found.items():
-        if law not in tallies:
-            tallies[law] = NullTally(np.zeros(draws), np.zeros(draws))
-        tallies[law].add(draw, sizes)
+def _binomial_step(k: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """P(2X > k), P(2X < k) and E[2X - k; 2X > k], X ~ Binomial(k, p)."""
+    half = k // 2
+    fall = np.where(k > 0, special.bdtrc(half, k, p), 0.0)
+    rise = np.where(k > 0, special.bdtr(np.maximum(k - half - 1, 0), np.maximum(k, 1), p), 0.0)
+    # E[X; X > h] = k p P(Binomial(k - 1, p) >= h)
+    enough = np.where(half > 0, special.bdtrc(np.maximum(half - 1, 0), np.maximum(k - 1, 0), p), 1.0)
+    return fall, rise, k * (2 * p * enough - fall)
 
 
-def _tally_clusters(
-    tallies: Tallies, draws: int, draw: int, win: Window, exits: np.ndarray, taus: tuple[float, ...]
-) -> None:
-    found = {Law("clusters", tau=tau): cluster_sizes(exits, tau, win.t_start, win.t_stop) for tau in taus}
-    _tally(tallies, draws, draw, found)
-
-
-# ------------------------------------------------------------------------------- independent, in closed form
-
-
-def independent_sums(law: Law, n_exits: int, n_entries: int, span: float) -> np.ndarray:
-    """Expected total size and number of cascades if exits and entries are two independent Poisson processes.
-
-    With rates a of exits and b of entries, the decrease of n_stick over dt is W = Poisson(a dt) - Poisson(b dt)
-    (Skellam), independent from step to step. With f = P(W > 0) for a fall, u = P(W < 0) for a rise, and
-    E[W; W > 0] = a dt P(W >= 0) - b dt P(W >= 2) (Stein and Chen's identity on both Poisson numbers):
-
-    - `length`: a fall goes on with probability f, so P(k) = (1 - f) f^(k-1), gamma0 = -log f;
-    - `decreases`: the same among steps that move, q = f / (f + u), gamma0 = -log q;
-    - `drop`, `descent`: sums of as many falls, mean size E[W | W > 0] / (1 - f) and E[W | W > 0] / (1 - q):
-      not geometric, and gamma0 = -log(1 - 1/mean) is what the estimator gives;
-    - `events`: q = a / (a + b), gamma0 = -log q, which is ln 2 at equal rates;
-    - `clusters`: the next exit comes within tau with probability q = 1 - exp(-a tau), gamma0 = -log q.
-
-    Parameters
-    ----------
-    law : Law
-    n_exits, n_entries : int
-        Numbers observed in a window of length `span`.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        The columns that `stickslip.analysis.stats.estimates.gamma` reads; zero where no cascade is ever complete.
-    """
-    if n_exits == 0 or n_entries == 0:
-        return np.zeros(2)
-    if law.definition == "events":
-        return np.array([n_exits, n_exits * n_entries / (n_exits + n_entries)])
-    if law.tau is not None:
-        return np.array([n_exits, n_exits * np.exp(-n_exits / span * law.tau)])
-    if law.dt is None or law.definition not in SAMPLED:
-        raise ValueError(f"law: expected `events`, `clusters` or a sampled definition with its dt, got {law!r}")
-    a, b, n_steps = n_exits / span * law.dt, n_entries / span * law.dt, span / law.dt
-    # Skellam's distribution function is the non-central chi-square's (Johnson 1959, Biometrika 46, 352)
-    fall, rise, fall_by_two = (
-        float(special.chndtr(*of)) for of in ((2 * a, 2, 2 * b), (2 * b, 2, 2 * a), (2 * a, 4, 2 * b))
-    )
-    has_plateaus = law.definition in ("descent", "decreases")
-    goes_on = fall / (fall + rise) if has_plateaus else fall
-    is_drop = law.definition in ("drop", "descent")
-    total = a * (1 - rise) - b * fall_by_two if is_drop else fall
-    return n_steps * np.array([total, fall * (1 - goes_on)])
+def _next_rises(rise: np.ndarray, still: np.ndarray) -> np.ndarray:
+    """x_j = rise_j + still_j x_j+1, 0 after the last: that the first step from j on which moves rises."""
+    found, still, reach = rise.copy(), still.copy(), 1
+    while reach < len(found) and still.max() > 1e-15:  # composed over 1, 2, 4, ... steps
+        found[:-reach] += still[:-reach] * found[reach:]
+        still[:-reach] *= still[reach:]
+        still[-reach:] = 0.0
+        reach *= 2
+    return found
 
 
 # --------------------------------------------------------------------------------------- rotation of blocks
@@ -259,20 +167,24 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> BlockSteps:
     n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
     shift = rng.uniform(0, steps.span, n_blocks)
     t = steps.t_start + (steps.t - steps.t_start + shift[steps.block]) % steps.span
-    order = np.argsort(t, kind="stable")
+    order = np.argsort(t)
     return BlockSteps(steps.t_start, steps.t_stop, t[order], steps.block[order], steps.step[order])
 
 
-def rotations(
-    steps: BlockSteps, dts: tuple[float, ...], draws: int, rng: np.random.Generator, taus: tuple[float, ...] = ()
-) -> Tallies:
-    """Cascades if the blocks did not act on each other: `draws` surrogates by `rotated`, by every definition."""
-    tallies: Tallies = {}
-    for draw in range(draws):
-        win = rotated(steps, rng).window()
-        _tally(tallies, draws, draw, sizes_of_path(win.path(), {dt: win.grid_index(dt) for dt in dts}))
-        _tally_clusters(tallies, draws, draw, win, win.exits(), taus)
-    return tallies
+def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> Sums:
+    """Cascades if the blocks did not act on each other: all those of `draws` surrogates by `rotated`."""
+    found: Sums = {law: np.zeros(2) for law in cascades.laws(dts)}
+    for _ in range(draws):
+        turned = rotated(steps, rng)
+        drawn = cascades.sums(turned.step)
+        for dt in dts:
+            n_steps = int(steps.span / dt * (1 + 1e-12))
+            place = ((turned.t - steps.t_start) / dt).astype(np.int64)
+            net = np.bincount(place, turned.step, n_steps)[:n_steps]
+            drawn |= cascades.sums(net, dt)
+        for law, one in drawn.items():
+            found[law] += one
+    return found
 
 
 def triggered(steps: BlockSteps, share: float, delay: float, rng: np.random.Generator) -> BlockSteps:

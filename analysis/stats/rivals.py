@@ -29,15 +29,13 @@ class Rival:
         exponential gains something on any data: about 1 / (2 N) on N independent cascades.
     gain_low, gain_high : float or None
         Interval over matrices; null for a rival that holds the exponential, where it has none that holds at zero.
-    likelihood_ratio : float or None
-        Twice the gain of the whole histogram, for a rival that holds the exponential.
     extra : Estimate
         Of the extra internal parameter (alpha, ln beta or ln r; 0 is the exponential).
     p_value : float or None
     p_adjusted : float or None
         For having asked all the rivals together (Holm).
     verdict : str
-        "better", "worse", "not distinguishable" or "not enough data".
+        "better", "worse", "as good" or "cannot be told".
     reason : str
     """
 
@@ -46,11 +44,10 @@ class Rival:
     gain: float | None = None
     gain_low: float | None = None
     gain_high: float | None = None
-    likelihood_ratio: float | None = None
     extra: Estimate = field(default_factory=Estimate)
     p_value: float | None = None
     p_adjusted: float | None = None
-    verdict: str = "not enough data"
+    verdict: str = "cannot be told"
     reason: str = ""
 
 
@@ -60,8 +57,7 @@ def rivals(
     """Each rival against the exponential.
 
     - One that holds the exponential: a jackknife-t interval over matrices of its extra parameter, each matrix left
-      out by one Newton step from the fit. The likelihood ratio is given for its size; its chi-square distribution
-      would take cascades as independent.
+      out by one Newton step from the fit; the chi-square of a likelihood ratio would take cascades as independent.
     - One that does not: Vuong's statistic (1989, Econometrica 57, 307) with the differences of log-likelihood summed
       by matrix.
 
@@ -88,7 +84,6 @@ def _against(base: Fit, fit: Fit, counts: np.ndarray, confidence: float) -> Riva
     found = Rival(fit.family, fit, float(gain))
     if fit.family.null is None:
         return _vuong(found, base, counts, confidence)
-    found = replace(found, likelihood_ratio=float(2 * n * gain))
     try:
         extra = _extra(fit, fit.family.null, counts, confidence)
     except Undefined as undefined:
@@ -140,6 +135,6 @@ def _judged(found: list[Rival], level: float) -> list[Rival]:
     tested = [k for k, one in enumerate(found) if one.p_value is not None]
     out = list(found)
     for k, p in zip(tested, holm([found[k].p_value or 0.0 for k in tested]), strict=True):
-        verdict = "not distinguishable" if p > level else "better" if (found[k].gain or 0.0) > 0 else "worse"
+        verdict = "as good" if p > level else "better" if (found[k].gain or 0.0) > 0 else "worse"
         out[k] = replace(found[k], p_adjusted=float(p), verdict=verdict)
     return out

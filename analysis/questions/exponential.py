@@ -1,0 +1,167 @@
+"""Is the law of cascade sizes exponential? A test of its variance, the finite pool's, each size, and rival laws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.stats import pool
+from stickslip.analysis.stats.dispersion import dispersion, moments
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+from stickslip.analysis.stats.families import truncate
+from stickslip.analysis.stats.goodness import goodness, line, quotients
+from stickslip.analysis.stats.rivals import Rival, rivals
+from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
+
+THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
+CLOSE = 0.1  # of the variance: a departure up to here is called close to exponential
+MOST_DRAWN = 2  # groups in the figure
+_EXPONENTIAL: Mapping[str, str] = {
+    "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
+    "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "gap": F, "gap_at": I,
+    "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "line": F, "reason": S,
+}  # fmt: skip
+_QUOTIENTS: Mapping[str, str] = {
+    "group": S, "size": I, "n_cascades": I, "share": F, "fit": F, "value": F, "low": F, "high": F, "pool": F,
+}  # fmt: skip
+_RIVALS: Mapping[str, str] = {
+    "group": S, "rival": S, "parameters": S, "gain": F, "gain_low": F, "gain_high": F, "p_value": F, "p_adjusted": F,
+    "verdict": S, "reason": S,
+}  # fmt: skip
+
+
+def answer(study: Study) -> Answer:
+    """How far the variance of sizes lies from an exponential's, and how well other laws do."""
+    judged = study.judged()
+    if not judged:
+        code, facts = study.refusal()
+        return Answer(facts, lack=code)
+    smallest, level = study.settings.smallest, study.settings.confidence
+    found = []
+    for group in judged:
+        sizes, counts = _cut(group, smallest)
+        row = _row(study, group, sizes, counts)
+        if row["variance_low"] is not None:
+            found.append((group, row, sizes, counts))
+    if not found:
+        return Answer({"smallest": smallest}, lack="one size")
+    group, lead, sizes, counts = found[0]
+    alike = [one for one in found if one[0].key["n"] == group.key["n"]]
+    each = {one.label: _quotients(one, k, some, level) for one, _, k, some in alike}
+    others = [_rival_row(group.label, one) for one in rivals(sizes, counts, level)]
+    rows = [row for _, row, _, _ in found]
+    tables = {
+        "exponential": frame(_EXPONENTIAL, rows),
+        "over_fit": frame(_QUOTIENTS, [row for some in each.values() for row in some]),
+        "rivals": frame(_RIVALS, others),
+    }
+    drawn = dict(list(each.items())[:MOST_DRAWN])
+    off, *ends = (lead[key] - 1 for key in ("variance", "variance_low", "variance_high"))
+    known = [row for row in others if row["gain"] is not None]
+    facts = {
+        "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_close": abs(off) <= CLOSE, "rows": rows,
+        "over_pool": Estimate(lead["over_pool"], lead["over_pool_low"], lead["over_pool_high"]),
+        "n": group.key["n"], "rivals": others, "best": max(known, key=lambda row: row["gain"], default=None),
+    }  # fmt: skip
+    return Answer(facts, tables=tables, figures={"over_fit": partial(over_fit, drawn)})
+
+
+def _cut(group: Group, smallest: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes from the least on, and how many of each a matrix has."""
+    counts = group.counts[group.counts.sum(axis=1) > 0]
+    return truncate(np.pad(counts, ((0, 0), (1, 0))), smallest, max(int(group.key["n"]), smallest + 1))
+
+
+def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
+    level = study.settings.confidence
+    excess = dispersion(moments(counts), level)
+    fit = goodness(sizes, counts, level, study.generator(group.label))
+    pooled = counts.sum(axis=0)
+    row: Row = {
+        "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
+        "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
+        "pool": None, "over_pool": None, "over_pool_low": None, "over_pool_high": None,
+        "gap": fit.gap, "gap_at": fit.at, "gap_bound": fit.bound, "p_value": fit.p_value, "p_least": fit.p_least,
+        "p_most": fit.p_most, "fit": fit.verdict(1 - level), "reason": excess.reason or fit.reason or None,
+        "line": line(sizes, pooled) if np.count_nonzero(pooled) > 1 else None,
+    }  # fmt: skip
+    if excess.value is None or excess.low is None or excess.high is None:
+        return row
+    row |= {"variance": 1 + excess.value, "variance_low": 1 + excess.low, "variance_high": 1 + excess.high}
+    row["verdict"] = THINNER if excess.high < 0 else THICKER if excess.low > 0 else AS_EXPONENTIAL
+    n, mean = int(group.key["n"]), group.mean(level).value
+    if sizes[0] == 1 and mean is not None and 0 < mean < n:
+        means = group.by_matrix()[group.counts.sum(axis=1) > 0]
+        over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), level)
+        row |= {
+            "pool": 1 + pool.excess(n, mean), "over_pool": over.value, "over_pool_low": over.low,
+            "over_pool_high": over.high,
+        }  # fmt: skip
+    return row
+
+
+def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:
+    """Each size's share over that of the fitted exponential, and what the pool's law is over it."""
+    try:
+        found = quotients(sizes, counts, confidence)
+    except Undefined:
+        return []
+    n, mean = int(group.key["n"]), group.mean(confidence).value
+    known = sizes[0] == 1 and mean is not None and 0 < mean < n
+    by_pool = pool.law(n, mean, max((one.size for one in found), default=1)) if known and mean is not None else None
+    return [
+        {
+            "group": group.label, "size": one.size, "n_cascades": one.n_cascades, "share": one.share, "fit": one.fit,
+            "value": one.value, "low": one.low, "high": one.high,
+            "pool": None if by_pool is None else float(by_pool[one.size - 1] / one.fit),
+        }
+        for one in found
+    ]  # fmt: skip
+
+
+def _rival_row(label: str, one: Rival) -> Row:
+    values = {} if one.fit is None else one.fit.parameters
+    return {
+        "group": label, "rival": one.family.name,
+        "parameters": ", ".join(f"{name} = {value:.3g}" for name, value in values.items()) or None,
+        "gain": one.gain, "gain_low": one.gain_low, "gain_high": one.gain_high, "p_value": one.p_value,
+        "p_adjusted": one.p_adjusted, "verdict": one.verdict, "reason": one.reason or None,
+    }  # fmt: skip
+
+
+def over_fit(groups: Mapping[str, Sequence[Row]]) -> Figure:
+    """Each size's share over the fitted exponential's, with the pool's law.
+
+    Parameters
+    ----------
+    groups : mapping of str to sequence of Row
+        Of some groups, by name, rows of the table `over_fit`.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.axhline(1.0, color=GREY, linewidth=0.8)
+        largest = 1
+        for k, (label, rows) in enumerate(groups.items()):
+            seen = [row for row in rows if row["low"] is not None]
+            if not seen:
+                continue
+            size = np.array([row["size"] for row in seen], dtype=float)
+            value, low, high = (np.array([row[key] for row in seen]) for key in ("value", "low", "high"))
+            largest = max(largest, int(size[-1]))
+            ax.errorbar(
+                size + 0.12 * k, value, yerr=[value - low, high - value], label=label, fmt="os"[k % 2], markersize=3.5,
+                color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], linewidth=0.9,
+            )  # fmt: skip
+            if k == 0 and seen[0]["pool"] is not None:
+                ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="finite pool")
+        ax.set(xlabel="cascade size s, blocks let go", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
+        size_axis(ax, largest)
+        ax.legend(loc="lower left", fontsize=7)
+    return figure
