@@ -23,7 +23,6 @@ from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
-PARTS = 10  # stretches of equal numbers of cascades in a run, for the error of gamma within it
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
@@ -85,8 +84,6 @@ class Group:
         Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
-    parts : list of ndarray, each shape (b, 2)
-        Total size and number of cascades in consecutive stretches of its runs.
     effective : ndarray, shape (G, 5)
         `effective.row`, of several runs of one matrix their mean.
     n_quiet : int
@@ -99,7 +96,6 @@ class Group:
     matrices: list[int] = field(default_factory=list)
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     histograms: list[np.ndarray] = field(default_factory=list)
-    parts: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     n_quiet: int = 0
 
@@ -299,7 +295,6 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     n_rows = len(group.matrices)
     group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
     group.histograms = [np.zeros(1, np.int64)] * n_rows
-    group.parts = [np.zeros((0, 2))] * n_rows
     for row, _, win in _windows(group, series, settings.t_burn):
         first, second, variance = enough.halves(win)
         group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
@@ -307,8 +302,6 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
         group.n_quiet += not win.step.size
         found = sizes(win, EVENTS)
         group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
-        stretches = [(part.sum(), part.size) for part in np.array_split(found, PARTS)]
-        group.parts[row] = np.vstack([group.parts[row], stretches])
     group.effective /= group.means[:, 4:]
 
 

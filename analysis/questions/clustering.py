@@ -95,8 +95,9 @@ def _parts(span: float, taus: Sequence[float]) -> list[Part]:
 def _measured(study: Study, group: Group) -> _Measured:
     span = float(group.key["t_end"]) - study.settings.t_burn
     parts = _parts(span, study.settings.tau)
-    edges = np.geomspace(max(periods(span)[0], 1.0), periods(span)[1], CURVE + 1) if periods(span)[1] > 2 else []
-    bands = [Part(POWER, float(high), float(low)) for low, high in pairwise(edges)]
+    shortest, longest = periods(span)
+    edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
+    bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
     pairs = [part for part in parts if part.kind == PAIRS]
     n_rows, n_exits, n_runs = len(group.matrices), 0, 0
     runs, control = np.zeros((n_rows, len(parts) + len(bands), 2)), np.zeros((n_rows, len(pairs), 2))

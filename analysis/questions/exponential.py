@@ -156,12 +156,12 @@ def over_fit(groups: Mapping[str, Sequence[Row]]) -> Figure:
             value, low, high = (np.array([row[key] for row in seen]) for key in ("value", "low", "high"))
             largest = max(largest, int(size[-1]))
             ax.errorbar(
-                size + 0.12 * k, value, yerr=[value - low, high - value], label=label, fmt="os"[k % 2], markersize=3.5,
-                color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], linewidth=0.9,
+                size + 0.12 * k, value, yerr=[value - low, high - value], label=label, fmt="os"[k % 2],
+                color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], markersize=3.5, lw=0.9,
             )  # fmt: skip
             if k == 0 and seen[0]["pool"] is not None:
                 ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="finite pool")
-        ax.set(xlabel="cascade size s, blocks let go", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
+        ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
         size_axis(ax, largest)
         ax.legend(loc="lower left", fontsize=7)
     return figure

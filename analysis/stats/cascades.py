@@ -25,19 +25,13 @@ A run that touches the first or the last step of the window is cut, since what l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-DEFINITIONS: Mapping[str, str] = {
-    "events": "blocks let go in a maximal run of exits with no entry between; no sampling",
-    "drop": "total decrease of n_stick over a run of consecutive decreasing samples",
-    "length": "number of steps in a run of consecutive decreasing samples",
-    "descent": "total decrease of n_stick between two increasing samples, steps without change ignored",
-    "decreases": "number of decreasing steps between two increases, steps without change ignored",
-}
 SAMPLED = ("drop", "length", "descent", "decreases")
+DEFINITIONS = ("events", *SAMPLED)
 
 
 @dataclass(frozen=True, order=True)
@@ -228,16 +222,6 @@ class Spans:
     size: np.ndarray
     start: np.ndarray
     stop: np.ndarray
-
-    @property
-    def duration(self) -> np.ndarray:
-        """From the first to the last exit; zero where the size is one."""
-        return self.stop - self.start
-
-    @property
-    def waiting(self) -> np.ndarray:
-        """From the start of a cascade to the start of the next, shape (m - 1,)."""
-        return np.diff(self.start)
 
 
 def spans(win: Window) -> Spans:

@@ -72,7 +72,7 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
     except Undefined as undefined:
         return Effect(Estimate(reason=str(undefined)))
     half = student.half_width(confidence, len(sums) - 1) * error
-    ratio = Estimate(*(float(np.exp(x)) for x in (value, value - half, value + half)))
+    ratio = Estimate(float(np.exp(value)), float(np.exp(value - half)), float(np.exp(value + half)))
     return Effect(ratio, student.two_sided(value / error, len(sums) - 1) if error else float(value == 0))
 
 

@@ -181,13 +181,12 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
     values = 1.0 + parts.sum(axis=0)
     half = None if n < 2 else student.half_width(confidence, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
     pooled = seen.sum(axis=0)
-    return [
-        Quotient(
-            int(sizes[k]), int(pooled[k]), float(pooled[k] / total), float(shares[k]), float(values[i]),
-            None if half is None else float(values[i] - half[i]), None if half is None else float(values[i] + half[i]),
-        )
-        for i, k in enumerate(judged)
-    ]  # fmt: skip
+    found = []
+    for i, k in enumerate(judged):
+        ends = (None, None) if half is None else (float(values[i] - half[i]), float(values[i] + half[i]))
+        share, fit = float(pooled[k] / total), float(shares[k])
+        found.append(Quotient(int(sizes[k]), int(pooled[k]), share, fit, float(values[i]), *ends))
+    return found
 
 
 def line(sizes: np.ndarray, counts: np.ndarray) -> float:

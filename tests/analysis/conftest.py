@@ -1,5 +1,6 @@
 """Planted ensembles: series whose cascade law is known before anything is computed."""
 
+import secrets
 from types import SimpleNamespace
 
 import numpy as np
@@ -62,3 +63,11 @@ def settings():
 def planted():
     """The builders above, for tests that compose their own ensembles."""
     return SimpleNamespace(ensemble=ensemble, member=member, runs=alternating_runs, sigmoid=SIGMOID, t_end=T_END)
+
+
+@pytest.fixture
+def rng():
+    """Random numbers from a seed that is new at each run, and printed."""
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    return np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stickslip.analysis import Law, laws, sample, sizes, window
-from stickslip.analysis.stats.cascades import cluster_sizes, spans
+from stickslip.analysis.stats.cascades import spans, sums
 
 EVENTS = Law("events")
 # Change points counted by hand. Steps: -1 -1 | +1 | -1 0 -1 | +2 | -3 | +1 | -1 (cut)
@@ -151,30 +151,11 @@ def test_bad_series_are_refused_by_name(t, n, start, stop, named):
         Law("drops", 1.0),
         Law("events", 1.0),
         Law("drop"),
-        Law("clusters"),
-        Law("clusters", 1.0),
-        Law("drop", 1.0, 1.0),
     ],
 )
 def test_bad_laws_are_refused(law):
-    with pytest.raises(ValueError, match=r"definition|dt|tau"):
+    with pytest.raises(ValueError, match=r"definition|dt"):
         sizes(window(T, N, 0.0, 12.0), law)
-
-
-def test_clusters_counted_by_hand():
-    exits = np.array([0.2, 2.0, 2.5, 2.9, 4.0, 4.0, 6.0, 9.8])
-    # Gaps of 1 and more end a cluster; the first and the last lie too near the ends to be known whole.
-    assert cluster_sizes(exits, 1.0, 0.0, 10.0).tolist() == [3, 2, 1]
-    assert cluster_sizes(exits, 1.0, -1.0, 11.0).tolist() == [1, 3, 2, 1, 1]
-    assert cluster_sizes(np.zeros(0), 1.0, 0.0, 10.0).tolist() == []
-    assert cluster_sizes(np.array([0.5]), 1.0, 0.0, 1.2).tolist() == []
-
-
-def test_clusters_ignore_entries_and_split_changes_into_exits():
-    win = window(np.array([0.0, 3.0, 3.5, 4.0, 8.0]), np.array([9, 6, 7, 6, 7]), 0.0, 10.0)  # -3 +1 -1 +1
-    assert win.exits().tolist() == [3.0, 3.0, 3.0, 4.0]
-    assert sizes(win, Law("clusters", tau=1.5)).tolist() == [4]
-    assert sizes(win, Law("clusters", tau=1.0)).tolist() == [3, 1]
 
 
 def test_an_exit_and_an_entry_at_one_instant_cancel():
@@ -186,13 +167,23 @@ def test_spans_of_cascades_counted_by_hand():
     found = spans(window(T, N, 0.0, 12.0))  # the cascades of `test_events_counted_by_hand`
     assert found.size.tolist() == [2, 3]
     assert found.start.tolist() == [4.0, 8.0]
-    assert found.duration.tolist() == [2.0, 0.0]
-    assert found.waiting.tolist() == [4.0]
+    assert found.stop.tolist() == [6.0, 8.0]
 
 
 def test_laws_say_their_scales_and_keep_their_order():
-    assert [str(law) for law in laws((0.5,), (2.0,))] == [
+    assert [str(law) for law in laws((0.5,))] == [
         "events", "drop, dt = 0.5", "length, dt = 0.5", "descent, dt = 0.5", "decreases, dt = 0.5",
-        "clusters, tau = 2",
     ]  # fmt: skip
-    assert Law("clusters", tau=0.1) < Law("drop", 0.1) < Law("drop", 0.3)
+    assert Law("drop", 0.1) < Law("drop", 0.3) < Law("length", 0.1)
+
+
+@given(st.lists(st.integers(-3, 3), max_size=60))
+def test_sums_are_those_of_the_sizes(steps):
+    """At one change a unit of time, the changes themselves are the steps of dt = 1."""
+    path = 100 + np.concatenate(([0], np.cumsum(np.array(steps, dtype=np.int64))))
+    win = window(np.arange(len(path)) - 0.5, path, -0.5, len(path) - 0.5)
+    found = sums(np.array(steps), 1.0) | sums(win.step)
+    assert set(found) == set(laws((1.0,)))
+    for law, one in found.items():
+        each = sizes(window(np.arange(len(path)) - 0.5, path, 0.0, len(path) - 1.0), law) if len(path) > 1 else []
+        assert one.tolist() == [np.sum(each), len(each)], law

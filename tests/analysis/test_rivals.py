@@ -1,8 +1,5 @@
 """Families recover what was planted, say what they run to, and rivals are told apart as often as they should be."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -22,10 +19,7 @@ from stickslip.analysis.stats.families import (
     truncate,
 )
 from stickslip.analysis.stats.rivals import rivals
-
-spec = importlib.util.spec_from_file_location("law_studies", Path(__file__).with_name("law_studies.py"))
-studies = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(studies)
+from tests.analysis import studies
 
 SIZES = np.arange(1.0, 201.0)
 PLANTED = [
@@ -99,7 +93,7 @@ def test_a_likelihood_that_runs_to_a_border_says_to_which():
 
 
 def test_what_cannot_be_fitted_is_refused():
-    with pytest.raises(Undefined, match="size 3"):
+    with pytest.raises(Undefined, match="one size"):
         maximise(POWER_LAW, SIZES, 7.0 * (SIZES == 3))
     with pytest.raises(Undefined, match="no cascade"):
         maximise(POWER_LAW, SIZES, 0.0 * SIZES)
@@ -122,7 +116,6 @@ def test_a_law_that_is_planted_beats_the_exponential():
     assert best.verdict == "better"
     assert best.extra.low < 0.8 < best.extra.high
     assert best.gain == max(one.gain for one in found.values())
-    assert best.likelihood_ratio == pytest.approx(2 * best.gain * sizes.size)
     assert found["power law"].verdict == "worse"
 
 
@@ -146,10 +139,10 @@ def test_the_extra_parameter_has_the_jackknife_of_refitting():
 def test_too_little_data_is_said():
     sizes, counts = studies.counted([[1, 2, 3, 1, 1, 2]])
     for one in rivals(sizes, counts, 0.95):
-        assert one.verdict == "not enough data"
+        assert one.verdict == "cannot be told"
         assert "one matrix" in one.reason or "border" in one.reason
     empty = rivals(*studies.counted([[1, 1], [1, 1]]), 0.95)
-    assert {one.reason for one in empty} == {"every cascade has size 1"}
+    assert {one.reason for one in empty} == {"one size only"}
 
 
 def test_holm_is_applied_over_the_rivals():
@@ -162,12 +155,12 @@ def test_holm_is_applied_over_the_rivals():
 
 
 @pytest.mark.long
-def test_false_alarms_of_nested_rivals_with_dependent_sizes():
-    share = studies.rival_rejections(studies.TRUE["spread 0.03"], 20, 150, seed=3, families=[CUT_OFF])[0]
+def test_false_alarms_of_nested_rivals_with_dependent_sizes(rng):
+    share = studies.rival_rejections(studies.TRUE["spread 0.03"], 20, 150, rng, families=[CUT_OFF])[0]
     assert share <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 150)
 
 
 @pytest.mark.long
-def test_false_alarms_of_vuong_halfway_between_two_laws():
-    share = studies.rival_rejections(studies.halfway(POWER_LAW), 20, 300, seed=3, families=[POWER_LAW])[0]
+def test_false_alarms_of_vuong_halfway_between_two_laws(rng):
+    share = studies.rival_rejections(studies.halfway(POWER_LAW), 20, 300, rng, families=[POWER_LAW])[0]
     assert abs(share - 0.05) <= 3 * np.sqrt(0.05 * 0.95 / 300)
