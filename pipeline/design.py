@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import islice, product
 from typing import Any
 
@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike
 
 from stickslip import sim
 from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.quantity import Distribution, Value, short, word
 from stickslip.pipeline.scene import EngineTable, Scene, parse_scene
 from stickslip.pipeline.schema import Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
-MATRIX, PERTURBATION, RATIO, TWIN = 0, 1, 2, 3
+MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W = range(8)
 
 #: The readings of a perturbation in a member's name.
 _READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
@@ -44,8 +45,9 @@ class Member:
     n: int
     coupling: str
     kappa: float
-    rho: float
-    friction: float
+    rho: float | None
+    damping: Value | None
+    friction: Value
     belt_speed: float
     matrix: int
     perturbation_reading: str | None
@@ -57,16 +59,28 @@ class Member:
     settings: tuple[tuple[str, Any], ...]
     ratio_draw: int | None
     picked_for: str | None
-    z0: float
-    w0: float
+    z0: Value
+    w0: Value
+    start_draw: int | None
     t_end: float
     seed: int
     #: Its part of work that is done once for several members; no part of what it is.
     shared_cost: float = field(default=0.0, compare=False)
 
-    def _seed(self, purpose: int, *draw: int) -> np.random.SeedSequence:
+    def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
         """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
-        return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *draw))
+        known = (number for number in draw if number is not None)
+        return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *known))
+
+    def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
+        """A number as it is; of a distribution its draw, shape (n,)."""
+        return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
+
+    @property
+    def drawn(self) -> str | None:
+        """What is drawn for each block, as text; None: nothing."""
+        keys = {"damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
+        return "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution)) or None
 
     def system(self) -> sim.System:
         """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
@@ -83,11 +97,12 @@ class Member:
 
     def start(self) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2."""
+        z, w = (self._by_block(*one, self.start_draw) for one in ((self.z0, START_Z), (self.w0, START_W)))
         if self.twin_size is None:
-            return self.z0, self.w0
-        moved = np.random.default_rng(self._seed(TWIN)).standard_normal((2, self.n))
+            return z, w
+        moved = np.random.default_rng(self._seed(TWIN, self.start_draw)).standard_normal((2, self.n))
         moved *= self.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
-        return self.z0 + moved[0], self.w0 + moved[1]
+        return z + moved[0], w + moved[1]
 
     @property
     def base(self) -> Member | None:
@@ -125,7 +140,7 @@ class Member:
 
 
 _OF_A_RUN: dict[str, Any] = dict.fromkeys(
-    ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "z0", "w0", "t_end")
+    ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "z0", "w0", "start_draw", "t_end")
 )
 _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
 
@@ -139,7 +154,8 @@ def _own_system(member: Member) -> sim.System:
         member._seed(MATRIX),
         kappa=member.kappa,
         rho=member.rho,
-        friction=member.friction,
+        damping=None if member.damping is None else member._by_block(member.damping, DAMPING),
+        friction=member._by_block(member.friction, FRICTION),
         belt_speed=member.belt_speed,
     )
 
@@ -155,12 +171,16 @@ def _moved_system(member: Member) -> sim.System:
         member._seed(PERTURBATION, member.perturbation_draw),
         reading=member.perturbation_reading,
         kappa=member.kappa,
-        rho=member.rho,
+        rho=0.0 if member.rho is None else member.rho,  # not used then: see Scene._consistent
     )
 
 
 def expand(scene: Scene) -> list[Member]:
-    """All members of a scene, sorted by n, matrix, change (none first), engine (as in the file) and ratio draw."""
+    """All members of a scene.
+
+    Sorted by n, matrix, point of the grid, draw of the start, change (none first), engine (as in the file) and ratio
+    draw.
+    """
     return list(_expand(scene))
 
 
@@ -173,17 +193,17 @@ def _expand(scene: Scene) -> Iterator[Member]:
     if scene.twins is not None:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
     words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
-    for n in scene.system.n:
-        for matrix in range(scene.run.matrices):
-            for change in changes:
-                for engine in scene.engines:
-                    if change.reading is not None and change.reading not in scene.readings_of(engine):
-                        continue
-                    if change.twin_size is not None and not engine.twins:
-                        continue
-                    for draw, of_engine in words[engine].items():
-                        member = _member(scene, n, matrix, change, of_engine, engine, draw)
-                        yield _with_shared_cost(scene, member, engine)
+    places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
+    for n, matrix, place, change, engine in product(
+        scene.system.n, range(scene.run.matrices), places, changes, scene.engines
+    ):
+        if change.reading is not None and change.reading not in scene.readings_of(engine):
+            continue
+        if change.twin_size is not None and not engine.twins:
+            continue
+        for draw, of_engine in words[engine].items():
+            member = _member(scene, n, matrix, place, change, of_engine, engine, draw)
+            yield _with_shared_cost(scene, member, engine)
 
 
 def _with_shared_cost(scene: Scene, member: Member, engine: EngineTable) -> Member:
@@ -200,6 +220,20 @@ def _with_shared_cost(scene: Scene, member: Member, engine: EngineTable) -> Memb
 
 
 @dataclass(frozen=True)
+class _Place:
+    """A point of the grid with a draw of the start: the swept keys, and all that may be."""
+
+    swept: dict[str, Value]
+    at: dict[str, Any]
+    start_draw: int | None
+
+    @cached_property
+    def words(self) -> list[str]:
+        drawn = [] if self.start_draw is None else [f"s{self.start_draw}"]
+        return [*(f"{key}={word(value)}" for key, value in self.swept.items()), *drawn]
+
+
+@dataclass(frozen=True)
 class _Change:
     """How a member differs from the system and start of its matrix."""
 
@@ -211,8 +245,8 @@ class _Change:
     @property
     def words(self) -> list[str]:
         if self.reading is not None:
-            return [f"{_READINGS[self.reading]}{_short(self.size)}", f"d{self.draw}"]
-        return [] if self.twin_size is None else [f"t{_short(self.twin_size)}"]
+            return [f"{_READINGS[self.reading]}{short(self.size)}", f"d{self.draw}"]
+        return [] if self.twin_size is None else [f"t{short(self.twin_size)}"]
 
 
 def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
@@ -223,28 +257,38 @@ def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
         if isinstance(about, Ratios):
             words.append("one" if ratio_draw is None else f"u{ratio_draw}")
         elif about.in_id is not None:
-            words.append(about.in_id + _short(value))
+            words.append(about.in_id + short(value))
     return words
 
 
 def _member(
-    scene: Scene, n: int, matrix: int, change: _Change, words: list[str], engine: EngineTable, draw: int | None
+    scene: Scene,
+    n: int,
+    matrix: int,
+    place: _Place,
+    change: _Change,
+    words: list[str],
+    engine: EngineTable,
+    draw: int | None,
 ) -> Member:
+    at = place.at
     return Member(
-        member_id="-".join([f"n{n}", f"m{matrix:03d}", *change.words, *words]),
+        member_id="-".join([f"n{n}", f"m{matrix:03d}", *place.words, *change.words, *words]),
         n=n,
         coupling=scene.system.coupling,
-        kappa=scene.system.kappa,
-        rho=scene.system.rho,
-        friction=scene.system.friction,
-        belt_speed=scene.system.belt_speed,
+        kappa=at["kappa"],
+        rho=at["rho"],
+        damping=at["damping"],
+        friction=at["friction"],
+        belt_speed=at["belt_speed"],
         matrix=matrix,
         perturbation_reading=change.reading,
         perturbation_size=change.size,
         perturbation_draw=change.draw,
         twin_size=change.twin_size,
-        z0=scene.start.z,
-        w0=scene.start.w,
+        z0=at["z"],
+        w0=at["w"],
+        start_draw=place.start_draw,
         t_end=scene.run.t_end,
         seed=scene.run.seed,
         engine=engine.name,
@@ -252,12 +296,6 @@ def _member(
         ratio_draw=draw,
         picked_for=engine.picked_for,
     )
-
-
-def _short(value: float) -> str:
-    """Shortest text that gives the float back: 1e-06 -> 1e-6, 1.0 -> 1. Distinct floats stay distinct."""
-    mantissa, _, exponent = repr(value).partition("e")
-    return mantissa.removesuffix(".0") + (f"e{int(exponent)}" if exponent else "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,27 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, create_model, model_validator
 
+from stickslip.pipeline.quantity import (
+    AnyNumber,
+    Axis,
+    BlockNumber,
+    BlockScale,
+    Distribution,
+    Quantity,
+    Scale,
+    Value,
+    as_written,
+    axes,
+    points,
+    size,
+    values,
+)
 from stickslip.pipeline.toml import (
     BlockNumbers,
     Count,
@@ -52,22 +67,51 @@ class SystemTable(StrictTable):
         description="name of the ensemble", examples=["antisymmetric"], json_schema_extra={"enum": list(COUPLINGS)}
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
-    kappa: Natural = Field(default=0.2, description="scale of the stiffnesses", examples=[0.2])
-    rho: Natural = Field(default=3.5, description="scale of the dampings", examples=[3.5])
-    friction: Natural = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
-    belt_speed: float = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+    kappa: Scale = Field(default=0.2, description="scale of the stiffnesses", examples=[0.2])
+    rho: Scale | None = Field(default=3.5, description="scale of the dampings", examples=[3.5])
+    damping: BlockScale | None = Field(
+        default=None, description="damping R of every block, in the place of `rho`", examples=[0.0]
+    )
+    friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
+    belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
 
     @property
     def ensemble(self) -> Coupling:
         """What K is made by."""
         return COUPLINGS[self.coupling]
 
+    @model_validator(mode="after")
+    def _one_damping(self) -> Self:
+        if self.damping is not None:
+            if "rho" in self.model_fields_set and self.rho is not None:
+                raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
+            object.__setattr__(self, "rho", None)  # what is not used is no part of the data
+        return self
+
 
 class StartTable(StrictTable):
     """[start]: the state that every block starts from."""
 
-    z: float = Field(description="displacement at t = 0", examples=[-0.7])
-    w: float = Field(description="velocity at t = 0", examples=[-0.4])
+    z: BlockNumber = Field(description="displacement at t = 0", examples=[-0.7])
+    w: BlockNumber = Field(description="velocity at t = 0", examples=[-0.4])
+    draws: Count | None = Field(
+        default=None,
+        description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",
+        examples=[300],
+    )
+
+    @model_validator(mode="after")
+    def _only_what_is_drawn(self) -> Self:
+        if self.draws is not None and not any(
+            isinstance(one, Distribution) for one in (*values(self.z), *values(self.w))
+        ):
+            raise ValueError(
+                "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
+            )
+        return self
+
+
+_LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 
 
 class RunTable(StrictTable):
@@ -76,6 +120,11 @@ class RunTable(StrictTable):
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
     matrices: Count = Field(description="number of random systems for each n", examples=[20])
     seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+    zip: Annotated[tuple[Annotated[tuple[str, ...], _LIST], ...], _LIST] | None = Field(
+        default=None,
+        description="keys whose lists go together, value by value, in place of a grid",
+        examples=[[["kappa", "rho"]]],
+    )
     purpose: Purpose | None = Field(
         default=None,
         description="what the tolerances left out are picked for; default: chosen from what the scene records",
@@ -353,7 +402,10 @@ class Scene(StrictTable):
     def records(self) -> tuple[str, ...]:
         """Which of the optional parts of a dataset there are."""
         thresholds = any(engine.settings.get("thresholds") for engine in self.engines)
+        drawn = (one for quantity in self.quantities.values() for one in values(quantity))
         asked = {
+            "damping": self.system.damping is not None,
+            "drawn": any(isinstance(one, Distribution) for one in drawn),
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
             "separation": self.record.separation is not None,
@@ -378,21 +430,58 @@ class Scene(StrictTable):
                 f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
             )
         readings = self.perturbation.readings if self.perturbation is not None else ()
-        kept = self.system.ensemble.readings
+        kept, what = self.system.ensemble.readings, f'coupling = "{self.system.coupling}"'
+        if self.system.damping is not None:  # of which there is no scale
+            kept, what = tuple(set(kept) & {"relative"}), f"{what} with `damping`"
         if set(readings) - set(kept):
             remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
             raise ValueError(
-                f'perturbation.readings: expected those that keep what coupling = "{self.system.coupling}" is,'
+                f"perturbation.readings: expected those that keep what {what} is,"
                 f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
             )
         self._changes_apply()
         self._steps_and_changes_are_resolved()
-        if self.n_members > MAX_MEMBERS:
+        try:
+            n_members = self.n_members
+        except ValueError as error:
+            raise ValueError(f"run.zip: {error}") from None
+        if n_members > MAX_MEMBERS:
             raise ValueError(
-                f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {self.n_members} "
-                f"(n x matrices x perturbations x engines); lower `matrices` or the number of draws"
+                f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {n_members} "
+                f"(n x lists x starts x matrices x perturbations x engines); lower `matrices`, the lists or the "
+                f"number of draws"
             )
         return self
+
+    @property
+    def quantities(self) -> dict[str, Quantity | None]:
+        """The keys that may hold lists and distributions: those of [system], then those of [start]."""
+        one, other = self.system, self.start
+        own = {name: getattr(one, name) for name in ("kappa", "rho", "damping", "friction", "belt_speed")}
+        return own | {"z": other.z, "w": other.w}
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The lists of the scene, as axes of a grid."""
+        return axes(self.quantities, self.run.zip or ())
+
+    @property
+    def extent(self) -> str:
+        """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
+        drawn = any(isinstance(one, Distribution) for key in ("z", "w") for one in values(self.quantities[key]))
+        starts = [f"{self.start.draws or 1} draws of the start"] if drawn else []
+        return " x ".join([*map(str, self.axes), *starts])
+
+    def points(self) -> Iterator[tuple[dict[str, Value], dict[str, Value | None]]]:
+        """Each point of the grid: the swept keys there, and all `quantities`."""
+        single: dict[str, Any] = {name: one for name, one in self.quantities.items() if not isinstance(one, tuple)}
+        for swept in points(self.axes):
+            yield swept, single | swept
+
+    def start_draws(self, at: Mapping[str, Value | None]) -> Sequence[int | None]:
+        """The draws of the start, by number, that are run at a point of the grid; None: nothing is drawn."""
+        is_drawn = isinstance(at["z"], Distribution) or isinstance(at["w"], Distribution)
+        return range(self.start.draws or 1) if is_drawn else (None,)
 
     def _changes_apply(self) -> None:
         """What is changed must be what the engines can run, and what is recorded of changes must have some."""
@@ -420,9 +509,9 @@ class Scene(StrictTable):
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
-        twins = max(math.ulp(max(abs(self.start.z), abs(self.start.w))), math.sqrt(sys.float_info.min))  # squared
+        twins = max(math.ulp(max(size(self.start.z), size(self.start.w))), math.sqrt(sys.float_info.min))  # squared
         step, steps = self.run.t_end / MAX_SAMPLES, f"run.t_end / {MAX_SAMPLES}"
-        for key, values, least, why in (
+        for key, known, least, why in (
             ("twins.sizes", self.twins and self.twins.sizes, twins, "what float64 resolves beside [start]"),
             (
                 "perturbation.sizes",
@@ -434,14 +523,17 @@ class Scene(StrictTable):
             ("analysis.dt", self.analysis.dt, step, steps),
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
-            if values and values[0] < least:
-                raise ValueError(f"{key}: expected at least {least:.2g}, {why}, got {values[0]}; enlarge it")
+            if known and known[0] < least:
+                raise ValueError(f"{key}: expected at least {least:.2g}, {why}, got {known[0]}; enlarge it")
 
     @property
     def n_members(self) -> int:
         """Number of members, counted without expanding the scene."""
         runs = sum((1 + self.n_changes(engine)) * engine.n_draws for engine in self.engines)
-        return len(self.system.n) * self.run.matrices * runs
+        starts = math.prod(len(axis.rows) for axis in self.axes)
+        if starts <= MAX_MEMBERS:
+            starts = sum(len(self.start_draws(at)) for _, at in self.points())
+        return len(self.system.n) * self.run.matrices * starts * runs
 
     def n_changes(self, engine: EngineTable) -> int:
         """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
@@ -462,6 +554,9 @@ class Scene(StrictTable):
         for table, engine in zip(keys["engine"], self.engines, strict=True):
             if engine.picked_for is not None:
                 table["picked_for"] = engine.picked_for
+        for axis in self.axes:  # the order in the file means nothing
+            for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
+                keys["start" if key in ("z", "w") else "system"][key] = as_written(column)
         return keys
 
     @property

@@ -43,8 +43,13 @@ def _of_engines() -> Iterator[pa.Field]:
                 yield _column(f"{name}_draw", pa.int32(), f"number of the draw of the r_i ({owners}, uniform)")
 
 
-#: What a scene may ask for beside n_stick.
+#: What a scene may ask for beside n_stick; `damping` and `drawn` by their keys in [system] and [start].
 _RECORDED = {
+    "damping": [_column("damping", pa.float64(), "damping R of every block; null if drawn")],
+    "drawn": [
+        _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
+        _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
+    ],
     "growth_rate": [
         _column(
             "growth_rate",
@@ -74,6 +79,9 @@ _RECORDED = {
         ),
     ],
 }
+
+#: What is null where a scene gives `damping`, or a distribution.
+_MAY_BE_NULL = ("rho", "friction", "z0", "w0")
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
 SCHEMA = pa.schema(
@@ -162,7 +170,9 @@ class Recording:
     @property
     def schema(self) -> pa.Schema:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
-        schema = pa.schema([*SCHEMA, *(column for name in self.parts for column in _RECORDED[name])])
+        own = {"damping", "drawn"}.intersection(self.parts)
+        fixed = [field.with_nullable(True) if own and field.name in _MAY_BE_NULL else field for field in SCHEMA]
+        schema = pa.schema([*fixed, *(column for name in self.parts for column in _RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
 
 

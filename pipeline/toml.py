@@ -160,7 +160,8 @@ def json_schema(kind: type[StrictTable]) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------------------- errors
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value in a message, cut short where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -226,19 +227,29 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         names, name = tuple(_tables(field.annotation)) if field else (), value.get("name")
         remedy = did_you_mean(name, names) or f'; write `name = "{names[0]}"`'
-        return f"{path}.name: expected one of {', '.join(names)}, got {_shown(name)}{remedy}"
+        return f"{path}.name: expected one of {', '.join(names)}, got {shown(name)}{remedy}"
     if kind in ("model_type", "model_attributes_type"):
         table_line = f"[[{key}]]" if key else f"[{path}]"
-        return f"{path}: expected a table, got {_shown(value)}; write {table_line} on a line, its keys below"
+        return f"{path}: expected a table, got {shown(value)}; write {table_line} on a line, its keys below"
 
-    expected = "at least one value" if kind == "too_short" else detail["msg"].removeprefix("Input should be ")
+    expected = (
+        "at least one value"
+        if kind == "too_short"
+        else detail["msg"].removeprefix("Input should be ").replace("tuple", "list")
+    )
     if expected.startswith(("greater", "less")):  # pydantic writes a bound of 1e-16 with all its zeros
         words, _, bound = expected.rpartition(" ")
         expected = f"a value {words} {float(bound):g}" if "." in bound else f"a value {expected}"
-    got = _shown(list(value) if isinstance(value, tuple) else value)
+    got = shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; {f'e.g. {example}' if example else f'`{key}`'} ({field.description})" if field else ""
     if kind in _NUMBERS:
-        remedy = _number_remedy(path, key, kind, value) or remedy
+        remedy = _number_remedy(kind, value) or remedy
+    if isinstance(value, list) and kind.endswith("_type") and not path.endswith("]"):
+        array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
+        others = (
+            f" here, and a table [[{array[1]}]] of its own for each other" if array else ": this key takes no list"
+        )
+        remedy = f"; write one value{others}"
     return f"{path}: expected {expected}, got {got}{remedy}"
 
 
@@ -246,11 +257,7 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
 _NUMBERS = {"int_type": r"[-+]?\d+", "float_type": r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?"}
 
 
-def _number_remedy(path: str, key: str | None, kind: str, value: object) -> str:
-    """What to do about a value that is nearly the number that is expected; "" if it is not."""
-    if isinstance(value, str) and re.fullmatch(_NUMBERS[kind], value):
-        return f"; write it without quotes: {value}"
-    array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
-    if array and isinstance(value, list):
-        return f"; write one number here, and a table [[{array[1]}]] of its own for each other"
-    return ""
+def _number_remedy(kind: str, value: object) -> str:
+    """What to do about a text that is the number that is expected; "" if it is not."""
+    is_quoted = isinstance(value, str) and re.fullmatch(_NUMBERS[kind], value)
+    return f"; write it without quotes: {value}" if is_quoted else ""

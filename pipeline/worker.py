@@ -19,6 +19,7 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
+from stickslip.pipeline.quantity import Distribution
 from stickslip.pipeline.schema import SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
@@ -32,7 +33,12 @@ _PATIENCE = 180.0
 _loaded: set[str] = set()
 
 #: What a row takes over from its member.
-_PARAMETERS = tuple(field.name for field in fields(Member) if field.name in SCHEMA.names)
+_PARAMETERS = (
+    *(field.name for field in fields(Member) if field.name in SCHEMA.names),
+    "damping",
+    "start_draw",
+    "drawn",
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,9 @@ class Result:
 
 
 #: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in ("design", "scene", "schema", "worker")]
+_DETERMINING = [
+    Path(__file__).with_name(f"{room}.py") for room in ("design", "quantity", "scene", "schema", "worker")
+]
 
 
 def program() -> str:
@@ -97,7 +105,8 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 
 def _parameters(member: Member) -> dict[str, Any]:
     settings = {name: value for name, value in member.settings if name in SCHEMA.names}
-    return {name: getattr(member, name) for name in _PARAMETERS} | settings
+    own = {name: getattr(member, name) for name in _PARAMETERS}
+    return {name: None if isinstance(one, Distribution) else one for name, one in own.items()} | settings
 
 
 def _results(member: Member, recording: Recording) -> dict[str, Any]:

@@ -119,7 +119,8 @@ def draw_system(
     seed: int | np.random.SeedSequence,
     *,
     kappa: float = 0.2,
-    rho: float = 3.5,
+    rho: float | None = 3.5,
+    damping: ArrayLike | None = None,
     friction: ArrayLike = 1.0,
     belt_speed: float = -0.2,
 ) -> System:
@@ -135,6 +136,8 @@ def draw_system(
         At least 0; the same seed gives the same system.
     kappa, rho : float
         Scales: stiffnesses in [-kappa, kappa], dampings in [rho, 2 rho].
+    damping
+        R itself, as in `System`, in the place of what rho gives; K is the same as without.
     friction, belt_speed
         As in `System`.
 
@@ -147,10 +150,11 @@ def draw_system(
     """
     kind = _coupling(coupling)
     n, rng = integer("n", n, 1, None), _generator(seed)
-    if not (kappa >= 0 and rho >= 0):
+    scale = 0.0 if damping is not None or rho is None else rho
+    if not (kappa >= 0 and scale >= 0):
         raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
-    u, damping = _uniform(kind.shape(n), rng, kappa, (rho, 2 * rho))
-    return System(kind.rule(u), damping, friction, belt_speed)
+    u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
+    return System(kind.rule(u), drawn if damping is None else damping, friction, belt_speed)
 
 
 def perturb_system(

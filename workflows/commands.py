@@ -126,6 +126,8 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
     print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
+    if scene.extent:
+        print(f"grid    {scene.extent}", flush=True)
     n_to_go = sum(len(batch.members) for batch in to_go)
     if n_to_go < scene.n_members:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)

@@ -153,8 +153,12 @@ def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
 
 def _values(field: dict[str, Any]) -> str:
     """What may be written: choices, or a type with its bounds."""
-    if "anyOf" in field:  # one value, or a list of such
-        return f"{_values(field['anyOf'][0])}; or a list"
+    from stickslip.pipeline.quantity import LAWS
+
+    if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from
+        laws = [law for choice in field["anyOf"] for law in choice.get("properties", ())]
+        drawn = [f", {{{law} = {LAWS[law]}}}" for law in laws]
+        return f"{_values(field['anyOf'][0])}; or a list{''.join(drawn)}"
     if "enum" in field or "const" in field:
         return ", ".join(json.dumps(choice) for choice in field.get("enum", [field.get("const")]))
     if field["type"] == "array":

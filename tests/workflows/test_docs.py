@@ -106,6 +106,21 @@ def test_first_scene_does_what_the_page_says(first):
     assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
 
 
+def test_sweeps_do_what_the_page_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, scene in zip(("sweep", "starts"), blocks(page("sweeps"), "toml"), strict=True):
+        Path(f"{name}.toml").write_text(scene)
+    assert [main(command) for command in commands("sweeps")] == [0] * 5
+    said = capsys.readouterr().out
+    (grid,) = re.findall(r"`(grid +.*?)`", page("sweeps"))
+    assert f"\n{grid}\n" in said
+    assert "friction = uniform(0.8, 1.2); z = uniform(-1, 1); w = normal(0, 0.1)" in said
+    members = query.members("runs/sweep")
+    (name,) = re.findall(r"`(n20-m.*?)`", page("sweeps"))
+    assert name in set(members.member_id)
+    assert members.groupby(["friction", "belt_speed"]).size().tolist() == [2] * 6
+
+
 def test_first_scene_in_python(first, monkeypatch):
     monkeypatch.chdir(first)
     names = run_python("first-scene")

@@ -1,0 +1,258 @@
+"""A key of a scene that holds a value, a list of values, each of them run, or a distribution over the blocks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import core_schema
+
+from stickslip.pipeline.toml import MAX_VALUES, shown
+from stickslip.sim.arguments import Floats, did_you_mean
+
+#: The distributions, by what their two numbers are.
+LAWS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What a number is drawn from for each block: a name in `LAWS` and its two numbers."""
+
+    law: str
+    first: float
+    second: float
+
+    def draw(self, seed: np.random.SeedSequence, n: int) -> Floats:
+        """One number a block, shape (n,); a seed's draws of one law differ by scale and shift only."""
+        rng = np.random.default_rng(seed)
+        return (rng.uniform if self.law == "uniform" else rng.normal)(self.first, self.second, n)
+
+    @property
+    def size(self) -> float:
+        """About the largest number that is drawn."""
+        spread = 0.0 if self.law == "uniform" else abs(self.first) + abs(self.second)
+        return max(abs(self.first), abs(self.second), spread)
+
+    @property
+    def word(self) -> str:
+        """What stands in a member's name: the law and its numbers."""
+        return f"{self.law}{short(self.first)}_{short(self.second)}"
+
+    def __str__(self) -> str:
+        return f"{self.law}({short(self.first)}, {short(self.second)})"
+
+
+#: What one run has.
+Value: TypeAlias = float | Distribution
+
+#: What a key holds: a tuple is a list of the file, of which each value is run.
+Quantity: TypeAlias = Value | tuple[Value, ...]
+
+
+def short(value: float) -> str:
+    """Shortest text that gives the float back: 1e-06 -> 1e-6, 1.0 -> 1. Distinct floats stay distinct."""
+    mantissa, _, exponent = repr(value).partition("e")
+    return mantissa.removesuffix(".0") + (f"e{int(exponent)}" if exponent else "")
+
+
+def word(value: Value) -> str:
+    """A value in a member's name."""
+    return short(value) if isinstance(value, float) else value.word
+
+
+def values(quantity: Quantity | None) -> tuple[Value, ...]:
+    """All that a key holds."""
+    return quantity if isinstance(quantity, tuple) else () if quantity is None else (quantity,)
+
+
+def size(quantity: Quantity) -> float:
+    """The largest number of a quantity without its sign."""
+    return max(abs(value) if isinstance(value, float) else value.size for value in values(quantity))
+
+
+def as_written(quantity: Quantity) -> Any:
+    """A quantity as TOML and JSON have it."""
+    if isinstance(quantity, tuple):
+        return [as_written(value) for value in quantity]
+    return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What pydantic is told of a quantity: its least value, and the laws that it may be drawn from."""
+
+    laws: tuple[str, ...] = ()
+    least: int | None = None
+
+    def read(self, given: object) -> Quantity:
+        """A quantity from what the file holds."""
+        if not isinstance(given, list | tuple):
+            return self._value(given, given)
+        if not 1 <= len(given) <= MAX_VALUES:
+            raise ValueError(f"expected a list of 1 to {MAX_VALUES} values, got {len(given)}; {self._write}")
+        found = tuple(self._value(value, given) for value in given)
+        twice = [value for k, value in enumerate(found) if value in found[:k]]
+        if twice:
+            raise ValueError(f"expected each value once, got {twice[0]} more than once; remove the duplicates")
+        return found
+
+    def _value(self, given: object, whole: object) -> Value:
+        if isinstance(given, Distribution):
+            given = as_written(given)
+        number = _number(given)
+        if number is not None and self._bears(number):
+            return number
+        if isinstance(given, dict) and self.laws:
+            return self._distribution(given)
+        within = f" in {shown(whole)}" if given is not whole else ""
+        quoted = isinstance(given, str) and _number_in(given)
+        remedy = f"write it without quotes: {given}" if quoted else self._write
+        raise ValueError(f"expected {self._expected}, got {shown(given)}{within}; {remedy}")
+
+    def _distribution(self, given: dict[str, object]) -> Distribution:
+        law = next(iter(given), "")
+        if len(given) != 1 or law not in LAWS:
+            unknown = next((name for name in given if name not in LAWS), "")
+            meant = did_you_mean(unknown, LAWS) or f"; {self._write}"
+            raise ValueError(
+                f"expected a distribution with one of the keys {', '.join(LAWS)}, got {shown(given)}{meant}"
+            )
+        if law not in self.laws:
+            raise ValueError(
+                f"expected a distribution of which no draw is below {self.least}, got {law!r}; {self._write}"
+            )
+        numbers: Any = given[law]
+        pair = [one for one in map(_number, numbers) if one is not None] if isinstance(numbers, list | tuple) else []
+        if len(pair) != 2 or len(numbers) != 2:
+            raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers, got {shown(numbers)}")
+        first, second = pair
+        if law == "uniform" and not (self._bears(first) and first < second):
+            least = "" if self.least is None else f"{self.least} <= "
+            raise ValueError(f"expected uniform = [low, high] with {least}low < high, got {numbers!r}")
+        if law == "normal" and not second > 0:
+            raise ValueError(
+                f"expected normal = [mean, standard deviation] with a deviation above 0, got {numbers!r}"
+            )
+        if not math.isfinite(second - first):
+            raise ValueError(f"expected {law} = {LAWS[law]} of less than 1.8e308, got {numbers!r}")
+        return Distribution(law, first, second)
+
+    def _bears(self, number: float) -> bool:
+        return self.least is None or number >= self.least
+
+    @property
+    def _expected(self) -> str:
+        number = "a finite number" + ("" if self.least is None else f" >= {self.least}")
+        return f"{number}, a list of such{' or a distribution' if self.laws else ''}"
+
+    @property
+    def _write(self) -> str:
+        drawn = " or ".join(f"{{{law} = [0.8, 1.2]}}" for law in self.laws)
+        return f"write e.g. 1.0, or [1.0, 2.0] to run each{f', or {drawn} to draw each block' if drawn else ''}"
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        written = core_schema.plain_serializer_function_ser_schema(as_written)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=written)
+
+    def __get_pydantic_json_schema__(
+        self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {"minimum": self.least})
+        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+        drawn = [
+            {"type": "object", "properties": {law: pair}, "required": [law], "additionalProperties": False}
+            for law in self.laws
+        ]
+        items = {"anyOf": [one, *drawn]} if drawn else one
+        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn]}
+
+
+def _number(given: object) -> float | None:
+    """A finite number as a float; None for anything else."""
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        return None
+    try:
+        return float(given) if math.isfinite(given) else None
+    except OverflowError:  # an integer beyond float64
+        return None
+
+
+def _number_in(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+AnyNumber = Annotated[Quantity, _Key()]
+Scale = Annotated[Quantity, _Key(least=0)]
+BlockScale = Annotated[Quantity, _Key(("uniform",), least=0)]
+BlockNumber = Annotated[Quantity, _Key(tuple(LAWS))]
+
+
+# ---------------------------------------------------------------------------------------------- the grid
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that are swept in step, and the values that they have together, in ascending order."""
+
+    keys: tuple[str, ...]
+    rows: tuple[tuple[Value, ...], ...]
+
+    def __str__(self) -> str:
+        return f"{len(self.rows)} {' with '.join(self.keys)}"
+
+
+def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
+    """The axes of the grid that some keys span, in their order: one a list; those named together are one.
+
+    Raises
+    ------
+    ValueError
+        If a name in `together` is of no list or stands there twice, or lists of other lengths are to go together.
+    """
+    lists = {key: value for key, value in quantities.items() if isinstance(value, tuple)}
+    named = list(itertools.chain.from_iterable(together))
+    alone = [names for names in together if len(names) < 2]
+    if alone:
+        raise ValueError(f'expected two keys or more to go together, as [["kappa", "rho"]], got {list(alone[0])!r}')
+    for key in named:
+        if key not in lists:
+            known = f"; lists are there for {', '.join(lists)}" if lists else "; write lists, or remove it"
+            raise ValueError(f"expected keys that hold lists, got {key!r}{did_you_mean(key, lists) or known}")
+        if named.count(key) > 1:
+            raise ValueError(f"expected each key once, got {key!r} more than once; remove the duplicates")
+    found: list[Axis] = []
+    for key in lists:
+        keys = next((tuple(sorted(names, key=list(lists).index)) for names in together if key in names), (key,))
+        if keys[0] != key:
+            continue
+        lengths = [len(lists[name]) for name in keys]
+        if len(set(lengths)) > 1:
+            said = ", ".join(f"{length} of {name}" for name, length in zip(keys, lengths, strict=True))
+            raise ValueError(f"expected lists of one length to go together, got {said} values; make them equal")
+        found.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=_order))))
+    return tuple(found)
+
+
+def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
+    """Numbers come before distributions."""
+    return [("", one, 0.0) if isinstance(one, float) else (one.law, one.first, one.second) for one in row]
+
+
+def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:
+    """Each point of a grid: the value that each of the swept keys has there."""
+    for rows in itertools.product(*(axis.rows for axis in of)):
+        yield {
+            key: value for axis, row in zip(of, rows, strict=True) for key, value in zip(axis.keys, row, strict=True)
+        }

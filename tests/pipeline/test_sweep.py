@@ -1,0 +1,275 @@
+"""Lists that span a grid, and distributions over the blocks: which members, which draws, which columns."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_scene, verify
+
+GRID = """\
+[system]
+coupling = "antisymmetric"
+n = [3, 4]
+kappa = [0.2, 0.1]
+belt_speed = [-0.1, -0.2]
+[start]
+z = [-0.7, -0.5]
+w = -0.4
+[run]
+t_end = 5.0
+matrices = 2
+seed = 3
+[[engine]]
+name = "coulomb"
+tol = 1e-6
+[[engine]]
+name = "sigmoid"
+rtol = 1e-5
+atol = 1e-5
+ratio = "uniform"
+[twins]
+sizes = 1e-3
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+DRAWN = """\
+[system]
+coupling = "antisymmetric"
+n = 3
+damping = {uniform = [0.0, 0.5]}
+friction = [1.0, {uniform = [0.8, 1.2]}]
+[start]
+z = {uniform = [-1, 1]}
+w = [-0.4, {normal = [0.0, 0.1]}]
+draws = 3
+[run]
+t_end = 5.0
+matrices = 2
+seed = SEED
+[[engine]]
+name = "coulomb"
+tol = 1e-6
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+
+def scene_of(text, *edits):
+    for old, new in edits:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return parse_scene(text.encode())
+
+
+@pytest.fixture
+def seed():
+    found = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed = {found}")
+    return found
+
+
+def drawn(purpose, seed, *key):
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose, *key)))
+
+
+# ---------------------------------------------------------------------------------------------- the grid
+
+
+def test_lists_are_a_grid_and_their_values_are_in_the_names():
+    scene = scene_of(GRID)
+    members = expand(scene)
+    assert len({member.member_id for member in members}) == len(members) == scene.n_members == 2 * 2 * 8 * 4
+    assert scene.extent == "2 kappa x 2 belt_speed x 2 z"
+    assert members[0].member_id == "n3-m000-kappa=0.1-belt_speed=-0.2-z=-0.7-coulomb-1e-6"
+    for member in members:
+        assert f"-kappa={member.kappa:g}-belt_speed={member.belt_speed:g}-z={member.z0:g}-" in member.member_id
+
+
+def test_members_of_one_matrix_share_their_draws_across_the_grid():
+    alike: dict[tuple, list] = {}
+    for member in expand(scene_of(GRID)):
+        alike.setdefault((member.n, member.matrix), []).append(member)
+    assert len(alike) == 4
+    for members in alike.values():
+        by_kappa = {member.kappa: member.system() for member in members}
+        assert by_kappa[0.2].stiffness == pytest.approx(2 * by_kappa[0.1].stiffness, rel=1e-14)
+        assert np.array_equal(by_kappa[0.2].damping, by_kappa[0.1].damping)
+        assert len({member.ratios().tobytes() for member in members if member.engine == "sigmoid"}) == 1
+        moves = np.array([np.array(m.start()) - [[m.z0], [m.w0]] for m in members if m.twin_size])
+        assert moves == pytest.approx(np.broadcast_to(moves[0], moves.shape), abs=1e-15)
+
+
+def test_one_value_has_a_word_only_in_a_list():
+    """A list may grow from one value; ids of scenes without lists stay what they were."""
+    plain = scene_of(GRID, ("[0.2, 0.1]", "0.2"), ("[-0.1, -0.2]", "-0.1"), ("[-0.7, -0.5]", "-0.7"))
+    one = scene_of(GRID, ("[0.2, 0.1]", "[0.2]"), ("[-0.1, -0.2]", "-0.1"), ("[-0.7, -0.5]", "-0.7"))
+    assert expand(plain)[0].member_id == "n3-m000-coulomb-1e-6"
+    assert expand(one)[0].member_id == "n3-m000-kappa=0.2-coulomb-1e-6"
+    assert plain.extent == ""
+
+
+def test_the_order_of_a_list_means_nothing():
+    one, other = scene_of(GRID), scene_of(GRID, ("kappa = [0.2, 0.1]", "kappa = [0.1, 0.2]"))
+    assert one.hash == other.hash
+    assert expand(one) == expand(other)
+    assert scene_of(GRID, ("kappa = [0.2, 0.1]", "kappa = [0.2, 0.3]")).hash != one.hash
+
+
+def test_lists_that_are_zipped_go_together():
+    zipped = scene_of(GRID, ("seed = 3", 'seed = 3\nzip = [["z", "kappa"]]'))
+    pairs = {(member.kappa, member.z0) for member in expand(zipped)}
+    assert pairs == {(0.2, -0.7), (0.1, -0.5)}
+    assert zipped.n_members == len(expand(zipped)) == 2 * 2 * 4 * 4
+    assert zipped.extent == "2 kappa with z x 2 belt_speed"
+
+
+def test_a_grid_gives_the_same_bytes_wherever_it_runs_and_grows(content, tmp_path):
+    source = GRID.encode()
+    run_scene(parse_scene(source), source, tmp_path / "whole", workers=0)
+    small = GRID.replace("kappa = [0.2, 0.1]", "kappa = [0.2]").encode()
+    for workers in (0, 2):
+        out = tmp_path / f"grown-{workers}"
+        run_scene(parse_scene(small), small, out, workers=workers)
+        before = content(out / "data")
+        run_scene(parse_scene(source), source, out, workers=workers)
+        assert before.items() <= content(out / "data").items()
+        assert verify(out) == []
+    assert content(tmp_path / "grown-0") == content(tmp_path / "grown-2")
+    whole, grown = (query.members(tmp_path / name).set_index("member_id") for name in ("whole", "grown-0"))
+    assert grown.loc[whole.index].equals(whole)
+    assert whole.groupby(["kappa", "belt_speed", "z0"]).size().tolist() == [16] * 8
+
+    half = shutil.copytree(tmp_path / "whole", tmp_path / "half")  # resumed, as if it had been killed
+    shards = sorted((half / "data").iterdir())
+    assert len(shards) > 4
+    for shard in shards[1::2]:
+        shard.unlink()
+    run_scene(parse_scene(source), source, half, workers=0)
+    assert content(half / "data") == content(tmp_path / "whole" / "data")
+
+
+# ---------------------------------------------------------------------------------------------- distributions
+
+
+def test_each_draw_is_numpys_own_under_its_key(seed):
+    scene = scene_of(DRAWN.replace("SEED", str(seed)))
+    assert scene.extent == "2 friction x 2 w x 3 draws of the start"
+    members = {member.member_id: member for member in expand(scene)}
+    assert len(members) == scene.n_members == 2 * 2 * 2 * 3
+    name = "n3-m001-friction=uniform0.8_1.2-w=normal0_0.1-s2-coulomb-1e-6"
+    member = members[name]
+    assert (
+        member.drawn
+        == "damping = uniform(0, 0.5); friction = uniform(0.8, 1.2); z = uniform(-1, 1); w = normal(0, 0.1)"
+    )
+    system, (z, w) = member.system(), member.start()
+    assert np.array_equal(system.friction, drawn(4, seed, 3, 1).uniform(0.8, 1.2, 3))
+    assert np.array_equal(system.damping, drawn(5, seed, 3, 1).uniform(0.0, 0.5, 3))
+    assert np.array_equal(z, drawn(6, seed, 3, 1, 2).uniform(-1, 1, 3))
+    assert np.array_equal(w, drawn(7, seed, 3, 1, 2).normal(0.0, 0.1, 3))
+    with_rho = scene_of(DRAWN.replace("SEED", str(seed)), ("damping = {uniform = [0.0, 0.5]}", "rho = 2.0"))
+    other = {member.member_id: member for member in expand(with_rho)}[name]
+    assert np.array_equal(other.system().stiffness, system.stiffness)  # nothing else's draws move
+    assert np.array_equal(other.start()[0], z)
+
+
+def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
+    source = DRAWN.replace("SEED", str(seed)).encode()
+    run_scene(parse_scene(source), source, tmp_path / "out", workers=0)
+    assert verify(tmp_path / "out") == []
+    table = query.members(tmp_path / "out")
+    assert set(table.outcome) <= {"finished", "collapsed"}
+    for column in ("rho", "damping", "z0"):
+        assert table[column].isna().all()
+    assert sorted(table.friction.dropna().unique()) == [1.0]
+    assert (table.drawn.str.contains("friction = uniform(0.8, 1.2)", regex=False) == table.friction.isna()).all()
+    assert sorted(table.start_draw.unique()) == [0, 1, 2]
+    more = DRAWN.replace("SEED", str(seed)).replace("draws = 3", "draws = 4").encode()
+    run_scene(parse_scene(more), more, tmp_path / "out", workers=0)
+    grown = query.members(tmp_path / "out")
+    assert len(grown) == 4 * len(table) / 3
+    assert grown[grown.start_draw < 3].sort_values("member_id").equals(table.sort_values("member_id")) or (
+        grown.set_index("member_id").loc[table.member_id].reset_index().equals(table)
+    )
+
+
+def test_a_number_may_be_the_damping_itself():
+    member = expand(scene_of(DRAWN, ("SEED", "1"), ("damping = {uniform = [0.0, 0.5]}", "damping = 0.0")))[0]
+    assert (member.damping, member.rho, member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
+
+
+# ---------------------------------------------------------------------------------------------- what is refused
+
+BAD = {
+    "a list where none makes sense": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
+    "a list of an engine": ("tol = 1e-6", "tol = [1e-6, 1e-7]", ["engine[0].tol", "table [[engine]] of its own"]),
+    "a list of names": (
+        'coupling = "antisymmetric"',
+        'coupling = ["full", "springs"]',
+        ["system.coupling", "takes no list"],
+    ),
+    "an empty list": ("kappa = [0.2, 0.1]", "kappa = []", ["system.kappa", "1 to 1000 values, got 0"]),
+    "a value twice": ("kappa = [0.2, 0.1]", "kappa = [0.2, 0.20]", ["system.kappa", "0.2 more than once"]),
+    "a negative value in a list": (
+        "kappa = [0.2, 0.1]",
+        "kappa = [0.2, -1]",
+        ["system.kappa", ">= 0", "got -1 in ["],
+    ),
+    "text in a list": ("kappa = [0.2, 0.1]", 'kappa = ["0.2"]', ["system.kappa", "without quotes: 0.2"]),
+    "nan": ("w = -0.4", "w = nan", ["start.w", "finite", "nan"]),
+    "beyond float": ("w = -0.4", "w = 1" + "0" * 400, ["start.w", "finite"]),
+    "drawn where nothing is by block": (
+        "kappa = [0.2, 0.1]",
+        "kappa = {uniform = [0, 1]}",
+        ["system.kappa", "a list of such", "uniform"],
+    ),
+    "an unknown law": ("w = -0.4", "w = {unifrom = [0, 1]}", ["start.w", "did you mean 'uniform'"]),
+    "two laws": (
+        "w = -0.4",
+        "w = {uniform = [0, 1], normal = [0, 1]}",
+        ["start.w", "one of the keys uniform, normal"],
+    ),
+    "three numbers": ("w = -0.4", "w = {uniform = [0, 1, 2]}", ["start.w", "[low, high], two finite numbers"]),
+    "no width": ("w = -0.4", "w = {uniform = [1, 1]}", ["start.w", "low < high"]),
+    "a negative deviation": ("w = -0.4", "w = {normal = [0, -1]}", ["start.w", "deviation above 0"]),
+    "a friction below 0": ("n = [3, 4]", "n = 3\nfriction = {uniform = [-1, 1]}", ["system.friction", "0 <= low"]),
+    "a friction without bound": ("n = [3, 4]", "n = 3\nfriction = {normal = [1, 1]}", ["system.friction", "below 0"]),
+    "both dampings": ("n = [3, 4]", "n = 3\nrho = 1.0\ndamping = 1.0", ["system.damping", "either", "remove one"]),
+    "draws of nothing": ("w = -0.4", "w = -0.4\ndraws = 2", ["start.draws", "distribution", "remove it"]),
+    "zip of no list": ("seed = 3", 'zip = [["kappa", "rho"]]', ["run.zip", "lists, got 'rho'"]),
+    "zip of one": ("seed = 3", 'zip = [["kappa"]]', ["run.zip", "two keys or more", "['kappa']"]),
+    "zip of an unknown key": ("seed = 3", 'zip = [["kapa", "z"]]', ["run.zip", "did you mean 'kappa'"]),
+    "zip twice": ("seed = 3", 'zip = [["kappa", "z"], ["z", "belt_speed"]]', ["run.zip", "'z' more than once"]),
+    "zip of other lengths": (
+        "z = [-0.7, -0.5]\nw = -0.4\n[run]",
+        'z = [-0.7, -0.5, 0]\nw = -0.4\n[run]\nzip = [["kappa", "z"]]',
+        ["run.zip", "2 of kappa, 3 of z"],
+    ),
+    "a grid beyond bounds": (
+        "kappa = [0.2, 0.1]",
+        f"kappa = {[k / 1000 for k in range(1000)]}\nrho = {[k / 1000 for k in range(1000)]}",
+        ["1000000 members", "the lists"],
+    ),
+    "scales of a damping without any": (
+        "[twins]\nsizes = 1e-3",
+        "[perturbation]\nsizes = 1e-3\n[system.damping]\nuniform = [0, 1]",
+        ["perturbation.readings", "with `damping`", '["relative"]'],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_makes_no_sense_is_refused_in_a_line_that_names_the_key(case):
+    old, new, words = BAD[case]
+    with pytest.raises(SceneError) as caught:
+        scene_of(GRID, (old, new))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 1
+    assert all(word in lines[0] for word in words), lines[0]
+    print(lines[0])
