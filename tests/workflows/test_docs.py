@@ -119,6 +119,8 @@ def test_sweeps_do_what_the_page_says(tmp_path, monkeypatch, capsys):
     (name,) = re.findall(r"`(n20-m.*?)`", page("sweeps"))
     assert name in set(members.member_id)
     assert members.groupby(["friction", "belt_speed"]).size().tolist() == [2] * 6
+    groups = study_of("runs/sweep").groups  # the report tells the points apart
+    assert [group.members.friction.nunique() for group in groups] == [1] * 6
 
 
 def test_first_scene_in_python(first, monkeypatch):
