@@ -208,8 +208,8 @@ class Cost:
 
     `t` and the counts are sums over the matrices, seconds and products medians over the repeats of that sum, with the
     least and the most. Numbers are null, with a reason, where the outcome is not "measured"; products are null for
-    chains, whose K is never dense. Of `n_matrices` measured, `n_rest` came to rest and are measured to their last
-    event; `n_diverged` of those tried left every bound and are measured, if at all, before.
+    chains, whose K is never dense. Of `n_tried` matrices `n_rest` came to rest and `n_diverged` left every bound;
+    `n_matrices` had events and are measured, these to the last one and before they left.
     """
 
     system: System
@@ -217,6 +217,7 @@ class Cost:
     n: int
     outcome: Literal["measured", "failed"] = "measured"
     reason: str | None = None
+    n_tried: int = 0
     n_matrices: int = 0
     n_rest: int = 0
     n_diverged: int = 0
@@ -386,9 +387,9 @@ def exact_cost(scene: ScalingScene, system: System, n: int) -> Cost:
             if piece is not None:
                 pieces.append(piece)
                 missing -= n_events
-        row = replace(row, n_rest=ends["rest"], n_diverged=ends["diverged"])
+        row = replace(row, n_tried=ends.total(), n_rest=ends["rest"], n_diverged=ends["diverged"])
         if not pieces:
-            return replace(row, outcome="failed", reason=f"no event after t_burn in {ends.total()} matrices")
+            return replace(row, outcome="failed", reason=f"no event after t_burn in {row.n_tried} matrices")
         return _timed(row, pieces, scene.exact, scene.repeats)
     except sim.IntegrationError as error:
         return replace(row, outcome="failed", reason=str(error))
@@ -396,7 +397,7 @@ def exact_cost(scene: ScalingScene, system: System, n: int) -> Cost:
 
 def sigmoid_cost(scene: ScalingScene, n: int) -> Cost:
     """Runs of the sigmoid engine on matrix 0, over a fixed time from the exact engine's state at `t_burn`."""
-    row = Cost("random", "sigmoid", n)
+    row = Cost("random", "sigmoid", n, n_tried=1)
     try:
         start = _burnt(scene.random(n, 0), scene)
         if start is None:
