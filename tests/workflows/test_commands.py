@@ -296,7 +296,7 @@ BAD_FILES = {
     "no text": (lambda small: b"\x00" * 100, ["TOML", "correct that line"]),
     "NUL in the text": (lambda small: small.replace(b"<scene>", b"\x00"), ["TOML", "correct that line"]),
     "byte order mark": (lambda small: b"\xef\xbb\xbf" + small, ["byte order mark", "save the file as UTF-8 without"]),
-    "not UTF-8": (lambda small: small.replace(b"small", b"sm\xe4ll"), ["UTF-8", "line 2"]),
+    "not UTF-8": (lambda small: small.replace(b"small", b"sm\xe4ll"), ["UTF-8", "line 1"]),
     "UTF-16": (lambda small: small.decode().encode("utf-16"), ["UTF-8", "save the file as UTF-8"]),
     "JSON": (lambda small: b'{"system": {"n": 12}}', ["TOML", "correct that line"]),
     "a shard": (lambda small: b"PAR1\x15\x04\x15\xff\xfe", ["UTF-8", "save the file as UTF-8"]),

@@ -255,14 +255,12 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
         from scipy.integrate import solve_ivp
 
         equations, start, span = Equations(problem), problem.start, (0.0, problem.t_end)
-        options: dict[str, Any] = {"jac": equations.jacobian} if with_jacobian else {}
+        options: dict[str, Any] = {"method": method, "t_eval": [problem.t_end]}
+        options |= {"jac": equations.jacobian} if with_jacobian else {}
 
         def solve(tolerance: float) -> Solution:
             equations.begin()
-            found = solve_ivp(
-                equations, span, start, method=method, t_eval=[problem.t_end], rtol=tolerance, atol=tolerance,
-                **options,
-            )  # fmt: skip
+            found = solve_ivp(equations, span, start, rtol=tolerance, atol=tolerance, **options)
             if not found.success:
                 raise MethodError(found.message)
             return Solution(found.y[: equations.n, -1], int(found.nfev))
@@ -296,10 +294,16 @@ def _cvode(problem: Problem) -> Solver:
     def solve(tolerance: float) -> Solution:
         equations.begin()
         solver = CVODE(
-            rate, method="BDF", linsolver="gmres", krylov_dim=10, rtol=tolerance, atol=tolerance,
-            max_num_steps=10_000_000, jactimes=CVODEJacTimes(product_setup, product),
+            rate,
+            method="BDF",
+            linsolver="gmres",
+            krylov_dim=10,
+            rtol=tolerance,
+            atol=tolerance,
+            max_num_steps=10_000_000,
+            jactimes=CVODEJacTimes(product_setup, product),
             precond=CVODEPrecond(None, without_k),
-        )  # fmt: skip
+        )
         found = solver.solve(span, start)
         if not found.success:
             raise MethodError(str(found.message))

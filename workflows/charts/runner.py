@@ -203,8 +203,6 @@ def picture(draw: Callable[[], Figure]) -> str:
 
 
 #: What templates have, as filters and as functions.
-FORMS: dict[str, Callable[..., Any]] = {
-    "count": count, "count3": partial(count, digits=3), "power": power, "seconds": seconds, "beside": beside,
-    "number": number, "percent": percent, "listed": listed, "span": span, "median": median, "capital": capital,
-    "minus": minus, "picture": picture,
-}  # fmt: skip
+FORMS: dict[str, Callable[..., Any]] = {"count3": partial(count, digits=3)}
+for _form in (beside, capital, count, listed, median, minus, number, percent, picture, power, seconds, span):
+    FORMS[_form.__name__] = _form

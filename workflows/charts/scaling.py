@@ -121,9 +121,11 @@ class ScalingScene(ChartScene):
     members: Count = Field(default=40, description="number of members of the ensemble", examples=[40])
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
     vectors: Several[Count] = Field(
-        default=(1, 2, 4, 8, 16), min_length=1, description="numbers of vectors that share a product",
+        default=(1, 2, 4, 8, 16),
+        min_length=1,
+        description="numbers of vectors that share a product",
         examples=[[1, 4, 16]],
-    )  # fmt: skip
+    )
 
     def kappa_at(self, n: int) -> float:
         """The scale of the stiffnesses that couples n blocks as strongly as `kappa` couples `KAPPA_AT`."""
@@ -457,15 +459,10 @@ def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
     with local(scene.workers) as client:
         client.run(warm)
         there = [_pipeline(scene, engine, settings, scheduler=client) for engine, _, settings in engines]
-    rows = []
+    rows, of_scene = [], (scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers)
     for (engine, tolerance, settings), (seconds, n_failed) in zip(engines, there, strict=True):
         with_start, _ = _pipeline(scene, engine, settings, workers=scene.workers)
-        rows.append(
-            Throughput(
-                engine, tolerance, scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers, n_failed,
-                seconds, with_start,
-            )
-        )  # fmt: skip
+        rows.append(Throughput(engine, tolerance, *of_scene, n_failed, seconds, with_start))
         say(f"ensemble, {engine} engine, tolerance {tolerance}: {seconds:.3g} s, {with_start:.3g} s with start-up")
     return rows
 
@@ -602,8 +599,10 @@ def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Fi
 
     A point that does not count for the exponent is hollow; dashed is the fit, dotted the growth claimed.
     """
-    panels = (("time per event (µs)", "seconds per event", 1e-6, 1.0),
-              ("time per unit of time (ms)", "seconds per unit of time", 1e-3, 2.0))  # fmt: skip
+    panels = (
+        ("time per event (µs)", "seconds per event", 1e-6, 1.0),
+        ("time per unit of time (ms)", "seconds per unit of time", 1e-3, 2.0),
+    )
     order = sorted(groups, key=lambda group: group.system, reverse=True)
     with matplotlib.rc_context(STYLE):
         figure, axes = subplots(1, len(panels) + 1, 3.1)
@@ -614,15 +613,15 @@ def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Fi
                 name = f"{'random systems' if group.system == 'random' else 'chains'}, {_ENGINES[group.engine]}"
                 _growth(ax, group.points(quantity, unit), exponent, name, CYCLE[k], "osD"[k])
                 if exponent is not None:
-                    ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", transform=ax.transAxes, va="top",
-                            color=CYCLE[k])  # fmt: skip
+                    place: dict[str, Any] = {"transform": ax.transAxes, "va": "top"}
+                    ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", color=CYCLE[k], **place)
             _guide(ax, slope)
         ax = axes[0, -1]
         ax.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
-        ax.plot([row.n_vectors for row in shared], [row.share for row in shared], color="black", marker="o",
-                markersize=3.5)  # fmt: skip
+        vectors = [row.n_vectors for row in shared]
+        ax.plot(vectors, [row.share for row in shared], color="black", marker="o", markersize=3.5)
         ax.set_xscale("log", base=2)
-        ax.set_xticks([row.n_vectors for row in shared], [str(row.n_vectors) for row in shared])
+        ax.set_xticks(vectors, list(map(str, vectors)))
         ax.set(title="shared product, for each vector", xlabel="vectors in a product", ylim=(0, None))
         legend(figure, 3)
     return figure
@@ -632,16 +631,18 @@ _ENGINES: dict[Engine, str] = {"coulomb": "exact", "sigmoid": "sigmoid"}
 
 
 def _growth(
-    ax: Axes, points: Sequence[tuple[int, float, float, float, bool]], exponent: float | None, name: str, colour: str,
+    ax: Axes,
+    points: Sequence[tuple[int, float, float, float, bool]],
+    exponent: float | None,
+    name: str,
+    colour: str,
     marker: str,
-) -> None:  # fmt: skip
+) -> None:
     """The points of one curve and the line of its exponent, through the mean of those that count."""
     for n, value, least, most, counts in points:
         bars = [[max(value - least, 0.0)], [max(most - value, 0.0)]]
-        ax.errorbar(
-            [n], [value], yerr=bars, fmt=marker, color=colour, markersize=4, linewidth=0.9,
-            markerfacecolor=colour if counts else "white",
-        )  # fmt: skip
+        look: dict[str, Any] = {"color": colour, "markersize": 4, "linewidth": 0.9}
+        ax.errorbar([n], [value], bars, fmt=marker, markerfacecolor=colour if counts else "white", **look)
     if exponent is not None:
         log_n, log_value = np.log([(n, value) for n, value, *_, counts in points if counts]).T
         line = np.exp(log_value.mean() + exponent * (log_n - log_n.mean()))

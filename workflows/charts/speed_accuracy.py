@@ -163,6 +163,8 @@ class Cost:
     products_max: float | None = None
     computed: int | None = None
     seconds: float | None = None
+    seconds_min: float | None = None
+    seconds_max: float | None = None
     product_seconds: float | None = None
     n_runs: int = 0
 
@@ -210,9 +212,15 @@ def _reference(problem: Problem, ratio: str | None) -> tuple[Reference, Floats |
 
 
 def _curve(
-    scene: SpeedScene, method: Method, problem: Problem, z: Floats, reference: Reference, product: Product,
-    settings: tuple[float, ...], row: Cost,
-) -> Iterator[Cost]:  # fmt: skip
+    scene: SpeedScene,
+    method: Method,
+    problem: Problem,
+    z: Floats,
+    reference: Reference,
+    product: Product,
+    settings: tuple[float, ...],
+    row: Cost,
+) -> Iterator[Cost]:
     """One row a tolerance or step, from the coarsest to the finest."""
     solve = method.prepare(problem)
     warm(method, problem, settings[-1])
@@ -234,11 +242,8 @@ def _curve(
             yield replace(asked, outcome=outcome, reason=str(failure))
         else:
             took, floor = timing.seconds, reference.floor or 0.0
-            yield replace(
-                asked, error=max(error, floor), is_bound=error <= floor, computed=found.n_products,
-                n_runs=timing.n_runs, products=timing.products, products_min=timing.products_min,
-                products_max=timing.products_max, seconds=timing.seconds, product_seconds=timing.product_seconds,
-            )  # fmt: skip
+            asked = replace(asked, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
+            yield replace(asked, **timing._asdict())
         if took > scene.seconds_a_run:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"
 

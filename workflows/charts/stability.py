@@ -194,9 +194,11 @@ class StabilityScene(ChartScene):
             "theory": linear_theory,
             "tableaus": TABLEAUS,
             "known": hard_cases,
-            "mild": _MILD, "stiff": _STIFF, "h": _H,
+            "mild": _MILD,
+            "stiff": _STIFF,
+            "h": _H,
             "cases": cases,
-        }  # fmt: skip
+        }
         tables = {
             "cells": frame(measured.cells, Cell),
             "references": frame(measured.references, Reference),
@@ -291,9 +293,13 @@ def _references(
 
 
 def _map(
-    scene: StabilityScene, axis: Axis, method: Method, problems: Sequence[Problem],
-    references: Sequence[tuple[Reference, Floats | None]], settings: tuple[float, ...],
-) -> Iterator[Cell]:  # fmt: skip
+    scene: StabilityScene,
+    axis: Axis,
+    method: Method,
+    problems: Sequence[Problem],
+    references: Sequence[tuple[Reference, Floats | None]],
+    settings: tuple[float, ...],
+) -> Iterator[Cell]:
     """The cells of one method, row by row from the coarsest setting, each row from the mildest column."""
     mildest = references[0][0].stiffness
     if not method.is_installed:
@@ -400,9 +406,13 @@ class Map:
         outside = [c for c in self.cells if share[c] > _BEYOND and c.outcome not in ("too slow", "not judged")]
         ratios = [cell.error / cell.setting for cell in outside if cell.error is not None]
         return {
-            "method": self.method, "limit": limit, "inside": max(inside, default=None), "n_outside": len(outside),
-            "outside": Counter(cell.outcome for cell in outside), "ratio": median(ratios) if ratios else None,
-        }  # fmt: skip
+            "method": self.method,
+            "limit": limit,
+            "inside": max(inside, default=None),
+            "n_outside": len(outside),
+            "outside": Counter(cell.outcome for cell in outside),
+            "ratio": median(ratios) if ratios else None,
+        }
 
     def growth(self, tolerance: float) -> float | None:
         """Cost at the stiffest cell that was finished over that at the one before, to the power of one decade."""
@@ -544,9 +554,11 @@ def linear_theory() -> Figure:
                 errors = [tableau.error(stiffness, step) for step in h]
                 right.plot(h, errors, linestyle=dash, marker="o", markersize=3, **look)
         left.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
-        left.set(xscale="log", yscale="log", ylim=(1e-4, 1e1), xlabel="x = h μ / δ", ylabel="|R(−x)|",
-                 title="what a step leaves of a disturbance")  # fmt: skip
-        right.set(xscale="log", yscale="log", xlabel="step h", ylabel="error at t = 1",
-                  title="order: stiff (solid), not stiff (dashed)")  # fmt: skip
+        for ax in axes[0]:
+            ax.set(xscale="log", yscale="log")
+        left.set(
+            title="what a step leaves of a disturbance", xlabel="x = h μ / δ", ylabel="|R(−x)|", ylim=(1e-4, 1e1)
+        )
+        right.set(title="order: stiff (solid), not stiff (dashed)", xlabel="step h", ylabel="error at t = 1")
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6)
     return figure
