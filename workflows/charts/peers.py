@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -388,6 +388,16 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
     *map(_fixed, STEPPERS),
 )
+
+
+def asked(
+    model: Model, tolerances: tuple[float, ...], steps: tuple[float, ...]
+) -> Iterator[tuple[Method, tuple[float, ...]]]:
+    """The methods of a law, each with what it is asked for: tolerances or steps. One with nothing is left out."""
+    for one in METHODS:
+        settings = steps if one.control == "step" else tolerances
+        if one.model == model and settings:
+            yield one, settings
 
 
 def method(name: str) -> Method:

@@ -32,6 +32,7 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Ratio,
+    asked,
     distance,
     random_problem,
     reached,
@@ -100,10 +101,7 @@ class SpeedScene(ChartScene):
                 reference, z = _reference(problem, ratio)
                 references.append(reference)
                 product = Product(np.asarray(problem.system.stiffness))
-                for method in METHODS:
-                    settings = self.steps if method.control == "step" else self.tolerances
-                    if method.model != reference.model or not settings:
-                        continue
+                for method, settings in asked(reference.model, self.tolerances, self.steps):
                     row = Cost(n, ratio, reference.model, method.name, None, None, "measured")
                     if not method.is_installed:
                         found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
@@ -226,9 +224,9 @@ def _curve(
     warm(method, problem, settings[-1])
     too_slow: str | None = None
     for setting in reversed(settings):
-        asked = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
+        cost = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
         if too_slow is not None:
-            yield replace(asked, outcome="too slow", reason=too_slow)
+            yield replace(cost, outcome="too slow", reason=too_slow)
             continue
         start = time.perf_counter()
         try:
@@ -239,11 +237,11 @@ def _curve(
         except (MethodError, sim.IntegrationError) as failure:
             took = time.perf_counter() - start
             outcome: Outcome = "too slow" if isinstance(failure, GivenUp) else "failed"
-            yield replace(asked, outcome=outcome, reason=str(failure))
+            yield replace(cost, outcome=outcome, reason=str(failure))
         else:
             took, floor = timing.seconds, reference.floor or 0.0
-            asked = replace(asked, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
-            yield replace(asked, **timing._asdict())
+            cost = replace(cost, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
+            yield replace(cost, **timing._asdict())
         if took > scene.seconds_a_run:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"
 

@@ -44,6 +44,7 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Solver,
+    asked,
     distance,
     random_problem,
     reached,
@@ -148,10 +149,9 @@ class StabilityScene(ChartScene):
 
     def extent(self) -> str:
         found = sum(
-            len(columns) * len(self.steps if method.control == "step" else self.tolerances)
+            len(columns) * len(settings)
             for axis, columns in self.axes.items()
-            for method in METHODS
-            if method.model == LAWS[axis]
+            for _, settings in asked(LAWS[axis], self.tolerances, self.steps)
         )
         return f"{found} cells{' and the hard cases' if self.cases else ''}"
 
@@ -166,13 +166,11 @@ class StabilityScene(ChartScene):
                 found = _references(axis, columns, problems)
                 references += [reference for reference, _ in found]
                 say(f"{axis}: references of {len(columns)} columns")
-                for method in METHODS:
-                    settings = self.steps if method.control == "step" else self.tolerances
-                    if method.model == LAWS[axis] and settings:
-                        rows = list(_map(self, axis, method, problems, found, settings))
-                        cells += rows
-                        right = sum(cell.outcome == "right" for cell in rows)
-                        say(f"{axis}: {method.name}, {right} of {len(rows)} right")
+                for method, settings in asked(LAWS[axis], self.tolerances, self.steps):
+                    rows = list(_map(self, axis, method, problems, found, settings))
+                    cells += rows
+                    right = sum(cell.outcome == "right" for cell in rows)
+                    say(f"{axis}: {method.name}, {right} of {len(rows)} right")
             cases = judged(self.patience, say) if self.cases else []
         return Measured(cells, references, cases)
 
@@ -312,17 +310,17 @@ def _map(
         took, before = 0.0, mildest
         for solve, (reference, z) in zip(solvers, references, strict=True):
             stiffness = reference.stiffness
-            asked = Cell(axis, stiffness, method.name, None, None, "not judged")
-            asked = replace(asked, step=setting) if n_steps else replace(asked, tolerance=setting)
+            cell = Cell(axis, stiffness, method.name, None, None, "not judged")
+            cell = replace(cell, step=setting) if n_steps else replace(cell, tolerance=setting)
             if z is None or reference.floor is None:
-                yield replace(asked, reason=f"no reference: {reference.reason}")
+                yield replace(cell, reason=f"no reference: {reference.reason}")
             elif n_steps > scene.max_steps:
-                yield replace(asked, outcome="too slow", reason=f"not started: {n_steps:,} steps")
+                yield replace(cell, outcome="too slow", reason=f"not started: {n_steps:,} steps")
             elif not _can_be_stopped(method) and took * stiffness / before > scene.patience:
                 reason = f"not started: took {took:.2g} s at {before:g}, and cost may grow with the stiffness"
-                yield replace(asked, outcome="too slow", reason=reason)
+                yield replace(cell, outcome="too slow", reason=reason)
             else:
-                cell = classified(scene, solve, setting, z, reference.floor, asked)
+                cell = classified(scene, solve, setting, z, reference.floor, cell)
                 if cell.seconds is not None:
                     took, before = cell.seconds, stiffness
                 yield cell
