@@ -15,8 +15,8 @@ from .errors import StoreError as StoreError
 from .integrity import verify as verify
 from .monitor import Status as Status
 from .monitor import status as status
-from .processes import Interrupted as Interrupted
-from .processes import interruptible as interruptible
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import parse_scene as parse_scene
+from .signals import Interrupted as Interrupted
+from .signals import interruptible as interruptible

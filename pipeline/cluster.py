@@ -26,7 +26,8 @@ from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
-from stickslip.pipeline.processes import ONE_THREAD, environment_kept, unbroken
+from stickslip.pipeline.processes import ONE_THREAD, environment_kept
+from stickslip.pipeline.signals import unbroken
 
 if TYPE_CHECKING:  # workers load this module first
     from stickslip.pipeline.scene import Scene

@@ -23,8 +23,8 @@ from stickslip.pipeline.ledger import (
     read_manifest,
     stored_scene,
 )
-from stickslip.pipeline.processes import last_act, unbroken
 from stickslip.pipeline.scene import Scene, parse_scene
+from stickslip.pipeline.signals import last_act, unbroken
 from stickslip.pipeline.storage import (
     DATA,
     LOCK,

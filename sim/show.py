@@ -67,9 +67,15 @@ def draw_modes(events: EventSeries, ax: Axes | None) -> Axes:
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
     legend = ax.legend(
-        loc="upper left", ncols=len(_MODES), frameon=False, borderaxespad=0.0,
-        fontsize="small", handlelength=1.0, handletextpad=0.4, columnspacing=1.0,
-    )  # fmt: skip
+        loc="upper left",
+        ncols=len(_MODES),
+        frameon=False,
+        borderaxespad=0.0,
+        fontsize="small",
+        handlelength=1.0,
+        handletextpad=0.4,
+        columnspacing=1.0,
+    )
     # room for it above the last block: outside the axes it would cover what is beside them, or be cut off
     share = min(legend.get_window_extent().height / ax.get_window_extent().height, 0.5)
     ax.set_ylim(-0.5, -0.5 + events.n / (1.0 - share))

@@ -15,7 +15,8 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.processes import Interrupted, interruptible, one_thread
+from stickslip.pipeline.processes import one_thread
+from stickslip.pipeline.signals import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, parser
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
     from stickslip.pipeline import parse_scene, run_scene
-    from stickslip.pipeline.processes import last_act
+    from stickslip.pipeline.signals import last_act
     from stickslip.pipeline.storage import DATA, SCENE, Directory
     from stickslip.pipeline.toml import read_source
     from stickslip.workflows.progress import Watch, clock

@@ -115,26 +115,6 @@ class Fold:
         """normal . z - offset = F_i + side mu_i: zero on the fold, of the sign of `side` where the block sticks."""
         return float(self.normal @ per_block("z", z, len(self.normal)) - self.offset)
 
-    def time(self, z: ArrayLike, velocity: ArrayLike) -> float:
-        """Time until z, moving with a constant velocity, meets the plane; negative if it lies behind.
-
-        With all blocks stuck the velocity is that of the belt. Infinite if z moves along the plane and off it; zero
-        if it moves within it.
-        """
-        n = len(self.normal)
-        start, direction = per_block("z", z, n), per_block("velocity", velocity, n)
-        height, rate = self.height(start), float(self.normal @ direction)
-        size = float(np.abs(self.normal).sum())
-        if abs(rate) > ROUNDING * size * float(np.abs(direction).max()):
-            return -height / rate + 0.0
-        return 0.0 if abs(height) <= ROUNDING * (size * float(np.abs(start).max()) + abs(self.offset)) else math.inf
-
-    def distance(self, z: ArrayLike, velocity: ArrayLike) -> float:
-        """Length of the straight way in z to the plane along a velocity; signs and infinity as of `time`."""
-        time = self.time(z, velocity)
-        length = float(np.linalg.norm(per_block("velocity", velocity, len(self.normal))))
-        return time * length if length > 0.0 else time  # at rest: 0 on the plane, else infinite
-
 
 def fold(system: System, block: int, side: int) -> Fold:
     """The fold of a block at lambda_i = side.

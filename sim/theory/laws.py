@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -223,49 +222,6 @@ class SmoothLaw(SwitchingLaw):
 
     def zeros(self, target: Floats, slip: Slips) -> Floats:
         return _subdivide(self, target, slip, self.curvature, self.resolution)
-
-
-@dataclass(frozen=True, eq=False)
-class Canopy(SwitchingLaw):
-    """s from its values where all blocks slip, by the convex canopy (12).
-
-    Parameters
-    ----------
-    corners : array_like, shape (2,) * m + (m,)
-        corners[i_1, ..., i_m] = s at lambda_j = 2 i_j - 1.
-
-    The canopy is affine in each lambda_j, so it cannot express `Modified` or `StaticAboveKinetic`: their terms
-    vanish at all corners, and the canopy of their corners is Coulomb's law.
-    """
-
-    corners: ArrayLike
-    size: int = field(init=False)
-    resolution: float = 1e-6
-
-    def __post_init__(self) -> None:
-        values = floats("corners", self.corners, "values of s at the corners of the box")
-        if values.ndim < 2 or values.shape != (2,) * (values.ndim - 1) + (values.ndim - 1,):
-            raise ValueError(f"corners: expected shape (2,) * m + (m,), got {values.shape}")
-        object.__setattr__(self, "corners", values)
-        object.__setattr__(self, "size", values.ndim - 1)
-
-    @cached_property
-    def _values(self) -> Floats:
-        return np.asarray(self.corners, dtype=np.float64)
-
-    def resistance(self, lam: Floats) -> Floats:
-        return canopy(self._values, lam)
-
-    def slope(self, lam: Floats) -> Floats:
-        columns = []
-        for j in range(self.size):
-            ends = np.moveaxis(self._values, j, 0)
-            columns.append(canopy((ends[1] - ends[0]) / 2, np.delete(lam, j)))
-        return np.column_stack(columns)
-
-    def zeros(self, target: Floats, slip: Slips) -> Floats:
-        # a mixed second derivative is a mean of four corners, each with weight +-1/4, summed
-        return _subdivide(self, target, slip, float(np.abs(self._values).max()), self.resolution)
 
 
 def canopy(corners: ArrayLike, lam: ArrayLike) -> Floats:

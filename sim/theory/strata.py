@@ -204,28 +204,6 @@ def strata(system: System, n_folds: int, stuck: Sequence[int] | None = None) -> 
     )
 
 
-def n_strata_by_kind(
-    system: System, n_folds: int, stuck: Sequence[int] | None = None, velocity: ArrayLike | None = None
-) -> dict[Kind, int]:
-    """How many strata are exits, entries, mixed or degenerate (`Stratum.kind`), without enumerating them; exactly.
-
-    Of q sticking blocks whose third derivative does not vanish each has one visible and one invisible fold: k of
-    them meet in C(q, k) exits, as many entries, and C(q, k) (2^k - 2) mixed strata. Arguments and errors as of
-    `strata` and `Stratum.visibility`.
-    """
-    held = _stuck(system, stuck)
-    k = integer("n_folds", n_folds, 1, len(held))
-    w = _velocity(system, held, velocity)
-    moves = np.abs(system.stiffness @ w) > ROUNDING * system.row_sums * np.abs(w).max()
-    each = math.comb(int(np.count_nonzero(moves[list(held)])), k)
-    return {
-        "exit": each,
-        "entry": each,
-        "mixed": each * (2**k - 2),
-        "degenerate": n_strata(len(held), k) - each * 2**k,
-    }
-
-
 def corners(system: System) -> Iterator[Stratum]:
     """The 2^n corners of the region where all blocks stick, K z = -(side mu + R v) (eq. 8 for any n), lazily.
 

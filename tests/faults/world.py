@@ -22,6 +22,7 @@ from pathlib import Path
 from stickslip.pipeline import design, expand, parse_scene, run_scene, verify
 from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.worker import program
+from tests.scenes import ensemble
 
 ROOT = Path(__file__).parents[2]
 INJECT = Path(__file__).parent / "inject"
@@ -37,27 +38,7 @@ sys.exit(commands.main())
 #: Small batches: a small scene then has many shards.
 TARGET_COST = 3.5e-3
 
-SOURCE = b"""\
-title = "faults"
-[system]
-coupling = "antisymmetric"
-n = [5, 3]
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 4.0
-matrices = 5
-seed = 7
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-[analysis]
-t_burn = 1.0
-dt = 0.5
-resamples = 2
-"""
+SOURCE = ensemble([5, 3], 4.0, 5, seed=7, title="faults", analysis="t_burn = 1.0\ndt = 0.5\nresamples = 2").encode()
 
 
 class Unshown(Exception):

@@ -7,42 +7,17 @@ import shutil
 import pytest
 
 from stickslip.pipeline import design, parse_scene, run_scene
+from tests.scenes import COULOMB, SIGMOID, ensemble
 
-SOURCE = b"""\
-title = "small"
-
-[system]
-coupling = "antisymmetric"
-n = [5, 3]
-
-[start]
-z = -0.7
-w = -0.4
-
-[run]
-t_end = 8.0
-matrices = 3
-seed = 7
-
-[[engine]]
-name = "coulomb"
-
-[[engine]]
-name = "sigmoid"
-ratio = "uniform"
-ratio_draws = 2
-stick = "threshold"
-
-[perturbation]
-sizes = [0.05, 0.01]
-
-[record]
-events = true
-
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
+SOURCE = ensemble(
+    [5, 3],
+    8.0,
+    3,
+    COULOMB,
+    f'{SIGMOID}\nratio = "uniform"\nratio_draws = 2\nstick = "threshold"',
+    seed=7,
+    rest="[perturbation]\nsizes = [0.05, 0.01]\n\n[record]\nevents = true",
+).encode()
 
 
 #: Three or so members a shard: a small scene then has many.

@@ -14,50 +14,31 @@ from pathlib import Path
 from stickslip.pipeline import Progress, Scene, parse_scene, run_scene, status
 from stickslip.pipeline.estimate import estimate
 from stickslip.pipeline.writer import Store
-
-_SCENE = """
-[system]
-coupling = "{coupling}"
-n = {n}
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = {t_end}
-matrices = {matrices}
-{engines}
-{rest}
-[analysis]
-t_burn = 0.0
-dt = 1.0
-"""
-_EXACT = '[[engine]]\nname = "coulomb"\n'
-_SMOOTH = '[[engine]]\nname = "sigmoid"\n'
+from tests.scenes import COULOMB, SIGMOID, ensemble
 
 #: The scene that is run half before its estimate is asked for.
 RESUMED = "large, exact"
 
-#: Name, coupling, n, t_end, matrices, engines, what else.
+#: Name, n, t_end, matrices, engines, what else.
 SCENES = [
-    ("many small", "antisymmetric", 20, 200.0, 1500, _EXACT, ""),
-    ("both engines", "antisymmetric", 100, 400.0, 100, _EXACT + _SMOOTH, ""),
-    ("large, exact", "antisymmetric", 200, 1000.0, 40, _EXACT, ""),
-    ("stiff", "antisymmetric", 200, 500.0, 20, _SMOOTH + 'ratio = "uniform"\nratio_draws = 2\n', ""),
-    ("thin layer, three n", "antisymmetric", [10, 50, 150], 300.0, 60, _SMOOTH + "eps = 0.003\n", ""),
-    ("paths", "antisymmetric", 60, 600.0, 120, _EXACT + _SMOOTH, "[record]\nevents = true\n"),
+    ("many small", 20, 200.0, 1500, (COULOMB,), ""),
+    ("both engines", 100, 400.0, 100, (COULOMB, SIGMOID), ""),
+    ("large, exact", 200, 1000.0, 40, (COULOMB,), ""),
+    ("stiff", 200, 500.0, 20, (f'{SIGMOID}\nratio = "uniform"\nratio_draws = 2',), ""),
+    ("thin layer, three n", [10, 50, 150], 300.0, 60, (f"{SIGMOID}\neps = 0.003",), ""),
+    ("paths", 60, 600.0, 120, (COULOMB, SIGMOID), "[record]\nevents = true\n"),
     (
         "twins and moved constants",
-        "antisymmetric",
         100,
         300.0,
         20,
-        _EXACT + _SMOOTH,
+        (COULOMB, SIGMOID),
         "[perturbation]\nsizes = [0.01, 0.1]\ndraws = 2\n[twins]\nsizes = [1e-6]\n"
         "[record]\nseparation = 5.0\ngrowth_rate = true\n",
     ),
-    ("thresholds", "antisymmetric", 200, 300.0, 40, _SMOOTH + "thresholds = [0.5, 1.0, 2.0]\n", ""),
-    ("short and large", "antisymmetric", 400, 60.0, 40, _EXACT, ""),
-    ("springs", "springs", 50, 500.0, 100, _EXACT + _SMOOTH + "eps = 0.1\n", ""),
+    ("thresholds", 200, 300.0, 40, (f"{SIGMOID}\nthresholds = [0.5, 1.0, 2.0]",), ""),
+    ("short and large", 400, 60.0, 40, (COULOMB,), ""),
+    ("springs", 50, 500.0, 100, (COULOMB, f"{SIGMOID}\neps = 0.1"), ""),
 ]
 
 
@@ -65,9 +46,9 @@ def measure(workers: int) -> int:
     """Print a row a scene; returns how many intervals held the truth."""
     n_held = 0
     print(f"{'scene':26} to go pilot s busy  {'estimate s':22} took s in  wide  {'estimate MB':22} MB    in")
-    for name, coupling, n, t_end, matrices, engines, rest in SCENES:
-        text = _SCENE.format(coupling=coupling, n=n, t_end=t_end, matrices=matrices, engines=engines, rest=rest)
-        source = text.encode()
+    for name, n, t_end, matrices, engines, rest in SCENES:
+        text = ensemble(n, t_end, matrices, *engines, rest=rest, analysis="t_burn = 0.0\ndt = 1.0")
+        source = (text.replace("antisymmetric", "springs") if name == "springs" else text).encode()
         scene = parse_scene(source)
         with tempfile.TemporaryDirectory() as directory:
             out = Path(directory) / "out"

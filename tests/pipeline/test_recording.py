@@ -9,24 +9,16 @@ from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_scene, verify, worker
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
 from stickslip.pipeline.schema import Recording
+from tests.scenes import COULOMB, SIGMOID, ensemble
 
-SOURCE = b"""\
-[system]
-coupling = "antisymmetric"
-n = 4
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 11.0
-matrices = 2
-seed = 5
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-ratio = "uniform"
-thresholds = [2.0, 0.5]
+SOURCE = ensemble(
+    4,
+    11.0,
+    2,
+    COULOMB,
+    f'{SIGMOID}\nratio = "uniform"\nthresholds = [2.0, 0.5]',
+    seed=5,
+    rest="""
 [perturbation]
 sizes = [0.01, 0.05]
 readings = ["relative", "scale"]
@@ -35,10 +27,8 @@ sizes = [1e-6, 1e-3]
 [record]
 events = true
 separation = 2.5
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
+""",
+).encode()
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,6 @@ def test_dampings_that_cannot_be_are_refused(damping, error, message):
         lambda s: folds.drift_exit(s, 0.0),
         lambda s: folds.visibility(s, 0.0, 0.0, 0),
         lambda s: strata.strata(s, 1),
-        lambda s: strata.n_strata_by_kind(s, 1),
         lambda s: strata.corners(s),
         lambda s: strata.parallelogram(s),
         lambda s: strata.Stratum(s, (0, 1), (0,), (1,)),

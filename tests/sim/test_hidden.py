@@ -11,7 +11,7 @@ from scipy.optimize import brentq, fsolve
 
 from stickslip.sim import IntegrationError, System, simulate
 from stickslip.sim.theory.blowup import RAMP, Blowup, continuations
-from stickslip.sim.theory.laws import Canopy, Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
+from stickslip.sim.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
 from stickslip.sim.theory.slow_time import follow, run_with_law
 
 PAIR = System([[1.6, -0.5], [-0.5, 2.1]], damping=0.1, belt_speed=-1.0)
@@ -32,7 +32,6 @@ LAWS = {
     "static": StaticAboveKinetic(1.4),
     "modified": Modified(),
     "smooth": modified(),
-    "canopy": Canopy(np.random.default_rng(3).normal(size=(2, 2, 2))),
 }
 
 
@@ -107,7 +106,7 @@ def test_canopy_cannot_express_the_modified_law():
     law = Modified()
     corners = [[law.resistance(np.array([x, y])) for y in (-1.0, 1.0)] for x in (-1.0, 1.0)]
     lam = np.array([-0.5, 0.0])
-    np.testing.assert_allclose(Canopy(corners).resistance(lam), lam, atol=1e-15)
+    np.testing.assert_allclose(canopy(corners, lam), lam, atol=1e-15)
     assert np.abs(law.resistance(lam) - lam).max() == pytest.approx(0.5)
 
 
@@ -278,14 +277,6 @@ def test_subdivision_refuses_a_degenerate_zero():
     law = SmoothLaw(lambda lam: lam**2, lambda lam: np.diag(2 * lam), 2.0, 1)
     with pytest.raises(IntegrationError, match="not decided at resolution"):
         law.zeros(np.zeros(1), STUCK[:1])
-
-
-def test_canopy_law_finds_its_modes():
-    """Coulomb's corners with a bilinear twist: s = lambda + 0.4 lambda_1 lambda_2 (1, -1)."""
-    corners = [[[x + 0.4 * x * y, y - 0.4 * x * y] for y in (-1, 1)] for x in (-1, 1)]
-    (mode,) = Blowup(Canopy(corners), [1.0, 1.0]).sticking_modes([-0.2, 0.5])
-    x, y = mode.lam
-    np.testing.assert_allclose([x + 0.4 * x * y, y - 0.4 * x * y], [0.2, -0.5], atol=1e-13)
 
 
 # --- the fast system -----------------------------------------------------------------------------------------
@@ -548,7 +539,6 @@ def test_entry_between_basins_is_an_error():
         (lambda: Blowup(Modified(), [1.0, 1.0, 1.0]), "law: Modified is for 2 blocks, got 3"),
         (lambda: Blowup(Coulomb(), [1.0]).settle(0.0, 1.5), "entry: expected lambda in"),
         (lambda: Blowup(Coulomb(), [1.0]).sticking_modes(0.0, 0.5), "slip: expected -1, 0 or"),
-        (lambda: Canopy(np.zeros((2, 3))), "corners: expected shape"),
         (lambda: run_with_law(System(np.eye(3), 0.1), Coulomb(), 0.0, 0.0, 1.0), "expected one or two blocks, got 3"),
         (lambda: run_with_law(ONE, Coulomb(), 0.0, 0.0, -1.0), "t_end: expected a number in"),
     ],

@@ -8,34 +8,17 @@ from stickslip.pipeline import SceneError
 from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
+from tests.scenes import ensemble
 
-SMALL = """
-title = "A small <scene>"
-[system]
-coupling = "antisymmetric"
-n = 12
-kappa = 0.2
-rho = 3.5
-friction = 1.0
-belt_speed = -0.2
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 40.0
-matrices = 3
-seed = 1
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-[record]
-events = true
-[analysis]
-t_burn = 1.0
-dt = [0.5]
-resamples = 50
-"""
+SMALL = ensemble(
+    12,
+    40.0,
+    3,
+    seed=1,
+    title="A small <scene>",
+    rest="[record]\nevents = true",
+    analysis="t_burn = 1.0\ndt = [0.5]\nresamples = 50",
+)
 
 
 @pytest.fixture(scope="session")

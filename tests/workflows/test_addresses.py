@@ -9,25 +9,9 @@ import pytest
 
 from stickslip.workflows.commands import main
 from tests.faults.bucket import ask, bucket
+from tests.scenes import COULOMB, ensemble
 
-SOURCE = """\
-title = "in a bucket"
-[system]
-coupling = "antisymmetric"
-n = 5
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 8.0
-matrices = 2
-[[engine]]
-name = "coulomb"
-[analysis]
-t_burn = 1.0
-dt = 0.5
-resamples = 2
-"""
+SOURCE = ensemble(5, 8.0, 2, COULOMB, title="in a bucket", analysis="t_burn = 1.0\ndt = 0.5\nresamples = 2")
 
 
 @pytest.fixture(scope="module")

@@ -19,25 +19,10 @@ from distributed import Client
 
 from stickslip.pipeline import parse_scene, run_scene, status, verify
 from stickslip.workflows.commands import main
+from tests.scenes import COULOMB, ensemble
 
 SCRIPT = Path(__file__).parents[2] / "workflows" / "guide" / "slurm.py"
-SOURCE = b"""\
-[system]
-coupling = "antisymmetric"
-n = [100, 5]
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 300.0
-matrices = 60
-seed = 11
-[[engine]]
-name = "coulomb"
-[analysis]
-t_burn = 20.0
-dt = 1.0
-"""
+SOURCE = ensemble([100, 5], 300.0, 60, COULOMB, seed=11, analysis="t_burn = 20.0\ndt = 1.0").encode()
 
 
 @pytest.fixture(scope="module")

@@ -11,36 +11,20 @@ import pytest
 
 from stickslip.analysis.stats.cascades import spans, window
 from stickslip.pipeline import parse_scene, query, run_scene
+from tests.scenes import COULOMB, SIGMOID, ensemble
 
 GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()
 SECTIONS = re.findall(r"^## (\d+)\. (.*?)\n(.*?)(?=^## |\Z)", GUIDE, flags=re.DOTALL | re.MULTILINE)
-SOURCE = b"""\
-[system]
-coupling = "antisymmetric"
-n = [12, 60]
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 80.0
-matrices = 4
-seed = 3
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-thresholds = [0.25, 1.0, 4.0]
-[perturbation]
-sizes = [0.01, 0.1]
-[twins]
-sizes = [1e-6]
-[record]
-events = true
-separation = 5.0
-[analysis]
-t_burn = 50.0
-dt = 0.5
-"""
+SOURCE = ensemble(
+    [12, 60],
+    80.0,
+    4,
+    COULOMB,
+    f"{SIGMOID}\nthresholds = [0.25, 1.0, 4.0]",
+    seed=3,
+    rest="[perturbation]\nsizes = [0.01, 0.1]\n[twins]\nsizes = [1e-6]\n[record]\nevents = true\nseparation = 5.0",
+    analysis="t_burn = 50.0\ndt = 0.5",
+).encode()
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,8 +18,8 @@ from scipy.linalg import expm
 
 from stickslip import sim
 from stickslip.sim.arguments import per_block
-from stickslip.workflows.charts import Say
-from stickslip.workflows.charts.peers import METHODS, Floats, GivenUp, MethodError, Problem, random_problem
+from stickslip.workflows.charts import Say, peers
+from stickslip.workflows.charts.peers import Floats, GivenUp, MethodError, Problem, random_problem, reached
 
 Answer = Literal["right", "refused", "too slow", "wrong"]
 #: (time, block, mode from then on)
@@ -126,15 +126,23 @@ def _generator(system: sim.System, mode: NDArray[np.int64]) -> Floats:
 
 
 def _case(
-    name: str, hard: str, known: str, system: sim.System, z0: ArrayLike, w0: ArrayLike, t_end: float,
-    modes: tuple[int, ...], events: tuple[Event, ...], *, is_counted: bool = True, eps: float = EPS,
-    outcome: str = "finished", scale: float = 1.0, methods: tuple[str, ...] = HardCase.methods,
-) -> HardCase:  # fmt: skip
+    name: str,
+    hard: str,
+    known: str,
+    system: sim.System,
+    z0: ArrayLike,
+    w0: ArrayLike,
+    t_end: float,
+    modes: tuple[int, ...],
+    events: tuple[Event, ...],
+    scale: float = 1.0,
+    **more: Any,
+) -> HardCase:
+    """A case of the exact law; `more` are fields of `HardCase` that are not as usual."""
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
     z_at = motion(system, z, w, modes, events)
-    delta = np.full(system.n, eps * scale)
-    kept = events if is_counted else None
-    return HardCase(name, hard, known, system, z, w, t_end, z_at, kept, delta, outcome, scale, methods)
+    case = HardCase(name, hard, known, system, z, w, t_end, z_at, events, np.full(system.n, EPS * scale), scale=scale)
+    return replace(case, **more)
 
 
 def _grazing() -> Iterator[HardCase]:
@@ -147,7 +155,8 @@ def _grazing() -> Iterator[HardCase]:
             entry = 0.5 * math.pi - 2.0 * math.asin(math.sqrt(0.5 * gap))
             events = ((entry, 0, 0), (entry + math.cos(entry) / speed, 0, 1))
         system = sim.System([[1.0]], 0.0, 1.0, -speed)
-        yield _case(f"graze: {word}", hard, "closed form", system, 0.0, 0.0, 5.0, (1,), events, is_counted=gap != 0.0)
+        case = _case(f"graze: {word}", hard, "closed form", system, 0.0, 0.0, 5.0, (1,), events)
+        yield case if gap else replace(case, events=None)
 
 
 def _free() -> Iterator[HardCase]:
@@ -169,46 +178,35 @@ def _edges() -> Iterator[HardCase]:
         d = (1.25 - c * z1 - acceleration) / z2
         turn = side * (-acceleration if acceleration else -(c + 2.0 * d))
         word, order = ("fold, F' = 0", "F''") if acceleration else ("cusp, F' = F'' = 0", "F'''")
+        name, hard = f"{word}: {'leaves' if turn > 0 else 'holds'}", f"|F| = mu at the start and {order} decides"
+        known = "sign of the first derivative, then the exponential"
         system = sim.System([[1.0, -0.5], [c, d]], [0.25, 0.125], 1.0, -1.0)
-        yield _case(
-            f"{word}: {'leaves' if turn > 0 else 'holds'}", f"|F| = mu at the start and {order} decides",
-            "sign of the first derivative, then the exponential", system, [z1, z2], [-1.0, -2.0], 0.25,
-            (-side if turn > 0 else 0, -1), (),
-        )  # fmt: skip
+        modes = (-side if turn > 0 else 0, -1)
+        yield _case(name, hard, known, system, [z1, z2], [-1.0, -2.0], 0.25, modes, ())
 
 
 #: R = 0.1, K = 1, v = -0.2 from z = 3, w = 1: the damped oscillator's own times, to 40 digits.
-ONE_BLOCK: tuple[Event, ...] = (
-    (0.29075098367384344, 0, -1), (3.231881443452085, 0, 0), (4.104721534065557, 0, 1),
-)  # fmt: skip
+ONE_BLOCK: tuple[Event, ...] = ((0.29075098367384344, 0, -1), (3.231881443452085, 0, 0), (4.104721534065557, 0, 1))
 
 
 def _several() -> Iterator[HardCase]:
     five = tuple((t, block, mode) for t, _, mode in ONE_BLOCK for block in range(5))
     copies = sim.System(0.5 * np.eye(5) + 0.1, 0.1, 1.0, -0.2)
-    yield _case(
-        "five identical blocks", "every event is five at once", "one block's closed form", copies, 3.0, 1.0, 20.0,
-        (1,) * 5, five,
-    )  # fmt: skip
+    known = "one block's closed form"
+    yield _case("five identical blocks", "every event is five at once", known, copies, 3.0, 1.0, 20.0, (1,) * 5, five)
     swing = tuple(
         (math.pi * k, block, (0 if k == 2 else 1) * sign) for k in (1, 2) for block, sign in enumerate((1, -1))
     )
     mirror = sim.System([[1.5, 0.5], [0.5, 1.5]], 0.0, 1.0, 0.0)
-    yield _case(
-        "mirror images, v = 0", "two events at once, in opposite directions",
-        "closed form: a half swing loses 2 mu / K", mirror, [4.5, -4.5], 0.0, 20.0, (-1, 1), swing,
-    )  # fmt: skip
-    yield _case(
-        "hardly a belt, v = -1e-12", "crosses the belt's speed 2e-13 after the start", "closed form to 1e-11",
-        sim.System([[1.0]], 0.0, 1.0, -1e-12), 4.5, 0.0, 20.0, (1,),
-        ((1e-12 / 5.5, 0, -1), (math.pi, 0, 1), (2 * math.pi, 0, 0)),
-    )  # fmt: skip
-    crossings = _crossings(1000.0, 2e-4, 5.0)
-    yield _case(
-        "K of 1 and 1e6", "one block is 1000 times as fast as the other", "closed forms of each",
-        sim.System(np.diag([1.0, 1e6]), [0.1, 0.0], [1.0, 0.0], -0.2), [3.0, 1.0], [1.0, 0.0], 5.0, (1, 1),
-        tuple(sorted((*ONE_BLOCK, *crossings))),
-    )  # fmt: skip
+    hard, known = "two events at once, in opposite directions", "closed form: a half swing loses 2 mu / K"
+    yield _case("mirror images, v = 0", hard, known, mirror, [4.5, -4.5], 0.0, 20.0, (-1, 1), swing)
+    hard, known = "crosses the belt's speed 2e-13 after the start", "closed form to 1e-11"
+    slow, events = sim.System([[1.0]], 0.0, 1.0, -1e-12), ((1e-12 / 5.5, 0, -1), (math.pi, 0, 1), (2 * math.pi, 0, 0))
+    yield _case("hardly a belt, v = -1e-12", hard, known, slow, 4.5, 0.0, 20.0, (1,), events)
+    hard, known = "one block is 1000 times as fast as the other", "closed forms of each"
+    apart = sim.System(np.diag([1.0, 1e6]), [0.1, 0.0], [1.0, 0.0], -0.2)
+    every: tuple[Event, ...] = tuple(sorted((*ONE_BLOCK, *_crossings(1000.0, 2e-4, 5.0))))
+    yield _case("K of 1 and 1e6", hard, known, apart, [3.0, 1.0], [1.0, 0.0], 5.0, (1, 1), every)
 
 
 def _crossings(omega: float, ratio: float, t_end: float) -> Iterator[Event]:
@@ -222,54 +220,65 @@ def _crossings(omega: float, ratio: float, t_end: float) -> Iterator[Event]:
 
 
 def _extremes() -> Iterator[HardCase]:
-    unit = sim.System([[1.0]], 0.1, 1.0, -0.2)
+    known, engines = "one block's closed form", HardCase.methods[:2]
     for scale in (1e8, 1e-8):
-        system = sim.System([[1.0]], 0.1, scale, -0.2 * scale)
-        yield _case(
-            f"scale {scale:g}", "z, w, v, mu and the layer scaled together", "one block's closed form", system,
-            3.0 * scale, scale, 20.0, (1,), ONE_BLOCK, scale=scale, methods=HardCase.methods[:2],
-        )  # fmt: skip
+        hard, system = "z, w, v, mu and the layer scaled together", sim.System([[1.0]], 0.1, scale, -0.2 * scale)
+        start = 3.0 * scale, scale
+        yield _case(f"scale {scale:g}", hard, known, system, *start, 20.0, (1,), ONE_BLOCK, scale, methods=engines)
     # w' = -R w + mu - K z with z at its start: w reaches v after log((w0 - c) / (v - c)) / R, c = (mu - K z) / R
     rate, z0 = 1e6, -0.7
     c = (1.0 - z0) / rate
-    yield _case(
-        "overdamped, R = 1e6", "the exact engine is explicit in R", "closed form to 1e-12",
-        sim.System([[1.0]], rate, 1.0, -0.2), z0, -0.4, 0.1, (-1,),
-        ((math.log((-0.4 - c) / (-0.2 - c)) / rate, 0, 1),),
-    )  # fmt: skip
-    yield _case(
-        "t_end = 1e6", "after three events nothing happens for ever", "one block's closed form", unit, 3.0, 1.0, 1e6,
-        (1,), ONE_BLOCK, outcome="collapsed",
-    )  # fmt: skip
+    hard, passes = "the exact engine is explicit in R", ((math.log((-0.4 - c) / (-0.2 - c)) / rate, 0, 1),)
+    damped = sim.System([[1.0]], rate, 1.0, -0.2)
+    yield _case("overdamped, R = 1e6", hard, "closed form to 1e-12", damped, z0, -0.4, 0.1, (-1,), passes)
+    hard, unit = "after three events nothing happens for ever", sim.System([[1.0]], 0.1, 1.0, -0.2)
+    yield _case("t_end = 1e6", hard, known, unit, 3.0, 1.0, 1e6, (1,), ONE_BLOCK, outcome="collapsed")
+    hard, known = "z passes the largest float64 before t_end", "eigenvalues: growth like exp(0.99 t)"
     runaway = sim.System([[1.0, -3.0], [3.0, 1.0]], 0.1, 1.0, -0.2)
-    yield _case(
-        "growth without bound", "z passes the largest float64 before t_end", "eigenvalues: growth like exp(0.99 t)",
-        runaway, [1.0, 0.0], 0.0, 1000.0, (1, 1), (), is_counted=False, outcome="diverged",
-    )  # fmt: skip
+    case = _case("growth without bound", hard, known, runaway, [1.0, 0.0], 0.0, 1000.0, (1, 1), ())
+    yield replace(case, events=None, outcome="diverged")
 
 
 def _without_closed_form() -> Iterator[HardCase]:
     """The answers come from another method: Radau on the same layers, and the exact engine where they are thin."""
     problem = random_problem(0, 7, 10.0, 1e-2, "one")
     spread = replace(problem, delta=10.0 ** -np.linspace(2, 8, 7))
-    z = next(method for method in METHODS if method.name == "SciPy Radau").prepare(spread)(1e-10).z
-    yield HardCase(
-        "delta from 1e-2 to 1e-8", "a stiffness ratio of 1e6 in one system of seven", "SciPy Radau at 1e-10",
-        spread.system, *_start(spread), spread.t_end, lambda t: z, None, spread.delta,
+    z = reached("SciPy Radau", 1e-10, spread)
+    yield _of_problem(
+        "delta from 1e-2 to 1e-8",
+        "a stiffness ratio of 1e6 in one system of seven",
+        "SciPy Radau at 1e-10",
+        spread,
+        z,
+        None,
         methods=("sigmoid engine", *PEERS[:2]),
-    )  # fmt: skip
+    )
     twenty = random_problem(0, 20, 10.0, 1e-8, "one")
     run = sim.simulate(twenty.system, twenty.z0, twenty.w0, twenty.t_end, tol=1e-14, stop_early=False)
     series = zip(run.events.t.tolist(), run.events.block.tolist(), run.events.mode.tolist(), strict=True)
-    yield HardCase(
-        "eps = 1e-8 is Coulomb", "20 blocks; the laws differ by O(eps)", "the exact engine at 1e-14", twenty.system,
-        *_start(twenty), twenty.t_end, lambda t: run.z, tuple(series), twenty.delta,
+    yield _of_problem(
+        "eps = 1e-8 is Coulomb",
+        "20 blocks; the laws differ by O(eps)",
+        "the exact engine at 1e-14",
+        twenty,
+        run.z,
+        tuple(series),
         methods=("sigmoid engine", *PEERS),
-    )  # fmt: skip
+    )
 
 
-def _start(problem: Problem) -> tuple[Floats, Floats]:
-    return problem.start[: problem.system.n], problem.start[problem.system.n :]
+def _of_problem(
+    name: str,
+    hard: str,
+    known: str,
+    problem: Problem,
+    z: Floats,
+    events: tuple[Event, ...] | None,
+    methods: tuple[str, ...],
+) -> HardCase:
+    z0, w0 = np.split(problem.start, 2)
+    system, t_end, delta = problem.system, problem.t_end, problem.delta
+    return HardCase(name, hard, known, system, z0, w0, t_end, lambda t: z, events, delta, methods=methods)
 
 
 def hard_cases() -> Iterator[HardCase]:
@@ -314,7 +323,7 @@ def _smooth_allowance(case: HardCase) -> float:
 
 def _peer(case: HardCase, method: str, patience: float, blank: Verdict) -> Verdict:
     problem = Problem(case.system, case.delta, case.z0, case.w0, case.t_end, patience)
-    z = next(other for other in METHODS if other.name == method).prepare(problem)(TOLERANCE).z
+    z = peers.method(method).prepare(problem)(TOLERANCE).z
     if not np.isfinite(z).all():
         return replace(blank, reason="z at t_end is not finite, returned as a success")
     if case.outcome == "diverged":
@@ -339,10 +348,9 @@ def _engine(case: HardCase, method: str, blank: Verdict) -> Verdict:
     if is_exact:
         run = sim.simulate(case.system, case.z0, case.w0, case.t_end, tol=EXACT_TOLERANCE, stop_early=stop_early)
     else:
-        run = sim.simulate(
-            case.system, case.z0, case.w0, case.t_end, engine="sigmoid", eps=1.0, ratio=case.delta, rtol=TOLERANCE,
-            atol=TOLERANCE * case.scale, stop_early=stop_early,
-        )  # fmt: skip
+        smooth: dict[str, Any] = {"engine": "sigmoid", "eps": 1.0, "ratio": case.delta}
+        smooth |= {"rtol": TOLERANCE, "atol": TOLERANCE * case.scale}
+        run = sim.simulate(case.system, case.z0, case.w0, case.t_end, stop_early=stop_early, **smooth)
     row = replace(blank, outcome=run.outcome, n_events=len(run.events), reason=run.reason or None)
     if run.outcome != case.outcome or run.outcome == "diverged":
         return replace(row, answer="right" if run.outcome == case.outcome else "wrong")

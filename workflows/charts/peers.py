@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -255,14 +255,12 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
         from scipy.integrate import solve_ivp
 
         equations, start, span = Equations(problem), problem.start, (0.0, problem.t_end)
-        options: dict[str, Any] = {"jac": equations.jacobian} if with_jacobian else {}
+        options: dict[str, Any] = {"method": method, "t_eval": [problem.t_end]}
+        options |= {"jac": equations.jacobian} if with_jacobian else {}
 
         def solve(tolerance: float) -> Solution:
             equations.begin()
-            found = solve_ivp(
-                equations, span, start, method=method, t_eval=[problem.t_end], rtol=tolerance, atol=tolerance,
-                **options,
-            )  # fmt: skip
+            found = solve_ivp(equations, span, start, rtol=tolerance, atol=tolerance, **options)
             if not found.success:
                 raise MethodError(found.message)
             return Solution(found.y[: equations.n, -1], int(found.nfev))
@@ -296,10 +294,16 @@ def _cvode(problem: Problem) -> Solver:
     def solve(tolerance: float) -> Solution:
         equations.begin()
         solver = CVODE(
-            rate, method="BDF", linsolver="gmres", krylov_dim=10, rtol=tolerance, atol=tolerance,
-            max_num_steps=10_000_000, jactimes=CVODEJacTimes(product_setup, product),
+            rate,
+            method="BDF",
+            linsolver="gmres",
+            krylov_dim=10,
+            rtol=tolerance,
+            atol=tolerance,
+            max_num_steps=10_000_000,
+            jactimes=CVODEJacTimes(product_setup, product),
             precond=CVODEPrecond(None, without_k),
-        )  # fmt: skip
+        )
         found = solver.solve(span, start)
         if not found.success:
             raise MethodError(str(found.message))
@@ -384,6 +388,16 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
     *map(_fixed, STEPPERS),
 )
+
+
+def asked(
+    model: Model, tolerances: tuple[float, ...], steps: tuple[float, ...]
+) -> Iterator[tuple[Method, tuple[float, ...]]]:
+    """The methods of a law, each with what it is asked for: tolerances or steps. One with nothing is left out."""
+    for one in METHODS:
+        settings = steps if one.control == "step" else tolerances
+        if one.model == model and settings:
+            yield one, settings
 
 
 def method(name: str) -> Method:

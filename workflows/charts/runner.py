@@ -188,7 +188,6 @@ def span(values: Iterable[float], form: str = "%.3g") -> str:
 
 
 #: What templates have, as filters and as functions.
-FORMS: dict[str, Callable[..., Any]] = {
-    "count": count, "count3": partial(count, digits=3), "power": power, "seconds": seconds, "beside": beside,
-    "number": number, "span": span, "median": median,
-}  # fmt: skip
+FORMS: dict[str, Callable[..., Any]] = {"count3": partial(count, digits=3)}
+for _form in (beside, count, median, number, power, seconds, span):
+    FORMS[_form.__name__] = _form

@@ -121,9 +121,11 @@ class ScalingScene(ChartScene):
     members: Count = Field(default=40, description="number of members of the ensemble", examples=[40])
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
     vectors: Several[Count] = Field(
-        default=(1, 2, 4, 8, 16), min_length=1, description="numbers of vectors that share a product",
+        default=(1, 2, 4, 8, 16),
+        min_length=1,
+        description="numbers of vectors that share a product",
         examples=[[1, 4, 16]],
-    )  # fmt: skip
+    )
 
     def kappa_at(self, n: int) -> float:
         """The scale of the stiffnesses that couples n blocks as strongly as `kappa` couples `KAPPA_AT`."""
@@ -207,8 +209,8 @@ class Cost:
 
     `t` and the counts are sums over the matrices, seconds and products medians over the repeats of that sum, with the
     least and the most. Numbers are null, with a reason, where the outcome is not "measured"; products are null for
-    chains, whose K is never dense. Of `n_matrices` measured, `n_rest` came to rest and are measured to their last
-    event; `n_diverged` of those tried left every bound and are measured, if at all, before.
+    chains, whose K is never dense. Of `n_tried` matrices `n_rest` came to rest and `n_diverged` left every bound;
+    `n_matrices` had events and are measured, these to the last one and before they left.
     """
 
     system: System
@@ -216,6 +218,7 @@ class Cost:
     n: int
     outcome: Literal["measured", "failed"] = "measured"
     reason: str | None = None
+    n_tried: int = 0
     n_matrices: int = 0
     n_rest: int = 0
     n_diverged: int = 0
@@ -385,9 +388,9 @@ def exact_cost(scene: ScalingScene, system: System, n: int) -> Cost:
             if piece is not None:
                 pieces.append(piece)
                 missing -= n_events
-        row = replace(row, n_rest=ends["rest"], n_diverged=ends["diverged"])
+        row = replace(row, n_tried=ends.total(), n_rest=ends["rest"], n_diverged=ends["diverged"])
         if not pieces:
-            return replace(row, outcome="failed", reason=f"no event after t_burn in {ends.total()} matrices")
+            return replace(row, outcome="failed", reason=f"no event after t_burn in {row.n_tried} matrices")
         return _timed(row, pieces, scene.exact, scene.repeats)
     except sim.IntegrationError as error:
         return replace(row, outcome="failed", reason=str(error))
@@ -395,7 +398,7 @@ def exact_cost(scene: ScalingScene, system: System, n: int) -> Cost:
 
 def sigmoid_cost(scene: ScalingScene, n: int) -> Cost:
     """Runs of the sigmoid engine on matrix 0, over a fixed time from the exact engine's state at `t_burn`."""
-    row = Cost("random", "sigmoid", n)
+    row = Cost("random", "sigmoid", n, n_tried=1)
     try:
         start = _burnt(scene.random(n, 0), scene)
         if start is None:
@@ -455,15 +458,10 @@ def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
     with local(scene.workers) as client:
         client.run(warm)
         there = [_pipeline(scene, engine, settings, scheduler=client) for engine, _, settings in engines]
-    rows = []
+    rows, of_scene = [], (scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers)
     for (engine, tolerance, settings), (seconds, n_failed) in zip(engines, there, strict=True):
         with_start, _ = _pipeline(scene, engine, settings, workers=scene.workers)
-        rows.append(
-            Throughput(
-                engine, tolerance, scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers, n_failed,
-                seconds, with_start,
-            )
-        )  # fmt: skip
+        rows.append(Throughput(engine, tolerance, *of_scene, n_failed, seconds, with_start))
         say(f"ensemble, {engine} engine, tolerance {tolerance}: {seconds:.3g} s, {with_start:.3g} s with start-up")
     return rows
 
@@ -600,8 +598,10 @@ def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Fi
 
     A point that does not count for the exponent is hollow; dashed is the fit, dotted the growth claimed.
     """
-    panels = (("time per event (µs)", "seconds per event", 1e-6, 1.0),
-              ("time per unit of time (ms)", "seconds per unit of time", 1e-3, 2.0))  # fmt: skip
+    panels = (
+        ("time per event (µs)", "seconds per event", 1e-6, 1.0),
+        ("time per unit of time (ms)", "seconds per unit of time", 1e-3, 2.0),
+    )
     order = sorted(groups, key=lambda group: group.system, reverse=True)
     with matplotlib.rc_context(STYLE):
         figure, axes = subplots(1, len(panels) + 1, 3.1)
@@ -612,15 +612,15 @@ def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Fi
                 name = f"{'random systems' if group.system == 'random' else 'chains'}, {_ENGINES[group.engine]}"
                 _growth(ax, group.points(quantity, unit), exponent, name, CYCLE[k], "osD"[k])
                 if exponent is not None:
-                    ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", transform=ax.transAxes, va="top",
-                            color=CYCLE[k])  # fmt: skip
+                    place: dict[str, Any] = {"transform": ax.transAxes, "va": "top"}
+                    ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", color=CYCLE[k], **place)
             _guide(ax, slope)
         ax = axes[0, -1]
         ax.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
-        ax.plot([row.n_vectors for row in shared], [row.share for row in shared], color="black", marker="o",
-                markersize=3.5)  # fmt: skip
+        vectors = [row.n_vectors for row in shared]
+        ax.plot(vectors, [row.share for row in shared], color="black", marker="o", markersize=3.5)
         ax.set_xscale("log", base=2)
-        ax.set_xticks([row.n_vectors for row in shared], [str(row.n_vectors) for row in shared])
+        ax.set_xticks(vectors, list(map(str, vectors)))
         ax.set(title="shared product, for each vector", xlabel="vectors in a product", ylim=(0, None))
         legend(figure, 3)
     return figure
@@ -630,16 +630,18 @@ _ENGINES: dict[Engine, str] = {"coulomb": "exact", "sigmoid": "sigmoid"}
 
 
 def _growth(
-    ax: Axes, points: Sequence[tuple[int, float, float, float, bool]], exponent: float | None, name: str, colour: str,
+    ax: Axes,
+    points: Sequence[tuple[int, float, float, float, bool]],
+    exponent: float | None,
+    name: str,
+    colour: str,
     marker: str,
-) -> None:  # fmt: skip
+) -> None:
     """The points of one curve and the line of its exponent, through the mean of those that count."""
     for n, value, least, most, counts in points:
         bars = [[max(value - least, 0.0)], [max(most - value, 0.0)]]
-        ax.errorbar(
-            [n], [value], yerr=bars, fmt=marker, color=colour, markersize=4, linewidth=0.9,
-            markerfacecolor=colour if counts else "white",
-        )  # fmt: skip
+        look: dict[str, Any] = {"color": colour, "markersize": 4, "linewidth": 0.9}
+        ax.errorbar([n], [value], bars, fmt=marker, markerfacecolor=colour if counts else "white", **look)
     if exponent is not None:
         log_n, log_value = np.log([(n, value) for n, value, *_, counts in points if counts]).T
         line = np.exp(log_value.mean() + exponent * (log_n - log_n.mean()))

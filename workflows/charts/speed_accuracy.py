@@ -32,6 +32,7 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Ratio,
+    asked,
     distance,
     random_problem,
     reached,
@@ -100,10 +101,7 @@ class SpeedScene(ChartScene):
                 reference, z = _reference(problem, ratio)
                 references.append(reference)
                 product = Product(np.asarray(problem.system.stiffness))
-                for method in METHODS:
-                    settings = self.steps if method.control == "step" else self.tolerances
-                    if method.model != reference.model or not settings:
-                        continue
+                for method, settings in asked(reference.model, self.tolerances, self.steps):
                     row = Cost(n, ratio, reference.model, method.name, None, None, "measured")
                     if not method.is_installed:
                         found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
@@ -164,6 +162,8 @@ class Cost:
     products_max: float | None = None
     computed: int | None = None
     seconds: float | None = None
+    seconds_min: float | None = None
+    seconds_max: float | None = None
     product_seconds: float | None = None
     n_runs: int = 0
 
@@ -211,17 +211,23 @@ def _reference(problem: Problem, ratio: str | None) -> tuple[Reference, Floats |
 
 
 def _curve(
-    scene: SpeedScene, method: Method, problem: Problem, z: Floats, reference: Reference, product: Product,
-    settings: tuple[float, ...], row: Cost,
-) -> Iterator[Cost]:  # fmt: skip
+    scene: SpeedScene,
+    method: Method,
+    problem: Problem,
+    z: Floats,
+    reference: Reference,
+    product: Product,
+    settings: tuple[float, ...],
+    row: Cost,
+) -> Iterator[Cost]:
     """One row a tolerance or step, from the coarsest to the finest."""
     solve = method.prepare(problem)
     warm(method, problem, settings[-1])
     too_slow: str | None = None
     for setting in reversed(settings):
-        asked = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
+        cost = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
         if too_slow is not None:
-            yield replace(asked, outcome="too slow", reason=too_slow)
+            yield replace(cost, outcome="too slow", reason=too_slow)
             continue
         start = time.perf_counter()
         try:
@@ -232,14 +238,11 @@ def _curve(
         except (MethodError, sim.IntegrationError) as failure:
             took = time.perf_counter() - start
             outcome: Outcome = "too slow" if isinstance(failure, GivenUp) else "failed"
-            yield replace(asked, outcome=outcome, reason=str(failure))
+            yield replace(cost, outcome=outcome, reason=str(failure))
         else:
             took, floor = timing.seconds, reference.floor or 0.0
-            yield replace(
-                asked, error=max(error, floor), is_bound=error <= floor, computed=found.n_products,
-                n_runs=timing.n_runs, products=timing.products, products_min=timing.products_min,
-                products_max=timing.products_max, seconds=timing.seconds, product_seconds=timing.product_seconds,
-            )  # fmt: skip
+            cost = replace(cost, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
+            yield replace(cost, **timing._asdict())
         if took > scene.seconds_a_run:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"
 

@@ -45,6 +45,7 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Solver,
+    asked,
     distance,
     random_problem,
     reached,
@@ -149,10 +150,9 @@ class StabilityScene(ChartScene):
 
     def extent(self) -> str:
         found = sum(
-            len(columns) * len(self.steps if method.control == "step" else self.tolerances)
+            len(columns) * len(settings)
             for axis, columns in self.axes.items()
-            for method in METHODS
-            if method.model == LAWS[axis]
+            for _, settings in asked(LAWS[axis], self.tolerances, self.steps)
         )
         return f"{found} cells{' and the hard cases' if self.cases else ''}"
 
@@ -167,13 +167,11 @@ class StabilityScene(ChartScene):
                 found = _references(axis, columns, problems)
                 references += [reference for reference, _ in found]
                 say(f"{axis}: references of {len(columns)} columns")
-                for method in METHODS:
-                    settings = self.steps if method.control == "step" else self.tolerances
-                    if method.model == LAWS[axis] and settings:
-                        rows = list(_map(self, axis, method, problems, found, settings))
-                        cells += rows
-                        right = sum(cell.outcome == "right" for cell in rows)
-                        say(f"{axis}: {method.name}, {right} of {len(rows)} right")
+                for method, settings in asked(LAWS[axis], self.tolerances, self.steps):
+                    rows = list(_map(self, axis, method, problems, found, settings))
+                    cells += rows
+                    right = sum(cell.outcome == "right" for cell in rows)
+                    say(f"{axis}: {method.name}, {right} of {len(rows)} right")
             cases = judged(self.patience, say) if self.cases else []
         return Measured(cells, references, cases)
 
@@ -196,9 +194,11 @@ class StabilityScene(ChartScene):
             "pictures": pictures,
             "tableaus": TABLEAUS,
             "known": hard_cases,
-            "mild": _MILD, "stiff": _STIFF, "h": _H,
+            "mild": _MILD,
+            "stiff": _STIFF,
+            "h": _H,
             "cases": cases,
-        }  # fmt: skip
+        }
         tables = {
             "cells": frame(measured.cells, Cell),
             "references": frame(measured.references, Reference),
@@ -293,9 +293,13 @@ def _references(
 
 
 def _map(
-    scene: StabilityScene, axis: Axis, method: Method, problems: Sequence[Problem],
-    references: Sequence[tuple[Reference, Floats | None]], settings: tuple[float, ...],
-) -> Iterator[Cell]:  # fmt: skip
+    scene: StabilityScene,
+    axis: Axis,
+    method: Method,
+    problems: Sequence[Problem],
+    references: Sequence[tuple[Reference, Floats | None]],
+    settings: tuple[float, ...],
+) -> Iterator[Cell]:
     """The cells of one method, row by row from the coarsest setting, each row from the mildest column."""
     mildest = references[0][0].stiffness
     if not method.is_installed:
@@ -308,17 +312,17 @@ def _map(
         took, before = 0.0, mildest
         for solve, (reference, z) in zip(solvers, references, strict=True):
             stiffness = reference.stiffness
-            asked = Cell(axis, stiffness, method.name, None, None, "not judged")
-            asked = replace(asked, step=setting) if n_steps else replace(asked, tolerance=setting)
+            cell = Cell(axis, stiffness, method.name, None, None, "not judged")
+            cell = replace(cell, step=setting) if n_steps else replace(cell, tolerance=setting)
             if z is None or reference.floor is None:
-                yield replace(asked, reason=f"no reference: {reference.reason}")
+                yield replace(cell, reason=f"no reference: {reference.reason}")
             elif n_steps > scene.max_steps:
-                yield replace(asked, outcome="too slow", reason=f"not started: {n_steps:,} steps")
+                yield replace(cell, outcome="too slow", reason=f"not started: {n_steps:,} steps")
             elif not _can_be_stopped(method) and took * stiffness / before > scene.patience:
                 reason = f"not started: took {took:.2g} s at {before:g}, and cost may grow with the stiffness"
-                yield replace(asked, outcome="too slow", reason=reason)
+                yield replace(cell, outcome="too slow", reason=reason)
             else:
-                cell = classified(scene, solve, setting, z, reference.floor, asked)
+                cell = classified(scene, solve, setting, z, reference.floor, cell)
                 if cell.seconds is not None:
                     took, before = cell.seconds, stiffness
                 yield cell
@@ -402,9 +406,13 @@ class Map:
         outside = [c for c in self.cells if share[c] > _BEYOND and c.outcome not in ("too slow", "not judged")]
         ratios = [cell.error / cell.setting for cell in outside if cell.error is not None]
         return {
-            "method": self.method, "limit": limit, "inside": max(inside, default=None), "n_outside": len(outside),
-            "outside": Counter(cell.outcome for cell in outside), "ratio": median(ratios) if ratios else None,
-        }  # fmt: skip
+            "method": self.method,
+            "limit": limit,
+            "inside": max(inside, default=None),
+            "n_outside": len(outside),
+            "outside": Counter(cell.outcome for cell in outside),
+            "ratio": median(ratios) if ratios else None,
+        }
 
     def growth(self, tolerance: float) -> float | None:
         """Cost at the stiffest cell that was finished over that at the one before, to the power of one decade."""
@@ -546,9 +554,11 @@ def linear_theory() -> Figure:
                 errors = [tableau.error(stiffness, step) for step in h]
                 right.plot(h, errors, linestyle=dash, marker="o", markersize=3, **look)
         left.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
-        left.set(xscale="log", yscale="log", ylim=(1e-4, 1e1), xlabel="x = h μ / δ", ylabel="|R(−x)|",
-                 title="what a step leaves of a disturbance")  # fmt: skip
-        right.set(xscale="log", yscale="log", xlabel="step h", ylabel="error at t = 1",
-                  title="order: stiff (solid), not stiff (dashed)")  # fmt: skip
+        for ax in axes[0]:
+            ax.set(xscale="log", yscale="log")
+        left.set(
+            title="what a step leaves of a disturbance", xlabel="x = h μ / δ", ylabel="|R(−x)|", ylim=(1e-4, 1e1)
+        )
+        right.set(title="order: stiff (solid), not stiff (dashed)", xlabel="step h", ylabel="error at t = 1")
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6)
     return figure

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from statistics import median
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import matplotlib
 import numpy as np
@@ -205,7 +205,10 @@ def _ran(
     found = sizes(seen, Law("events"))
     is_exit = (run.events.previous_mode == 0) & (run.events.t > scene.t_burn)
     return Ran(
-        matrix, method, setting, "finished",
+        matrix,
+        method,
+        setting,
+        "finished",
         mean=seen.time_mean(),
         deviation=seen.time_variance() ** 0.5,
         exit_rate=float(np.count_nonzero(is_exit)) / system.n / (scene.t_end - scene.t_burn),
@@ -213,7 +216,7 @@ def _ran(
         n_cascades=len(found),
         products=timing.products,
         seconds=timing.seconds,
-    )  # fmt: skip
+    )
 
 
 # ---------------------------------------------------------------------------------------------- comparing
@@ -334,10 +337,9 @@ def _compared(measured: Measured, method: str, setting: float) -> Iterator[Compa
             bias = Estimate(reason=f"{words}: {first.reason}")
         if is_reference:
             bias = Estimate(reason="the reference")
-        yield Compared(
-            model, method, setting, statistic, len(both), value.value, bias.value, bias.low, bias.high, allowed.value,
-            products, is_within(bias, allowed.value), is_reference, bias.reason or allowed.reason or None,
-        )  # fmt: skip
+        numbers = (value.value, bias.value, bias.low, bias.high, allowed.value, products)
+        verdict = (is_within(bias, allowed.value), is_reference, bias.reason or allowed.reason or None)
+        yield Compared(model, method, setting, statistic, len(both), *numbers, *verdict)
 
 
 def is_within(bias: Estimate, allowed: float | None) -> bool:
@@ -532,17 +534,13 @@ def _draw(ax: Axes, choice: Choice, statistic: str) -> list[float]:
     if not points:
         return []
     values, lows, highs = np.array([ends for _, ends, _ in points]).T
-    ax.errorbar(
-        [x for x, *_ in points], values, yerr=[values - lows, highs - values], color=colour, marker=marker,
-        markersize=3.5, linewidth=0.8, elinewidth=1.2, label=choice.method,
-    )  # fmt: skip
+    look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 0.8, "elinewidth": 1.2}
+    ax.errorbar([x for x, *_ in points], values, [values - lows, highs - values], label=choice.method, **look)
     cheapest = math.inf
     for x, _, label in points:
         # from the tightest on: a looser one that costs more would stand on the label of a tighter one
         y, side = (0.02, "bottom") if x > cheapest else (0.98, "top")
         cheapest = min(x, cheapest)
-        ax.text(
-            x, y, label, transform=ax.get_xaxis_transform(), rotation=90, ha="center", va=side, fontsize=6.5,
-            color=colour,
-        )  # fmt: skip
+        upright: dict[str, Any] = {"rotation": 90, "ha": "center", "va": side, "fontsize": 6.5}
+        ax.text(x, y, label, transform=ax.get_xaxis_transform(), color=colour, **upright)
     return [*lows, *highs]

@@ -27,7 +27,7 @@ from stickslip.pipeline import (
     run_scene,
 )
 from stickslip.pipeline.cluster import QuietScheduler, local
-from stickslip.pipeline.processes import unbroken
+from stickslip.pipeline.signals import unbroken
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stickslip import sim
-from stickslip.workflows.charts import hard_cases
+from stickslip.workflows.charts import hard_cases, peers
 from stickslip.workflows.charts.hard_cases import ONE_BLOCK, judge
 from stickslip.workflows.charts.peers import METHODS, Method, MethodError, Solution
 
@@ -119,7 +119,7 @@ def test_a_wrong_answer_is_called_wrong():
 )
 def test_peers_are_held_to_what_is_known(monkeypatch, z, answer):
     method = Method("SciPy LSODA", "sigmoid", lambda problem: lambda tolerance: Solution(np.array(z())))
-    monkeypatch.setattr(hard_cases, "METHODS", (*(m for m in METHODS if m.name != method.name), method))
+    monkeypatch.setattr(peers, "METHODS", (*(m for m in METHODS if m.name != method.name), method))
     assert judge(short(), "SciPy LSODA", 1.0).answer == answer
     diverging = replace(CASES["growth without bound"], t_end=6.0)
     assert judge(diverging, "SciPy LSODA", 1.0).answer == "wrong"  # any number is, as a success
@@ -129,7 +129,7 @@ def test_an_error_is_a_refusal_with_its_words(monkeypatch):
     def prepare(problem):
         raise MethodError("not here")
 
-    monkeypatch.setattr(hard_cases, "METHODS", (Method("SciPy LSODA", "sigmoid", prepare),))
+    monkeypatch.setattr(peers, "METHODS", (Method("SciPy LSODA", "sigmoid", prepare),))
     verdict = judge(short(), "SciPy LSODA", 1.0)
     assert (verdict.answer, verdict.reason) == ("refused", "not here")
 

@@ -156,7 +156,7 @@ def test_blocks_that_never_stick_leave_a_row_with_a_reason(scene, monkeypatch):
     planted_systems(monkeypatch, np.zeros((2, 2)), 10.0)
     monkeypatch.setattr(scaling, "W0", 0.0)
     row = scaling.exact_cost(scene, "random", 2)
-    assert (row.outcome, row.n_rest) == ("failed", 3)
+    assert (row.outcome, row.n_tried, row.n_rest) == ("failed", 3, 3)
     assert row.reason == "no event after t_burn in 3 matrices"
     assert row.seconds is None
 
@@ -276,7 +276,7 @@ def planted(scene, event=1.0, time=2.0, scatter=(1.0, 1.0, 1.0, 1.0), **changes)
              product_seconds=1e-9 * n * n, n_runs=5)
         for n, off in zip((100, 200, 400, 800), scatter, strict=True)
     ]  # fmt: skip
-    rest = replace(costs[0], n=20, n_matrices=40, n_rest=39, seconds=77.0)
+    rest = replace(costs[0], n=20, n_tried=40, n_matrices=38, n_rest=39, seconds=77.0)
     smooth = replace(costs[1], engine="sigmoid", n_products=500, seconds=2.0, product_seconds=2e-3)
     chain = replace(costs[0], system="chain", outcome="failed", reason="it broke", seconds=None)
     measured = Measured(

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip import sim
-from stickslip.workflows.charts import load_chart, peers, speed_accuracy
+from stickslip.workflows.charts import load_chart, peers
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import (
     Cost,
@@ -179,7 +179,7 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in
 def chart_with(monkeypatch, scene_file, *methods, **changes):
     """Rows of a method of our making beside those that make the references."""
     needed = [method for method in METHODS if method.is_ours or method.name == "SciPy DOP853"]
-    monkeypatch.setattr(speed_accuracy, "METHODS", (*needed, *methods))
+    monkeypatch.setattr(peers, "METHODS", (*needed, *methods))
     return load_chart(scene_file).model_copy(update=changes).measure(silent)
 
 
@@ -261,10 +261,10 @@ def test_a_finer_point_that_is_cheaper_counts():
 def planted():
     """Costs on planted lines: the sigmoid engine at 1000, CyRK at 3000 and SciPy DOP853 at 8000 products."""
     costs = [
-        Cost(5, "uniform", "sigmoid", name, tol, None, "measured", None, 2 * tol, False, *[cost] * 3, 9, 1.0, 1e-6, 5)
+        Cost(5, "uniform", "sigmoid", name, tol, None, "measured", error=2 * tol, products=cost, seconds=1.0)
         for name, cost in (("sigmoid engine", 1e3), ("CyRK DOP853", 3e3), ("SciPy DOP853", 8e3))
         for tol in (1e-3, 1e-7)
-    ]  # fmt: skip
+    ]
     costs.append(Cost(5, "uniform", "sigmoid", "SciPy Radau", 1e-3, None, "too slow", "given up after 5 s"))
     references = [
         Reference(5, None, "coulomb", "a", "b", 1e-14, 12),

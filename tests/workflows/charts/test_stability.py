@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from stickslip.sim.engines.esdirk import TABLEAU
-from stickslip.workflows.charts import stability
+from stickslip.workflows.charts import peers
 from stickslip.workflows.charts.hard_cases import Verdict
 from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
 from stickslip.workflows.charts.stability import Cell, Map, Measured, Reference, classified, stability_maps
@@ -121,7 +121,7 @@ def test_nothing_is_judged_beyond_what_the_references_agree_to(scene):
 
 def maps_with(monkeypatch, scene, *methods):
     needed = [m for m in METHODS if m.is_ours or m.name == "SciPy Radau"]
-    monkeypatch.setattr(stability, "METHODS", (*needed, *methods))
+    monkeypatch.setattr(peers, "METHODS", (*needed, *methods))
     names = {method.name for method in methods}
     return [cell for cell in scene.measure(silent).cells if cell.method in names]
 

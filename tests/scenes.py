@@ -1,0 +1,27 @@
+"""Small scenes, as the text of their files."""
+
+from __future__ import annotations
+
+COULOMB, SIGMOID = 'name = "coulomb"', 'name = "sigmoid"'
+
+
+def ensemble(
+    n: object,
+    t_end: float,
+    matrices: int,
+    *engines: str,
+    seed: int = 0,
+    title: str = "small",
+    rest: str = "",
+    analysis: str = "t_burn = 1.0\ndt = 0.5",
+) -> str:
+    """Random systems from the paper's start; `engines` are the keys of each table, `rest` more tables."""
+    tables = {
+        "[system]": f'coupling = "antisymmetric"\nn = {n}',
+        "[start]": "z = -0.7\nw = -0.4",
+        "[run]": f"t_end = {t_end}\nmatrices = {matrices}\nseed = {seed}",
+    }
+    parts = [f'title = "{title}"', *(f"{head}\n{keys}" for head, keys in tables.items())]
+    parts += [f"[[engine]]\n{keys}" for keys in engines or (COULOMB, SIGMOID)]
+    parts += [rest.strip()] * bool(rest)
+    return "\n\n".join([*parts, f"[analysis]\n{analysis}\n"])
