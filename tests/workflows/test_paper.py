@@ -188,6 +188,15 @@ def test_the_sigmoid_by_scipy_is_the_engines():
     assert (n_stick != run.n_stick(times)).mean() < 0.01
 
 
+def test_workers_give_the_same_runs_in_order():
+    asks = [Ask("long", "", n, matrix, 20.0) for n in (12, 5) for matrix in range(2)]
+    there, here = (list(runs.run_all(asks, 4, 0.03, workers)) for workers in (2, 1))
+    assert [path.ask for path in there] == asks
+    for one, other in zip(there, here, strict=True):
+        np.testing.assert_array_equal(one.t, other.t)
+        np.testing.assert_array_equal(one.n_stick, other.n_stick)
+
+
 @pytest.mark.parametrize("name", sorted(runs.SIGMOIDS))
 def test_every_sigmoid_is_odd_with_slope_one_and_ends_at_one(name):
     phi = runs.SIGMOIDS[name]

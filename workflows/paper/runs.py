@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
+from queue import SimpleQueue
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, PERTURBATION
+from stickslip.pipeline.processes import Child
 from stickslip.pipeline.scene import TOLERANCES
 from stickslip.workflows.charts.peers import W0, Z0, Floats, random_ratios, seed_of
 
@@ -81,13 +82,29 @@ class Path(NamedTuple):
 
 
 def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterator[Path]:
-    """Each run, in order, by so many processes."""
-    work = partial(run, seed=seed, eps=eps)
+    """Each run, in order, by so many processes; with one worker in this process."""
+    jobs = [(ask, seed, eps) for ask in asks]
     if workers == 1:
-        yield from map(work, asks)
+        yield from map(_run, jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(work, asks)
+    idle: SimpleQueue[Child] = SimpleQueue()
+
+    def by_child(job: tuple[Ask, int, float]) -> Path:
+        child = idle.get()
+        try:
+            found: Path = child(job)
+        finally:
+            idle.put(child)
+        return found
+
+    with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
+        for _ in range(workers):
+            idle.put(stack.enter_context(Child(_run, shows_errors=True)))
+        yield from pool.map(by_child, jobs)
+
+
+def _run(job: tuple[Ask, int, float]) -> Path:
+    return run(*job)
 
 
 def system(ask: Ask, seed: int) -> sim.System:
