@@ -100,7 +100,7 @@ How = int | str | Show | None
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Show] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
-    "g": lambda value: minus(f"{value:g}"), "%g": lambda value: f"{100 * value:g}%", "#": number,
+    "g": lambda value: minus(f"{value:g}"), "g%": lambda value: f"{100 * value:g}%", "#": number,
     "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
 }  # fmt: skip
 
