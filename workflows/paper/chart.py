@@ -69,9 +69,12 @@ class PaperScene(ChartScene):
     sizes: PositiveNumbers = Field(
         default=(0.01, 0.02, 0.05, 0.1), description="sizes of the perturbations of figure 4", examples=[[0.01, 0.1]]
     )
-    escapes: Count = Field(
-        default=8, description="number of matrices whose dampings are moved by each size", examples=[8]
+    noise: PositiveNumbers = Field(
+        default=(0.01, 0.02, 0.03, 0.05, 0.07, 0.1),
+        description="sizes of the noise on all dampings",
+        examples=[[0.1]],
     )
+    escapes: Count = Field(default=8, description="number of matrices for each size of the noise", examples=[8])
     dt: PositiveNumbers = Field(default=(0.1, 0.3, 1.0), description="sampling steps of cascades", examples=[[0.1]])
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
 
@@ -95,7 +98,7 @@ class PaperScene(ChartScene):
         if 4 in self.figures:
             for matrix, law in product(range(2 * self.few), ("algebraic", "arctan", "sigmoid")):
                 yield Ask("sigmoids", law, n, matrix, self.t_few, law=law)
-            for matrix, size in product(range(self.escapes), self.sizes):
+            for matrix, size in product(range(self.escapes), self.noise):
                 yield Ask(
                     "dampings", f"{size:g}", n, matrix, self.t_few, "sigmoid", reading="damping matrix", size=size
                 )
@@ -135,16 +138,14 @@ class PaperScene(ChartScene):
             found.modes.extend(figure_6.modes_in_time())
         asks = list(dict.fromkeys(self.asks()))
         paths = []
-        counted = figures_3_to_5.Counted(self.dt, self.t_burn)
         for k, path in enumerate(run_all(asks, self.seed, self.eps, self.workers), start=1):
             paths.append(path)
             found.traces.extend(figures_3_to_5.traces(path, self.t_shown, self.n))
-            if path.ask.study == "long" and path.ask.n == self.n[-1]:
-                counted.add(path)
             if k % 20 == 0 or k == len(asks):
                 say(f"{k} of {len(asks)} runs")
         found.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
-        found.cascades.extend(counted.rows())
+        if 5 in self.figures:
+            found.cascades.extend(figures_3_to_5.cascade_laws(paths, self.n[-1], self.dt, self.t_burn))
         return found
 
     def show(self, measured: Measured) -> Shown:

@@ -23,10 +23,12 @@ CONFIDENCE = 0.95
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
 #: matrices; sampled so often.
 _APART, _APART_WINDOW, _APART_DT = 0.5, 1.0, 0.05
+#: Not before this time: that is the rush of entries, which a width moves at once.
+_RUSH = 5.0
 #: The period of n_stick is that of the highest peak of its spectrum, the ends of the run left out; sampled so often.
 _ENDS, _PERIOD_DT, _PERIODS = 50.0, 0.25, (3.0, 60.0)
-#: Matrices drawn in figure 5.
-_DRAWN = 3
+#: Matrices drawn in figure 5; sizes of the noise in figure 4 (iv).
+_DRAWN, _NOISE_DRAWN = 3, (0.02, 0.05, 0.1)
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def _between_matrices(paths: Sequence[Path], t_burn: float) -> float:
 
 def apart_from(path: Path, base: Path, blocks: float) -> float | None:
     """When n_stick of two runs first differs by so many blocks on average over a window; None if never."""
-    times = np.arange(0.0, min(path.t_stop, base.t_stop), _APART_DT)
+    times = np.arange(_RUSH, min(path.t_stop, base.t_stop), _APART_DT)
     width = round(_APART_WINDOW / _APART_DT)
     one, other = (cascades.sample(of.t, of.n_stick, times) for of in (path, base))
     total = np.cumsum(np.abs(one - other))
@@ -151,7 +153,7 @@ def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
         yield _trace(path, 4, panel, ask.setting or "unchanged", t_shown)
     if ask.n == last and (ask.study == "base" or (ask.study == "constants" and ask.setting.startswith("1%"))):
         yield _trace(path, 4, "(iii) constants moved by 1%", ask.setting or "unchanged", t_shown)
-    if ask.n == last and (ask.study == "base" or (ask.study == "dampings" and ask.size > 0.02)):
+    if ask.n == last and (ask.study == "base" or (ask.study == "dampings" and ask.size in _NOISE_DRAWN)):
         label = f"{100 * ask.size:g}%" if ask.size else "unchanged"
         yield _trace(path, 4, "(iv) all n² dampings moved", label, 0.5 * ask.t_end)
 
@@ -161,21 +163,15 @@ def _trace(path: Path, figure: int, panel: str, label: str, t_shown: float) -> T
     return Trace(figure, panel, label, path.t[seen].tolist(), path.n_stick[seen].tolist(), min(t_shown, path.t_stop))
 
 
-class Counted:
-    """Cascades of long runs, by every definition, as the runs come in."""
-
-    def __init__(self, dt: tuple[float, ...], t_burn: float) -> None:
-        self._t_burn = t_burn
-        self._sizes: dict[cascades.Law, list[np.ndarray]] = {one: [] for one in cascades.laws(dt)}
-
-    def add(self, path: Path) -> None:
-        if path.t_stop > self._t_burn and path.outcome != "diverged":
-            window = cascades.window(path.t, path.n_stick, self._t_burn, path.t_stop)
-            for law, found in self._sizes.items():
-                found.append(cascades.sizes(window, law))
-
-    def rows(self) -> list[Cascades]:
-        return [_law(law, found) for law, found in self._sizes.items() if found]
+def cascade_laws(paths: Sequence[Path], n: int, dt: tuple[float, ...], t_burn: float) -> list[Cascades]:
+    """The exponential law of the long runs at n, by every definition."""
+    windows = [
+        cascades.window(path.t, path.n_stick, t_burn, path.t_stop)
+        for path in paths
+        if path.ask.study == "long" and path.ask.n == n and path.outcome != "diverged" and path.t_stop > t_burn
+    ]
+    laws = cascades.laws(dt) if windows else []
+    return [_law(law, [cascades.sizes(window, law) for window in windows]) for law in laws]
 
 
 def _law(law: cascades.Law, found: Sequence[np.ndarray]) -> Cascades:
@@ -222,7 +218,7 @@ def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
             for ax, one in zip(axes, curves, strict=True):
                 _curves(ax, [one])
         else:
-            _curves(axes[0], sorted(curves, key=lambda one: one.label != "unchanged"))
+            _curves(axes[0], sorted(curves, key=lambda one: (one.label != "unchanged", one.label)))
             axes[0].legend(loc="upper right", ncols=2, fontsize=7, handlelength=1.6)
         axes[0].set_title(title)
         axes[-1].set_xlabel("time t")
