@@ -34,11 +34,11 @@ class Change:
 
     def __str__(self) -> str:
         if self.kind == START:
-            return f"start moved by {self.size:g}"
+            return f"start by {self.size:g}"
         if self.kind == RATIOS:
-            return "stiffness ratios redrawn"
+            return "ratios redrawn"
         how = "" if self.reading == DEFAULT_READING else f" ({self.reading})"
-        return f"constants moved by {100 * self.size:.3g}%{how}"
+        return f"constants by {100 * self.size:.3g}%{how}"
 
 
 @dataclass(frozen=True)

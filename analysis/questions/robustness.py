@@ -70,7 +70,9 @@ def answer(study: Study) -> Answer | None:
     }
     if lead.lack:
         return Answer(facts, lead.lack, tables)
-    facts["lead"] = [row for row in lead.rows if row["quantity"] == PRIMARY[0] and row["shift"] is not None][-1]
+    of_mean = [row for row in lead.rows if row["quantity"] == PRIMARY[0] and row["shift"] is not None]
+    facts["lead"] = ([row for row in of_mean if row["verdict"] != UNKNOWN] or of_mean)[-1]
+    facts["beyond"] = of_mean[of_mean.index(facts["lead"]) + 1 :]
     figures = {"robustness": partial(against_base, lead.points())}
     return Answer(facts, tables=tables, figures=figures)
 

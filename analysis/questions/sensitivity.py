@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import matplotlib
@@ -22,7 +23,9 @@ GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
 PARTS, STAYS_NEAR = "parts", "stays near"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that grow still in proportion
+SMALL = 0.1  # a start is moved by little if by less than so much of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # under the exact law; of a smoothed one so many times its relative tolerance
+CURVE_POINTS = 70
 EARLY = 20.0  # what a copy has left its base by, so soon
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
@@ -46,7 +49,7 @@ def answer(study: Study) -> Answer | None:
     growths, rates, partings, curves = [], [], [], []
     for setting in found:
         for comparison in setting.comparisons:
-            if comparison.change.kind == START:
+            if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING:
                 row, of_matrix = _growth_row(study, setting, comparison)
                 growths.append(row)
                 rates += of_matrix
@@ -84,11 +87,11 @@ def answer(study: Study) -> Answer | None:
         "lead": lead,
         "setting": label,
         "parting": [row for row in partings if row["setting"] == label],
-        "away": _away(study, found),
+        "small": SMALL * CEILING,
         "rates": [row for row in growths if row["rate"] is not None],
     }
     some = [row for row in curves if row["setting"] == label]
-    lines = _distance_lines(study, found)
+    lines = _distance_lines(study, found, told)
     figures = {"parting": partial(parting_curves, _by_change(some))} if some else {}
     if lines:
         figures["growth"] = partial(distances, lines)
@@ -158,22 +161,22 @@ def _parting_row(
 
 
 def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float) -> list[Row]:
-    """Mean gap over the pairs, in units of the level, at times that are evenly spread on a logarithmic axis."""
+    """Mean gap over the pairs, in units of the level, over stretches of time that grow with it."""
     longest = max((one.gaps for one in watched), key=len)
     if not len(longest):
         return []
-    picks = np.unique(np.geomspace(1, len(longest), 150).astype(int)) - 1
     times = parting.gap_times(longest)
+    edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
     rows = []
-    for k in picks:
-        still = [one.gaps[k] for one in watched if len(one.gaps) > k]
+    for start, stop in pairwise(edges.tolist()):
+        still = [one.gaps[start:stop].mean() for one in watched if len(one.gaps) >= stop]
         if 2 * len(still) < len(watched):
             break
         rows.append(
             {
                 "setting": setting.label,
                 "change": str(comparison.change),
-                "t": float(times[k]),
+                "t": float(times[start:stop].mean()),
                 "n_pairs": len(still),
                 "gap": float(np.mean(still)) / apart,
             }
@@ -181,18 +184,8 @@ def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watc
     return rows
 
 
-def _away(study: Study, found: Sequence[Setting]) -> list[Row]:
-    """How many runs of each setting ran away before the end."""
-    rows = []
-    for setting in found:
-        members = [*setting.bases.values(), *(pair.changed for one in setting.comparisons for pair in one.pairs)]
-        away = sum(study.ends[member][0] == "diverged" for member in members)
-        if away:
-            rows.append({"setting": setting.label, "n_runs": len(members), "n_away": away})
-    return rows
-
-
 Line = tuple[str, np.ndarray, np.ndarray]
+Stretch = tuple[str, np.ndarray, np.ndarray, tuple[float, float]]
 
 
 def _by_change(rows: Sequence[Row]) -> list[Line]:
@@ -200,19 +193,21 @@ def _by_change(rows: Sequence[Row]) -> list[Line]:
     return [(name, *np.array([[row["t"], row["gap"]] for row in rows if row["change"] == name]).T) for name in names]
 
 
-def _distance_lines(study: Study, found: Sequence[Setting]) -> list[Line]:
-    """Median distance of the pairs of each setting and size from its start."""
-    lines: list[Line] = []
+def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row]) -> list[Stretch]:
+    """Of the smallest size with a verdict in each setting, the median distance of the pairs, and its range."""
+    lines: list[Stretch] = []
     for setting in found:
-        for comparison in setting.comparisons:
-            names = [pair.changed for pair in comparison.pairs]
-            some = [study.data.separations[name] for name in names if name in study.data.separations]
-            if comparison.change.kind != START or not some:
+        row = next((row for row in told if row["setting"] == setting.label), None)
+        for comparison in setting.comparisons if row is not None else ():
+            if comparison.change.kind != START or row is None or comparison.change.size != row["size"]:
                 continue
+            names = [pair.changed for pair in comparison.pairs if pair.changed in study.data.separations]
+            some = [study.data.separations[name] for name in names]
             m = int(np.median([len(distance) for _, distance in some]))
             times = max((t for t, _ in some), key=len)[:m]
             middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
-            lines.append((f"{setting.label}: {comparison.change.size:g}", times, middle))
+            label = f"{setting.label}: {row['size']:g}"
+            lines.append((label, times, middle, (row["t_from"], row["t_to"])))
     return lines
 
 
@@ -233,27 +228,27 @@ def parting_curves(lines: Sequence[Line]) -> Figure:
         ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
         ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
         ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap, over two matrices")
+        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap / that of two matrices")
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
-def distances(lines: Sequence[Line]) -> Figure:
-    """Median distance of displaced runs from their base, on a logarithmic axis, between floor and saturation.
+def distances(lines: Sequence[Stretch]) -> Figure:
+    """Median distance of displaced runs from their base, on a logarithmic axis; heavy where its slope is taken.
 
     Parameters
     ----------
-    lines : sequence of (name, times, distances)
+    lines : sequence of (name, times, distances, (from, to))
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
         ax = figure.subplots()
-        for k, (name, t, distance) in enumerate(lines):
-            shown = distance > 0
-            form = ("-", "--", ":")[k // len(CYCLE) % 3]
-            ax.plot(t[shown], distance[shown], form, color=CYCLE[k % len(CYCLE)], label=name)
+        for k, (name, t, distance, (start, stop)) in enumerate(lines):
+            colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
+            ax.plot(t, np.maximum(distance, FLOOR), form, color=colour, linewidth=0.8)
+            some = (t >= start) & (t <= stop)
+            ax.plot(t[some], distance[some], form, color=colour, linewidth=2.2, label=name)
         ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
-        ax.axvline(T_FROM, linestyle=":", color=GREY, linewidth=0.9)
         ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
         figure.legend(loc="outside lower center", ncols=1, fontsize=7)
     return figure
