@@ -203,21 +203,30 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
     return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
 
 
-def _write_report(directory: Where, asking: Asking) -> None:
-    from stickslip.analysis.report.page import PAGE
+def _write_report(directory: Where, asking: Asking | None = None) -> None:
+    from stickslip.analysis.report import PAGE
     from stickslip.pipeline.storage import place_of
+    from stickslip.workflows.asking import Asking
+    from stickslip.workflows.fresh import is_current, n_to_go
+
+    if is_current(directory):
+        print(f"report  {place_of(directory).named(PAGE)}, unchanged")
+    else:
+        with Asking() if asking is None else nullcontext(asking) as processes:
+            _build_report(directory, processes)
+    to_go, n_members = n_to_go(directory)
+    if to_go:
+        print(f"note: {to_go} of {n_members} members are still to run")
+
+
+def _build_report(directory: Where, asking: Asking) -> None:
     from stickslip.workflows.progress import answers
     from stickslip.workflows.reporting import report
 
     gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
     with answers() as on_answer:
-        built, status = report(directory, asking, on_answer)
-    if not status.is_complete:
-        print(f"note: {status.n_members - status.n_done} of {status.n_members} members are still to run")
-    if built is None:
-        print(f"report  {place_of(directory).named(PAGE)}, unchanged")
-    else:
-        _publish(built, directory)
+        built = report(directory, asking, on_answer)
+    _publish(built, directory)
 
 
 def _publish(built: Report, where: Where) -> None:
@@ -228,13 +237,10 @@ def _publish(built: Report, where: Where) -> None:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.asking import Asking
-
     if arguments.compare is None:
         if arguments.out is not None:
             raise _Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-        with Asking() as asking:
-            _write_report(arguments.directory, asking)
+        _write_report(arguments.directory)
     else:
         _write_comparison(arguments.directory, arguments.compare, arguments.out)
     return _DONE
@@ -242,7 +248,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
     from stickslip.pipeline.storage import place_of
-    from stickslip.workflows.reporting import compared, name_of
+    from stickslip.workflows.fresh import name_of
+    from stickslip.workflows.reporting import compared
 
     place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
     _check_no_ensemble(place)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from pathlib import Path
 
 import pandas as pd
 
-from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Events
+from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
-from stickslip.analysis.report.page import PAGE
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
-from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
 from stickslip.sim import EventSeries
 from stickslip.version import __version__
 from stickslip.workflows.asking import Asking
+from stickslip.workflows.fresh import data_digest, made_from, name_of
 
 
 @lru_cache(maxsize=1)
@@ -79,14 +76,8 @@ def _data(path: Where) -> Data:
 
 def report(
     path: Where, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
-) -> tuple[Report | None, Status]:
+) -> Report:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
-
-    Returns
-    -------
-    report : Report or None
-        None if the one that is there was made from the same data, settings and program.
-    status : Status
 
     Raises
     ------
@@ -94,15 +85,10 @@ def report(
         If there is no readable dataset, or no member of it is done yet.
     """
     scene, found = _opened(path)
-    made_from = _made_from(path, scene)
-    (page,) = place_of(path).read_each([PAGE])
-    if page is not None and made_from.encode() in page[:2000]:
-        return None, found
-    built = build(
+    return build(
         _data(path), _settings(scene), scene.title or name_of(path), scene.about, _provenance(scene, found),
-        None if asking is None else (lambda study: asking(str(path), study, on_answer)), made_from,
+        None if asking is None else (lambda study: asking(str(path), study, on_answer)), made_from(path),
     )  # fmt: skip
-    return built, found
 
 
 def compared(path: Where, other: Where) -> Report:
@@ -127,29 +113,11 @@ def compared(path: Where, other: Where) -> Report:
             scene.analysis.t_burn,
             scene.analysis.margins.model_dump(),
             _provenance(scene, found),
-            _digest(where),
+            data_digest(where),
         )
         for where, name, (scene, found) in zip(places, names, opened, strict=True)
     ]
     return compare(ensembles[0], ensembles[1], _settings(opened[0][0]))
-
-
-def _digest(path: Where) -> str:
-    """Of all data of a dataset."""
-    digest = hashlib.sha256()
-    for name, shard in sorted(read_manifest(path).shards.items()):
-        digest.update(f"{name} {shard.sha256}".encode())
-    return digest.hexdigest()
-
-
-def _made_from(path: Where, scene: Scene) -> str:
-    """Digest of what a report depends on: data, scene, program."""
-    words = f"{scene.title or name_of(path)} {scene.model_dump_json()} {__version__} {_digest(path)}"
-    digest = hashlib.sha256(words.encode())
-    folder = Path(analysis.__file__).parent
-    for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _opened(path: Where) -> tuple[Scene, Status]:
@@ -157,11 +125,6 @@ def _opened(path: Where) -> tuple[Scene, Status]:
     if found.n_done == 0:
         raise StoreError(f"{path}: no member is done yet; run the scene first")
     return scene, found
-
-
-def name_of(path: Where) -> str:
-    """The last part of a directory or an address."""
-    return str(place_of(path)).rstrip("/").rpartition("/")[2]
 
 
 def _settings(scene: Scene) -> AnalysisSettings:

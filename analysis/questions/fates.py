@@ -282,21 +282,19 @@ def _by_system(ax: Any, systems: Sequence[Row]) -> None:
 
 def growth(systems: Sequence[Row], runs: Sequence[Row]) -> Figure:
     """Linear growth rate of the all-slip state of each run, marked by its fate, in order of size within a system."""
-    place = {row["key"]: k for k, row in enumerate(systems)}
+    points: dict[str, list[tuple[float, float]]] = {}
+    for k, system in enumerate(systems):
+        own = sorted((row for row in runs if row["system"] == system["key"]), key=lambda row: row["growth_rate"])
+        for rank, row in enumerate(own):
+            x = k + 0.6 * (rank / max(len(own) - 1, 1) - 0.5)
+            points.setdefault(row["fate"], []).append((x, row["growth_rate"]))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=PANEL, layout="constrained")
         ax = figure.subplots()
         ax.axhline(0, color=GREY, linewidth=0.8)
         for name, (label, colour, marker) in _FATES.items():
-            x, y = [], []
-            for row in runs:
-                if row["fate"] == name and row["system"] in place:
-                    rates = [other["growth_rate"] for other in runs if other["system"] == row["system"]]
-                    rank = sum(rate < row["growth_rate"] for rate in rates)
-                    x.append(place[row["system"]] + 0.6 * (rank / max(len(rates) - 1, 1) - 0.5))
-                    y.append(row["growth_rate"])
-            if x:
-                ax.plot(x, y, marker, color=colour, markersize=3, linestyle="", label=label)
+            if name in points:
+                ax.plot(*zip(*points[name], strict=True), marker, color=colour, markersize=3, label=label)
         _by_system(ax, systems)
         ax.set_ylabel("linear growth rate, all slip")
         figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)

@@ -1,1 +1,3 @@
 """The page: sections, tables, figures, words."""
+
+PAGE = "report.html"  # among the files of a report

@@ -16,13 +16,13 @@ import pandas as pd
 from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, Data, Study
 from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
-PAGE = "report.html"  # among the files of a report
 MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # what is wrong before what is well
 _TICK = '<li class="ok"'
