@@ -606,7 +606,9 @@ def test_comparisons_that_cannot_be(dataset, capsys, more, code, words):
     assert words in capsys.readouterr().err
 
 
-def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, monkeypatch, capsys):
+def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, tmp_path, monkeypatch, capsys):
+    dataset = shutil.copytree(dataset, tmp_path / "begun")
+    (dataset / "report.html").unlink()
     none_done = dataclasses.replace(status(dataset), n_done=0)
     monkeypatch.setattr("stickslip.workflows.reporting.status", lambda path: none_done)
     for more in ([], ["--compare", str(dataset)]):
