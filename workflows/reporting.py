@@ -109,7 +109,7 @@ def compared(path: Where, other: Where) -> Report:
     ensembles = [
         Ensemble(
             name,
-            Data(members(where), series(where)),
+            _data(where),
             scene.analysis.t_burn,
             scene.analysis.margins.model_dump(),
             _provenance(scene, found),
