@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import math
 import os
 import signal
 import socket
@@ -62,8 +61,10 @@ def check_memory(scene: Scene, workers: int) -> None:
     room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
     n_times = 0.0 if scene.record.separation is None else scene.run.t_end / scene.record.separation
     for key, needed, what, remedy in (
-        # a draw, its transpose and their sum; z and w of a run and of the one that it is compared with
-        ("system.n", 3.0 * 8 * math.prod(scene.system.ensemble.shape(n)), "drawing a system", "lower n"),
+        ("system.n", scene.system.bytes_of_system, "drawing a system", "lower n"),
+        # the matrix of 2n rows, its complex eigenvectors and what LAPACK keeps
+        ("record.growth_rate", 160.0 * n**2 * scene.record.growth_rate, "finding eigenvalues", "set it to false"),
+        # z and w of a run and of the one that it is compared with
         ("record.separation", 4.0 * 8 * n * n_times, "comparing two runs", "lengthen the step"),
     ):
         if needed > room:

@@ -22,7 +22,7 @@ from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
-MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W = range(8)
+MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = range(9)
 
 #: The readings of a perturbation in a member's name.
 _READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
@@ -44,7 +44,10 @@ class Member:
     member_id: str
     n: int
     coupling: str
-    kappa: float
+    kappa: float | None
+    spring: float | None
+    leaf: Value | None
+    degree: float | None
     rho: float | None
     damping: Value | None
     friction: Value
@@ -72,6 +75,13 @@ class Member:
         known = (number for number in draw if number is not None)
         return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *known))
 
+    @property
+    def scales(self) -> dict[str, Any]:
+        """What its coupling is drawn by: arguments of `sim.draw_system`."""
+        known = {"kappa": self.kappa, "spring": self.spring, "degree": self.degree}
+        leaf = {} if self.leaf is None else {"leaf": self._by_block(self.leaf, LEAF)}
+        return {name: value for name, value in known.items() if value is not None} | leaf
+
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
         """A number as it is; of a distribution its draw, shape (n,)."""
         return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
@@ -79,7 +89,7 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, as text; None: nothing."""
-        keys = {"damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
+        keys = {"leaf": self.leaf, "damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
         return "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution)) or None
 
     def system(self) -> sim.System:
@@ -132,9 +142,11 @@ class Member:
     def cost(self) -> float:
         """Estimated work, about seconds of one core; constants measured from n = 5 to 400, eps = 0.0003 to 0.3.
 
-        Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2.
+        Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
+        sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
         """
-        rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**3, dict(self.settings))
+        a_row = self.n if self.coupling in sim.COUPLINGS else min(self.n, 50)
+        rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**2 * a_row, dict(self.settings))
         certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
@@ -152,7 +164,7 @@ def _own_system(member: Member) -> sim.System:
         member.coupling,
         member.n,
         member._seed(MATRIX),
-        kappa=member.kappa,
+        **member.scales,
         rho=member.rho,
         damping=None if member.damping is None else member._by_block(member.damping, DAMPING),
         friction=member._by_block(member.friction, FRICTION),
@@ -170,7 +182,7 @@ def _moved_system(member: Member) -> sim.System:
         member.perturbation_size,
         member._seed(PERTURBATION, member.perturbation_draw),
         reading=member.perturbation_reading,
-        kappa=member.kappa,
+        **member.scales,
         rho=0.0 if member.rho is None else member.rho,  # not used then: see Scene._consistent
     )
 
@@ -276,11 +288,7 @@ def _member(
         member_id="-".join([f"n{n}", f"m{matrix:03d}", *place.words, *change.words, *words]),
         n=n,
         coupling=scene.system.coupling,
-        kappa=at["kappa"],
-        rho=at["rho"],
-        damping=at["damping"],
-        friction=at["friction"],
-        belt_speed=at["belt_speed"],
+        **{name: value for name, value in at.items() if name not in ("z", "w")},
         matrix=matrix,
         perturbation_reading=change.reading,
         perturbation_size=change.size,

@@ -43,9 +43,10 @@ from stickslip.pipeline.toml import (
     read_source,
 )
 from stickslip.sim.arguments import did_you_mean
-from stickslip.sim.couplings import COUPLINGS, Coupling
+from stickslip.sim.couplings import COUPLINGS
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
+from stickslip.sim.graphs import GRAPHS
 
 #: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
 MAX_MEMBERS = 1_000_000
@@ -55,19 +56,27 @@ MAX_SAMPLES = 10_000_000
 
 
 def _coupling(name: str) -> str:
-    if name not in COUPLINGS:
-        raise ValueError(f"expected one of {', '.join(COUPLINGS)}, got {name!r}{did_you_mean(name, COUPLINGS)}")
+    known = (*COUPLINGS, *GRAPHS)
+    if name not in known:
+        raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
     return name
 
 
 class SystemTable(StrictTable):
-    """[system]: the random ensemble the systems are drawn from."""
+    """[system]: what the systems are drawn from."""
 
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
-        description="name of the ensemble", examples=["antisymmetric"], json_schema_extra={"enum": list(COUPLINGS)}
+        description="name of the ensemble, or of the graph that springs lie along",
+        examples=["antisymmetric"],
+        json_schema_extra={"enum": [*COUPLINGS, *GRAPHS]},
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
-    kappa: Scale = Field(default=0.2, description="scale of the stiffnesses", examples=[0.2])
+    kappa: Scale | None = Field(default=0.2, description="scale of the stiffnesses of an ensemble", examples=[0.2])
+    spring: Scale | None = Field(default=1.0, description="springs between neighbours in a graph", examples=[1.0])
+    leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph", examples=[0.1])
+    degree: Scale | None = Field(
+        default=4.0, description="mean number of neighbours in the graph `network`", examples=[4.0]
+    )
     rho: Scale | None = Field(default=3.5, description="scale of the dampings", examples=[3.5])
     damping: BlockScale | None = Field(
         default=None, description="damping R of every block, in the place of `rho`", examples=[0.0]
@@ -76,16 +85,36 @@ class SystemTable(StrictTable):
     belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
 
     @property
-    def ensemble(self) -> Coupling:
-        """What K is made by."""
-        return COUPLINGS[self.coupling]
+    def readings(self) -> tuple[str, ...]:
+        """The readings of a perturbation that keep what the system is."""
+        kept = COUPLINGS[self.coupling].readings if self.coupling in COUPLINGS else ()
+        return kept if self.damping is None else tuple(set(kept) & {"relative"})  # there is no scale of R
+
+    @property
+    def bytes_of_system(self) -> float:
+        """About what drawing the largest system takes."""
+        n = max(self.n)
+        if self.coupling in COUPLINGS:
+            return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
+        return 100.0 * n * (1.0 + size(self.degree or 4.0))
 
     @model_validator(mode="after")
-    def _one_damping(self) -> Self:
+    def _only_what_applies(self) -> Self:
+        """What is not used is refused, and no part of the data."""
+        own = ["kappa"] if self.coupling in COUPLINGS else ["spring", "leaf"]
+        own += ["degree"] if self.coupling == "network" else []
+        for key in {"kappa", "spring", "leaf", "degree"}.difference(own):
+            if key in self.model_fields_set and getattr(self, key) is not None:
+                known = f'coupling = "{self.coupling}", which has {", ".join(own)}'
+                raise ValueError(f"{key}: expected none with {known}; remove it")
+            object.__setattr__(self, key, None)
         if self.damping is not None:
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
-            object.__setattr__(self, "rho", None)  # what is not used is no part of the data
+            object.__setattr__(self, "rho", None)
+        if self.degree is not None and size(self.degree) > min(self.n) - 1:
+            most = f"n - 1 = {min(self.n) - 1}, all the others"
+            raise ValueError(f"degree: expected at most {most}, got {size(self.degree):g}; lower it")
         return self
 
 
@@ -404,6 +433,7 @@ class Scene(StrictTable):
         thresholds = any(engine.settings.get("thresholds") for engine in self.engines)
         drawn = (one for quantity in self.quantities.values() for one in values(quantity))
         asked = {
+            "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None,
             "drawn": any(isinstance(one, Distribution) for one in drawn),
             "growth_rate": self.record.growth_rate,
@@ -430,11 +460,10 @@ class Scene(StrictTable):
                 f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
             )
         readings = self.perturbation.readings if self.perturbation is not None else ()
-        kept, what = self.system.ensemble.readings, f'coupling = "{self.system.coupling}"'
-        if self.system.damping is not None:  # of which there is no scale
-            kept, what = tuple(set(kept) & {"relative"}), f"{what} with `damping`"
+        kept = self.system.readings
         if set(readings) - set(kept):
             remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
+            what = f'coupling = "{self.system.coupling}"' + " with `damping`" * (self.system.damping is not None)
             raise ValueError(
                 f"perturbation.readings: expected those that keep what {what} is,"
                 f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
@@ -457,8 +486,8 @@ class Scene(StrictTable):
     def quantities(self) -> dict[str, Quantity | None]:
         """The keys that may hold lists and distributions: those of [system], then those of [start]."""
         one, other = self.system, self.start
-        own = {name: getattr(one, name) for name in ("kappa", "rho", "damping", "friction", "belt_speed")}
-        return own | {"z": other.z, "w": other.w}
+        keys = ("kappa", "spring", "leaf", "degree", "rho", "damping", "friction", "belt_speed")
+        return {name: getattr(one, name) for name in keys} | {"z": other.z, "w": other.w}
 
     @property
     def axes(self) -> tuple[Axis, ...]:

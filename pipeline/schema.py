@@ -43,8 +43,13 @@ def _of_engines() -> Iterator[pa.Field]:
                 yield _column(f"{name}_draw", pa.int32(), f"number of the draw of the r_i ({owners}, uniform)")
 
 
-#: What a scene may ask for beside n_stick; `damping` and `drawn` by their keys in [system] and [start].
+#: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
 _RECORDED = {
+    "graph": [
+        _column("spring", pa.float64(), "stiffness of the springs between neighbours", False),
+        _column("leaf", pa.float64(), "stiffness of every block's leaf spring; null if drawn"),
+        _column("degree", pa.float64(), "mean number of neighbours; null if not a network"),
+    ],
     "damping": [_column("damping", pa.float64(), "damping R of every block; null if drawn")],
     "drawn": [
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
@@ -80,8 +85,8 @@ _RECORDED = {
     ],
 }
 
-#: What is null where a scene gives `damping`, or a distribution.
-_MAY_BE_NULL = ("rho", "friction", "z0", "w0")
+#: What is null where a scene has a graph, gives `damping`, or a distribution.
+_MAY_BE_NULL = ("kappa", "rho", "friction", "z0", "w0")
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
 SCHEMA = pa.schema(
@@ -150,6 +155,10 @@ SCHEMA = pa.schema(
 )
 
 
+#: All columns that there may be.
+COLUMNS = (*SCHEMA.names, *(column.name for columns in _RECORDED.values() for column in columns))
+
+
 def scalars(schema: pa.Schema) -> tuple[str, ...]:
     """The columns of the members table."""
     return tuple(field.name for field in schema if not pa.types.is_list(field.type))
@@ -170,7 +179,7 @@ class Recording:
     @property
     def schema(self) -> pa.Schema:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
-        own = {"damping", "drawn"}.intersection(self.parts)
+        own = {"graph", "damping", "drawn"}.intersection(self.parts)
         fixed = [field.with_nullable(True) if own and field.name in _MAY_BE_NULL else field for field in SCHEMA]
         schema = pa.schema([*fixed, *(column for name in self.parts for column in _RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})

@@ -9,7 +9,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Distribution
-from stickslip.pipeline.schema import SCHEMA, Recording, encode
+from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.compile import cache_directory, source_digest
@@ -33,12 +33,7 @@ _PATIENCE = 180.0
 _loaded: set[str] = set()
 
 #: What a row takes over from its member.
-_PARAMETERS = (
-    *(field.name for field in fields(Member) if field.name in SCHEMA.names),
-    "damping",
-    "start_draw",
-    "drawn",
-)
+_PARAMETERS = tuple(name for name in COLUMNS if hasattr(Member, name))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike
 
-from stickslip.sim.arguments import Floats, did_you_mean, integer
+from stickslip.sim.arguments import Floats, did_you_mean, integer, per_block
+from stickslip.sim.graphs import GRAPHS, spring_matrix
 from stickslip.sim.system import System
 
 
@@ -93,9 +94,8 @@ COUPLINGS: dict[str, Coupling] = {
 
 def _coupling(name: str) -> Coupling:
     if name not in COUPLINGS:
-        raise ValueError(
-            f"coupling: expected one of {', '.join(COUPLINGS)}, got {name!r}{did_you_mean(name, COUPLINGS)}"
-        )
+        known = (*COUPLINGS, *GRAPHS)
+        raise ValueError(f"coupling: expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
     return COUPLINGS[name]
 
 
@@ -119,23 +119,29 @@ def draw_system(
     seed: int | np.random.SeedSequence,
     *,
     kappa: float = 0.2,
+    spring: float = 1.0,
+    leaf: ArrayLike = 0.1,
+    degree: float = 4.0,
     rho: float | None = 3.5,
     damping: ArrayLike | None = None,
     friction: ArrayLike = 1.0,
     belt_speed: float = -0.2,
 ) -> System:
-    """Draw K and R from a named ensemble (section 4 of the paper; dimensionless).
+    """Draw K and R from a named ensemble (section 4 of the paper), or by a named graph (dimensionless).
 
     Parameters
     ----------
     coupling : str
-        One of `COUPLINGS`.
+        One of `COUPLINGS`, or of `stickslip.sim.graphs.GRAPHS`, whose K is sparse.
     n : int
         Number of blocks.
     seed : int or numpy.random.SeedSequence
         At least 0; the same seed gives the same system.
     kappa, rho : float
         Scales: stiffnesses in [-kappa, kappa], dampings in [rho, 2 rho].
+    spring, leaf, degree
+        Of a graph, in the place of kappa: stiffness of the springs between neighbours, and of each block's leaf
+        spring, one number or shape (n,); mean number of neighbours in a network, at most n - 1.
     damping
         R itself, as in `System`, in the place of what rho gives; K is the same as without.
     friction, belt_speed
@@ -146,15 +152,22 @@ def draw_system(
     TypeError
         If n or the seed is no integer.
     ValueError
-        If the name is unknown, n < 1, or the seed, kappa or rho is negative.
+        If the name is unknown, n < 1, or the seed or a scale is negative.
     """
-    kind = _coupling(coupling)
     n, rng = integer("n", n, 1, None), _generator(seed)
     scale = 0.0 if damping is not None or rho is None else rho
-    if not (kappa >= 0 and scale >= 0):
-        raise ValueError(f"kappa, rho: expected numbers >= 0, got {kappa} and {rho}")
-    u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
-    return System(kind.rule(u), drawn if damping is None else damping, friction, belt_speed)
+    for name, value in (("kappa", kappa), ("spring", spring), ("degree", degree), ("rho", scale)):
+        if not value >= 0:
+            raise ValueError(f"{name}: expected a number >= 0, got {value}")
+    stiffness: Floats | scipy.sparse.sparray
+    if coupling in GRAPHS:
+        drawn = rng.uniform(scale, 2 * scale, n)
+        stiffness = spring_matrix(n, GRAPHS[coupling](n, degree, rng), spring, per_block("leaf", leaf, n))
+    else:
+        kind = _coupling(coupling)
+        u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
+        stiffness = kind.rule(u)
+    return System(stiffness, drawn if damping is None else damping, friction, belt_speed)
 
 
 def perturb_system(

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import shutil
 
 import numpy as np
+import pandas as pd
 import pytest
+import scipy.sparse
 
-from stickslip.pipeline import SceneError, expand, parse_scene, query, run_scene, verify
+from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_scene, verify
+from stickslip.pipeline.cluster import check_memory
 
 GRID = """\
 [system]
@@ -204,6 +209,66 @@ def test_a_number_may_be_the_damping_itself():
     assert (member.damping, member.rho, member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
 
 
+# ---------------------------------------------------------------------------------------------- graphs
+
+
+def graph(name, seed, keys=""):
+    text = DRAWN.replace("SEED", str(seed)).replace('"antisymmetric"', f'"{name}"\n{keys}')
+    return text.replace("friction = [1.0, {uniform = [0.8, 1.2]}]", "").replace("w = [-0.4, {", "w = -0.4 # ")
+
+
+def test_each_graph_has_its_springs_and_leaves(seed):
+    """Symmetric, rows that sum to the leaf springs, and off the diagonal the springs to the neighbours."""
+    n = int(np.random.default_rng(seed).integers(5, 12))
+    width = math.ceil(math.sqrt(n))
+    apart = {
+        "chain": lambda i, j: j - i == 1,
+        "ring": lambda i, j: j - i in (1, n - 1),
+        "grid": lambda i, j: j - i == width or (j - i == 1 and j % width != 0),
+    }
+    for name, are_tied in apart.items():
+        (member, *_) = expand(scene_of(graph(name, seed, "spring = 2.0\nleaf = 0.25").replace("n = 3", f"n = {n}")))
+        stiffness = member.system().stiffness
+        assert scipy.sparse.issparse(stiffness)
+        dense = stiffness.toarray()
+        assert dense.sum(axis=1) == pytest.approx(np.full(n, 0.25))
+        for i, j in itertools.combinations(range(n), 2):
+            assert dense[i, j] == dense[j, i] == (-2.0 if are_tied(i, j) else 0.0), (name, i, j)
+
+
+def test_a_network_is_drawn_and_one_of_lower_degree_is_a_part_of_it(seed):
+    scene = scene_of(
+        graph("network", seed, "degree = [2.0, 4.0]\nleaf = {uniform = [0.1, 0.2]}").replace("n = 3", "n = 9")
+    )
+    systems = {(member.matrix, member.degree): member.system().stiffness.toarray() for member in expand(scene)}
+    for matrix in (0, 1):
+        few, many = (systems[matrix, degree] - np.diag(np.diag(systems[matrix, degree])) for degree in (2.0, 4.0))
+        assert ((few != 0).sum(), (many != 0).sum()) == (2 * 9, 2 * 18)
+        assert (many[few != 0] == -1.0).all()
+        leaves = systems[matrix, 2.0].sum(axis=1)
+        assert leaves == pytest.approx(drawn(8, seed, 9, matrix).uniform(0.1, 0.2, 9), abs=1e-12)
+    assert not np.array_equal(systems[0, 4.0], systems[1, 4.0])
+
+
+def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
+    text = graph("chain", seed, "spring = 0.5").replace("n = 3", "n = 10000")
+    source = (
+        text.replace("draws = 3", "").replace("matrices = 2", "matrices = 1").replace("t_end = 5.0", "t_end = 2.0")
+    )
+    scene = parse_scene(source.encode())
+    assert sum(member.cost for member in expand(scene)) < 10.0
+    monkeypatch.setattr(cluster, "MEMORY_LIMIT", 4e9)
+    check_memory(scene, workers=2)
+    with pytest.raises(SceneError, match=r"record\.growth_rate.*set it to false"):
+        check_memory(parse_scene(f"{source}[record]\ngrowth_rate = true\n".encode()), workers=2)
+    run_scene(scene, source.encode(), tmp_path / "out", workers=0)
+    (row,) = query.members(tmp_path / "out").to_dict(orient="records")
+    assert (row["outcome"], row["n"], row["spring"], row["leaf"]) == ("finished", 10000, 0.5, 0.1)
+    assert row["n_events"] > 100
+    assert pd.isna(row["kappa"])
+    assert pd.isna(row["degree"])
+
+
 # ---------------------------------------------------------------------------------------------- what is refused
 
 BAD = {
@@ -240,6 +305,18 @@ BAD = {
     "a negative deviation": ("w = -0.4", "w = {normal = [0, -1]}", ["start.w", "deviation above 0"]),
     "a friction below 0": ("n = [3, 4]", "n = 3\nfriction = {uniform = [-1, 1]}", ["system.friction", "0 <= low"]),
     "a friction without bound": ("n = [3, 4]", "n = 3\nfriction = {normal = [1, 1]}", ["system.friction", "below 0"]),
+    "a spring of an ensemble": ("n = [3, 4]", "n = 3\nspring = 1.0", ["system.spring", "which has kappa", "remove"]),
+    "a scale of a graph": ('"antisymmetric"', '"chain"', ["system.kappa", "which has spring, leaf", "remove it"]),
+    "a degree of a chain": (
+        'coupling = "antisymmetric"\nn = [3, 4]\nkappa = [0.2, 0.1]',
+        'coupling = "chain"\nn = 3\ndegree = 2.0',
+        ["system.degree", "which has spring, leaf", "remove it"],
+    ),
+    "more neighbours than blocks": (
+        'coupling = "antisymmetric"\nn = [3, 4]\nkappa = [0.2, 0.1]',
+        'coupling = "network"\nn = [3, 4]',
+        ["system.degree", "n - 1 = 2", "got 4"],
+    ),
     "both dampings": ("n = [3, 4]", "n = 3\nrho = 1.0\ndamping = 1.0", ["system.damping", "either", "remove one"]),
     "draws of nothing": ("w = -0.4", "w = -0.4\ndraws = 2", ["start.draws", "distribution", "remove it"]),
     "zip of no list": ("seed = 3", 'zip = [["kappa", "rho"]]', ["run.zip", "lists, got 'rho'"]),
