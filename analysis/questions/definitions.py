@@ -18,14 +18,11 @@ from stickslip.analysis.stats import cascades
 from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, Window
 from stickslip.analysis.stats.effects import LESS, MORE, over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
-from stickslip.analysis.stats.nulls import Sums, block_steps, random_order, rotations
+from stickslip.analysis.stats.nulls import DRAWS, Sums, block_steps, random_order, rotations
 from stickslip.analysis.style import CYCLE, GREY, PANEL, STYLE
 
 ORDER, BLOCKS = "order", "blocks"  # nulls: random order, and rotation of blocks
 STEEPER, SHALLOWER = "steeper", "shallower"
-#: Rotations of each run at most. They scatter as the run does, so d of them add a share of 1 / d to the variance of a
-#: difference from chance: 10 widen intervals by 5%. The intervals contain it, each matrix being set against its own.
-DRAWS = 10
 _OVER = {"gamma": F, "over": F, "low": F, "high": F, "p_value": F, "p_adjusted": F, "verdict": S}
 _DEFINITIONS: Mapping[str, str] = {
     "group": S, "threshold": F, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I,

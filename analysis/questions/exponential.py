@@ -10,12 +10,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.stats import pool
-from stickslip.analysis.stats.dispersion import dispersion, moments
+from stickslip.analysis.stats.cascades import sizes as cascade_sizes
+from stickslip.analysis.stats.dispersion import difference, dispersion, moments
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness, line, quotients
+from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.stats.rivals import Rival, rivals
 from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
 
@@ -24,7 +26,8 @@ CLOSE = 0.1  # of the variance: a departure up to here is called close to expone
 MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
-    "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "gap": F, "gap_at": I,
+    "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
+    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gap": F, "gap_at": I,
     "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "line": F, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
@@ -66,7 +69,8 @@ def answer(study: Study) -> Answer:
     known = [row for row in others if row["gain"] is not None]
     facts = {
         "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_close": abs(off) <= CLOSE, "rows": rows,
-        "over_pool": Estimate(lead["over_pool"], lead["over_pool_low"], lead["over_pool_high"]),
+        "over": {key: Estimate(*(lead[f"over_{key}{end}"] for end in ("", "_low", "_high")))
+                 for key in ("pool", "rotation")},
         "n": group.key["n"], "rivals": others, "best": max(known, key=lambda row: row["gain"], default=None),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures={"over_fit": partial(over_fit, drawn)})
@@ -86,7 +90,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
     row: Row = {
         "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
-        "pool": None, "over_pool": None, "over_pool_low": None, "over_pool_high": None,
+        **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
         "gap": fit.gap, "gap_at": fit.at, "gap_bound": fit.bound, "p_value": fit.p_value, "p_least": fit.p_least,
         "p_most": fit.p_most, "fit": fit.verdict(1 - level), "reason": excess.reason or fit.reason or None,
         "line": line(sizes, pooled) if np.count_nonzero(pooled) > 1 else None,
@@ -95,15 +99,39 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
         return row
     row |= {"variance": 1 + excess.value, "variance_low": 1 + excess.low, "variance_high": 1 + excess.high}
     row["verdict"] = THINNER if excess.high < 0 else THICKER if excess.low > 0 else AS_EXPONENTIAL
-    n, mean = int(group.key["n"]), group.mean(level).value
-    if sizes[0] == 1 and mean is not None and 0 < mean < n:
-        means = group.by_matrix()[group.counts.sum(axis=1) > 0]
-        over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), level)
-        row |= {
-            "pool": 1 + pool.excess(n, mean), "over_pool": over.value, "over_pool_low": over.low,
-            "over_pool_high": over.high,
-        }  # fmt: skip
     return row
+
+
+def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
+    """What blocks without memory give, and how far the runs lie from it."""
+    n, mean = int(group.key["n"]), group.mean(confidence).value
+    known, over = sizes[0] == 1 and mean is not None and 0 < mean < n, Estimate()
+    if known:
+        means = group.by_matrix()[group.counts.sum(axis=1) > 0]
+        over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
+    value = 1 + pool.excess(n, mean) if known and mean is not None else None
+    return {"pool": value, "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high}
+
+
+def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
+    """What the runs' own blocks give where they ignore each other, and how far the runs lie from it."""
+    settings, events = study.settings, study.data.events
+    sums = np.zeros((len(group.matrices), 3))
+    for row, member_id, win in study.windows(group):
+        if member_id in events:
+            steps, rng = block_steps(*events[member_id], win.t_start, win.t_stop), study.generator(member_id)
+            for _ in range(min(settings.resamples, DRAWS)):
+                found = cascade_sizes(rotated(steps, rng).window(), EVENTS)
+                sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
+    sums = sums[group.counts.sum(axis=1) > 0]
+    seen = sums[:, 0] > 0
+    value, over = dispersion(sums[seen], settings.confidence).value, Estimate()
+    if value is not None:
+        over = over_matrices(difference, np.hstack([moments(counts), sums])[seen], settings.confidence)
+    return {
+        "rotation": None if value is None else 1 + value, "over_rotation": over.value,
+        "over_rotation_low": over.low, "over_rotation_high": over.high,
+    }  # fmt: skip
 
 
 def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:

@@ -48,6 +48,11 @@ def excess(sums: np.ndarray) -> np.ndarray:
     return unbiased / (mean * (mean - 1)) - 1
 
 
+def difference(sums: np.ndarray) -> np.ndarray:
+    """`excess` of columns 0 to 2 less that of columns 3 to 5, paired matrix by matrix."""
+    return excess(sums[:, :3]) - excess(sums[:, 3:])
+
+
 def dispersion(rows: np.ndarray, confidence: float) -> Estimate:
     """`excess` of the whole ensemble with a jackknife-t interval over matrices.
 

@@ -96,22 +96,22 @@ POWER_LAW = Family(
 CUT_OFF = Family(
     "cut-off power law", lambda k, p: -p[0] * np.log(k) - p[1] * k, ((-50.0, 50.0), (0.0, 50.0)),
     ((0.0, 0.7), (2.0, 0.01)), lambda p: {"alpha": float(p[0]), "lambda": float(p[1])}, 0,
-    {(1, 0): "lambda = 0, the power law"},
+    {(1, 0): "power law"},
 )  # fmt: skip
 STRETCHED = Family(
     "stretched exponential", _stretched, ((-15.0, 15.0), (-3.0, 3.0)), ((0.4, 0.0), (0.0, -1.0), (2.0, 0.5)),
     lambda p: {"tau": float(np.exp(p[0])), "beta": float(np.exp(p[1]))}, 1,
-    {(1, 0): "beta -> 0, a tail heavier than any exponential's", (1, 1): "beta without bound, one or two sizes"},
+    {(1, 0): "heavier than exponential", (1, 1): "one or two sizes"},
 )  # fmt: skip
 NEGATIVE_BINOMIAL = Family(
     "negative binomial", _negative_binomial, ((-15.0, 15.0), (-7.0, 9.0)), ((0.0, 0.0), (0.0, -2.0), (1.0, 3.0)),
     lambda p: {"mean": float(np.exp(p[0])), "r": float(np.exp(p[1]))}, 1,
-    {(1, 0): "r -> 0, the logarithmic series", (1, 1): "r without bound, the Poisson law",
-     (0, 1): "a mean without bound, which k_max alone keeps finite"},
+    {(1, 0): "logarithmic series", (1, 1): "Poisson law",
+     (0, 1): "unbounded mean"},
 )  # fmt: skip
 LOGNORMAL = Family(
     "lognormal", lambda k, p: -p[0] * np.log(k) - p[1] * np.log(k) ** 2, ((-80.0, 80.0), (0.0, 80.0)),
-    ((1.0, 0.5), (2.0, 0.01)), _lognormal, None, {(1, 0): "sigma without bound, the power law"},
+    ((1.0, 0.5), (2.0, 0.01)), _lognormal, None, {(1, 0): "power law"},
 )  # fmt: skip
 RIVALS = (CUT_OFF, STRETCHED, NEGATIVE_BINOMIAL, POWER_LAW, LOGNORMAL)
 

@@ -26,6 +26,9 @@ from scipy import special
 from stickslip.analysis.stats import cascades
 from stickslip.analysis.stats.cascades import Law, Window
 
+#: Rotations of each run at most. They scatter as the run does, so d of them add a share of 1 / d to the variance of a
+#: difference from chance: 10 widen intervals by 5%. The intervals contain it, each matrix being set against its own.
+DRAWS = 10
 Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` reads
 
 # ------------------------------------------------------------------------------------------- random order

@@ -113,10 +113,10 @@ def _p_value(estimate: Estimate, n_matrices: int, confidence: float) -> float:
 def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
     """The extra parameter with its jackknife-t interval; parameters on a bound stay there."""
     if which not in fit.free:
-        raise Undefined(f"the likelihood runs to a border: {fit.border}")
+        raise Undefined(f"border: {fit.border}")
     n = len(counts)
     if n < 2:
-        raise Undefined("one matrix only, so no interval")
+        raise Undefined("one matrix")
     score, information = derivatives(fit.family, fit.sizes, fit.theta, fit.free)
     scores = counts @ score
     informations = np.tensordot(counts, information, 1)
@@ -124,7 +124,7 @@ def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estim
     try:
         moved = -np.linalg.solve(rest, scores[:, :, None])[:, fit.free.index(which), 0]
     except np.linalg.LinAlgError:
-        raise Undefined("the likelihood is flat at its maximum") from None
+        raise Undefined("flat likelihood") from None
     half = student.half_width(confidence, n - 1) * jackknife_error(moved)
     value = float(fit.theta[which])
     return Estimate(value, value - half, value + half)

@@ -176,7 +176,7 @@ def test_every_definition_step_and_threshold_has_its_row(planted, rng):
         )
     assert own["blocks_over"].between(0.8, 1.2).all()
     assert found.facts["thresholds"]["rate"] == pytest.approx(1.0)
-    assert "blocks that ignore each other" in said("definitions", found)
+    assert "against independent blocks" in said("definitions", found)
 
 
 def test_without_events_chance_is_random_order(planted, rng):
