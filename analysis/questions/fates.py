@@ -56,6 +56,7 @@ def answer(study: Study) -> Answer:
     runs = [row for group in study.groups for row in _runs(study, group)]
     curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
     groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
+    moving = sorted((row for row in groups if row[f"n_{SUSTAINED}"]), key=lambda row: -row["n"])
     systems = [row for row in _systems(study, runs) if row["n_runs"]]
     members = study.data.members
     failed = members[members["outcome"] == FAILED]
@@ -63,6 +64,7 @@ def answer(study: Study) -> Answer:
     facts: dict[str, Any] = {
         "systems": systems,
         "groups": groups,
+        "moving": moving,
         "total": {
             **{name: total[name] for name in (*ENDS, SUSTAINED, FAILED)},
             "runs": total.total() - total[FAILED],
@@ -74,9 +76,9 @@ def answer(study: Study) -> Answer:
         "below": _ended(systems, runs, is_below=True),
         "above": _ended(systems, runs, is_below=False),
         "linear": _linear(runs),
-        "few": [row for row in groups if row["basis"] == enough.FEW_MATRICES and row[f"n_{SUSTAINED}"]],
-        "drifting": [row for row in groups if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
-        "unsure": [row for row in groups if row["basis"] == enough.DRIFT_UNKNOWN],
+        "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
+        "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
+        "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
         "t_burn": study.settings.t_burn,
         "block": BLOCK,
     }
@@ -101,10 +103,11 @@ def _figures(
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
             shown["growth"] = partial(growth, facts["systems"], known)
     else:
-        most = max(study.groups, key=lambda group: (group.key["n"], group.n_runs))
-        paths = [_means(win) for _, _, win in study.windows(most)]
-        if paths:
-            shown["runs"] = partial(all_runs, paths)
+        most = max(
+            (group for group in study.groups if group.n_runs), key=lambda group: int(group.key["n"]), default=None
+        )
+        if most is not None:
+            shown["runs"] = partial(all_runs, [_means(win) for _, _, win in study.windows(most)])
     return shown
 
 
