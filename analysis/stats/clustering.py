@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import BlockSteps
@@ -218,10 +218,10 @@ def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _welch(x: np.ndarray, dt: float) -> np.ndarray:
     """One-sided power of each row of x, from which the mean of the whole window has been taken.
 
-    Not that of each segment (`scipy.signal.welch` knows no other): the slowest motion would go with it.
+    Not that of each segment (as Welch's method has it): the slowest motion would go with it.
     """
     m = SAMPLES // SEGMENTS
-    taper = signal.windows.hann(m, sym=False)
+    taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(m) / m)
     power = [np.abs(fft.rfft(x[:, k : k + m] * taper)) ** 2 for k in range(0, SAMPLES - m + 1, m // 2)]
     return np.mean(power, axis=0) * (2 * dt / np.sum(taper**2))
 

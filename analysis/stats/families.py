@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from stickslip.analysis.stats.estimates import Undefined
 
@@ -211,6 +211,8 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     Undefined
         If there are fewer than two different sizes: every family then runs to a single size.
     """
+    from scipy import optimize  # a tenth of a second to load, and few reports come here
+
     total = counts.sum()
     if np.count_nonzero(counts) < 2:
         raise Undefined("no cascade" if total == 0 else "one size only")
