@@ -44,8 +44,7 @@ class Member:
     member_id: str
     n: int
     coupling: str
-    kappa: float | None
-    spring: float | None
+    kappa: float
     leaf: Value | None
     degree: float | None
     rho: float | None
@@ -78,9 +77,8 @@ class Member:
     @property
     def scales(self) -> dict[str, Any]:
         """What its coupling is drawn by: arguments of `sim.draw_system`."""
-        known = {"kappa": self.kappa, "spring": self.spring, "degree": self.degree}
         leaf = {} if self.leaf is None else {"leaf": self._by_block(self.leaf, LEAF)}
-        return {name: value for name, value in known.items() if value is not None} | leaf
+        return {"kappa": self.kappa} | leaf | ({} if self.degree is None else {"degree": self.degree})
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
         """A number as it is; of a distribution its draw, shape (n,)."""

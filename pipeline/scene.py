@@ -71,8 +71,9 @@ class SystemTable(StrictTable):
         json_schema_extra={"enum": [*COUPLINGS, *GRAPHS]},
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
-    kappa: Scale | None = Field(default=0.2, description="scale of the stiffnesses of an ensemble", examples=[0.2])
-    spring: Scale | None = Field(default=1.0, description="springs between neighbours in a graph", examples=[1.0])
+    kappa: Scale = Field(
+        default=0.2, description="scale of the stiffnesses; of a graph the springs between neighbours", examples=[0.2]
+    )
     leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph", examples=[0.1])
     degree: Scale | None = Field(
         default=4.0, description="mean number of neighbours in the graph `network`", examples=[4.0]
@@ -101,13 +102,11 @@ class SystemTable(StrictTable):
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
         """What is not used is refused, and no part of the data."""
-        own = ["kappa"] if self.coupling in COUPLINGS else ["spring", "leaf"]
-        own += ["degree"] if self.coupling == "network" else []
-        for key in {"kappa", "spring", "leaf", "degree"}.difference(own):
-            if key in self.model_fields_set and getattr(self, key) is not None:
-                known = f'coupling = "{self.coupling}", which has {", ".join(own)}'
-                raise ValueError(f"{key}: expected none with {known}; remove it")
-            object.__setattr__(self, key, None)
+        for key, has_it in (("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network")):
+            if not has_it:
+                if key in self.model_fields_set and getattr(self, key) is not None:
+                    raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
+                object.__setattr__(self, key, None)
         if self.damping is not None:
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
@@ -486,7 +485,7 @@ class Scene(StrictTable):
     def quantities(self) -> dict[str, Quantity | None]:
         """The keys that may hold lists and distributions: those of [system], then those of [start]."""
         one, other = self.system, self.start
-        keys = ("kappa", "spring", "leaf", "degree", "rho", "damping", "friction", "belt_speed")
+        keys = ("kappa", "leaf", "degree", "rho", "damping", "friction", "belt_speed")
         return {name: getattr(one, name) for name in keys} | {"z": other.z, "w": other.w}
 
     @property

@@ -46,7 +46,6 @@ def _of_engines() -> Iterator[pa.Field]:
 #: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
 _RECORDED = {
     "graph": [
-        _column("spring", pa.float64(), "stiffness of the springs between neighbours", False),
         _column("leaf", pa.float64(), "stiffness of every block's leaf spring; null if drawn"),
         _column("degree", pa.float64(), "mean number of neighbours; null if not a network"),
     ],
@@ -85,8 +84,8 @@ _RECORDED = {
     ],
 }
 
-#: What is null where a scene has a graph, gives `damping`, or a distribution.
-_MAY_BE_NULL = ("kappa", "rho", "friction", "z0", "w0")
+#: What is null where a scene gives `damping`, or a distribution.
+_MAY_BE_NULL = ("rho", "friction", "z0", "w0")
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
 SCHEMA = pa.schema(
@@ -179,7 +178,7 @@ class Recording:
     @property
     def schema(self) -> pa.Schema:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
-        own = {"graph", "damping", "drawn"}.intersection(self.parts)
+        own = {"damping", "drawn"}.intersection(self.parts)
         fixed = [field.with_nullable(True) if own and field.name in _MAY_BE_NULL else field for field in SCHEMA]
         schema = pa.schema([*fixed, *(column for name in self.parts for column in _RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})

@@ -119,7 +119,6 @@ def draw_system(
     seed: int | np.random.SeedSequence,
     *,
     kappa: float = 0.2,
-    spring: float = 1.0,
     leaf: ArrayLike = 0.1,
     degree: float = 4.0,
     rho: float | None = 3.5,
@@ -138,10 +137,10 @@ def draw_system(
     seed : int or numpy.random.SeedSequence
         At least 0; the same seed gives the same system.
     kappa, rho : float
-        Scales: stiffnesses in [-kappa, kappa], dampings in [rho, 2 rho].
-    spring, leaf, degree
-        Of a graph, in the place of kappa: stiffness of the springs between neighbours, and of each block's leaf
-        spring, one number or shape (n,); mean number of neighbours in a network, at most n - 1.
+        Scales: stiffnesses in [-kappa, kappa], of a graph kappa between neighbours; dampings in [rho, 2 rho].
+    leaf, degree
+        Of a graph: stiffness of each block's leaf spring, one number or shape (n,); mean number of neighbours in a
+        network, at most n - 1.
     damping
         R itself, as in `System`, in the place of what rho gives; K is the same as without.
     friction, belt_speed
@@ -156,13 +155,13 @@ def draw_system(
     """
     n, rng = integer("n", n, 1, None), _generator(seed)
     scale = 0.0 if damping is not None or rho is None else rho
-    for name, value in (("kappa", kappa), ("spring", spring), ("degree", degree), ("rho", scale)):
+    for name, value in (("kappa", kappa), ("degree", degree), ("rho", scale)):
         if not value >= 0:
             raise ValueError(f"{name}: expected a number >= 0, got {value}")
     stiffness: Floats | scipy.sparse.sparray
     if coupling in GRAPHS:
         drawn = rng.uniform(scale, 2 * scale, n)
-        stiffness = spring_matrix(n, GRAPHS[coupling](n, degree, rng), spring, per_block("leaf", leaf, n))
+        stiffness = spring_matrix(n, GRAPHS[coupling](n, degree, rng), kappa, per_block("leaf", leaf, n))
     else:
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))

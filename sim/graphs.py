@@ -1,6 +1,6 @@
 """Blocks tied by springs along the edges of a graph, each held by a leaf spring: K is sparse.
 
-(K z)_i = leaf_i z_i + spring sum_j (z_i - z_j)        over the neighbours j of block i (dimensionless)
+    (K z)_i = leaf_i z_i + kappa sum_j (z_i - z_j)        over the neighbours j of block i (dimensionless)
 
 A chain of these is the model of Burridge and Knopoff (1967).
 """
@@ -62,11 +62,11 @@ GRAPHS: dict[str, Callable[[int, float, np.random.Generator], Pairs]] = {
 }
 
 
-def spring_matrix(n: int, pairs: Pairs, spring: float, leaf: float | Floats) -> scipy.sparse.csc_array:
+def spring_matrix(n: int, pairs: Pairs, kappa: float, leaf: float | Floats) -> scipy.sparse.csc_array:
     """K of n blocks with a spring between the two of each pair, and a leaf spring for each block, shape (n, n)."""
     i, j = pairs.T
     counts = np.bincount(pairs.ravel(), minlength=n)
     block = np.arange(n)
-    entries = np.concatenate((np.full(2 * len(pairs), -spring), leaf + spring * counts))
+    entries = np.concatenate((np.full(2 * len(pairs), -kappa), leaf + kappa * counts))
     rows, columns = np.concatenate((i, j, block)), np.concatenate((j, i, block))
     return scipy.sparse.csc_array((entries, (rows, columns)), shape=(n, n))
