@@ -16,18 +16,17 @@ class AnalysisSettings:
     t_burn : float
         Statistics use [t_burn, t_end] (dimensionless): the shared start is not yet forgotten before.
     dt : tuple of float
-        Sampling steps of the sampled definitions (dimensionless); the first is the one drawn in figures.
+        Sampling steps of the sampled definitions (dimensionless), shown in tables.
     resamples : int
-        Random orders drawn for each member by the null model; fewer in large groups, see
-        `stickslip.analysis.stats.nulls.draws_each`.
+        Most surrogates of a member for what chance gives; `analysis.stats.nulls.DRAWS` are enough.
     confidence : float
         Level of every interval, in (0, 1).
     seed : int
         Root of every random number.
     map_dt : tuple of float
-        Sampling steps of the map of gamma; those of `dt` if there are none.
+        Further sampling steps, for figures; those of `dt` if there are none.
     tau : tuple of float
-        Gaps within which exits are looked at as pairs and clusters (dimensionless).
+        Gaps within which exits are looked at as pairs (dimensionless).
     smallest : int
         Least size of a cascade that the law is fitted to.
     margins : mapping of str to float

@@ -373,11 +373,11 @@ class AnalysisTable(StrictTable):
         default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.1]]
     )
     tau: PositiveNumbers = Field(
-        default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs and clusters of exits", examples=[[0.05]]
+        default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to", examples=[1])
     resamples: int = Field(
-        default=200, ge=2, description="number of random orders drawn for each member", examples=[200]
+        default=200, ge=2, description="most surrogates of a member for what chance gives", examples=[200]
     )
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.95, description="level of the intervals", examples=[0.95]
