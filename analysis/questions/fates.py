@@ -42,7 +42,8 @@ _FATES = {
 _COUNTS = tuple(f"n_{name}" for name in (*ENDS, SUSTAINED, FAILED))
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "t_end": F,
-    "sustained": F, "low": F, "high": F, "median": F, "first_end": F, "last_end": F, "n_quiet": I, "mean": F,
+    "sustained": F, "low": F, "high": F, "median": F, "median_low": F, "median_high": F,
+    "first_end": F, "last_end": F, "n_quiet": I, "mean": F,
     "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
     "effective_by": S, "basis": S,
 }  # fmt: skip
@@ -97,7 +98,8 @@ def _figures(
     shown = {}
     if facts["total"][SUSTAINED] < facts["total"]["runs"]:
         some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
-        shown["fates"] = partial(shares, facts["systems"])
+        if len(facts["systems"]) > 1 or facts["linear"]:
+            shown["fates"] = partial(shares, facts["systems"])
         shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
@@ -163,11 +165,13 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     samples = effective(group.effective, span, level) if group.matrices else None
+    half = Estimate() if curve is None else median(curve)
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": group.key["n"] * group.key["kappa"],
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
         **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
-        "median": curve and median(curve), "first_end": min(ends, default=None), "last_end": max(ends, default=None),
+        "half": half, "median": half.value, "median_low": half.low, "median_high": half.high,
+        "first_end": min(ends, default=None), "last_end": max(ends, default=None),
         "n_quiet": group.n_quiet, "mean": mean.value, "mean_low": mean.low, "mean_high": mean.high,
         "drifts": drift, "drift": drift.value, "drift_low": drift.low, "drift_high": drift.high,
         "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,

@@ -64,14 +64,5 @@ def by_size(sizes: Sequence[float], times: np.ndarray, ends: Sequence[str], conf
         some = of_size == size
         curve = survival(at[some], list(how[some]), confidence)
         low, high = wilson(curve.n_ends, curve.n_runs, confidence)
-        found.append(Escape(float(size), curve, _median(curve), Estimate(curve.n_ends / curve.n_runs, low, high)))
+        found.append(Escape(float(size), curve, median(curve), Estimate(curve.n_ends / curve.n_runs, low, high)))
     return found
-
-
-def _median(curve: Curve) -> Estimate:
-    contains_half = np.flatnonzero(curve.low <= 0.5)
-    below_half = np.flatnonzero(curve.high < 0.5)
-    low = float(curve.t[contains_half[0]]) if len(contains_half) else None
-    high = float(curve.t[below_half[0]]) if len(below_half) else None
-    value = median(curve)
-    return Estimate(value, low, high, "" if value is not None else "fewer than half have left")

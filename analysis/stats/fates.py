@@ -19,6 +19,7 @@ import numpy as np
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.estimates import Estimate
 
 COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"
 ENDS = (COLLAPSED, SILENT, DIVERGED)
@@ -108,10 +109,19 @@ def kaplan_meier(
     return t, share, low, high
 
 
-def median(curve: Curve) -> float | None:
-    """First time by which half of the runs have ended; None if half are never seen to end."""
-    below = np.flatnonzero(curve.survival <= 0.5)
-    return float(curve.t[below[0]]) if len(below) else None
+def median(curve: Curve) -> Estimate:
+    """Time by which half of the runs have ended; None where half are never seen to.
+
+    The interval holds the times at which that of the survival contains one half (Brookmeyer and Crowley 1982,
+    Biometrics 38, 29); an end that the data do not reach is None.
+    """
+
+    def first(below: np.ndarray) -> float | None:
+        return float(curve.t[np.argmax(below)]) if below.any() else None
+
+    value = first(curve.survival <= 0.5)
+    reason = "fewer than half have ended" if value is None else ""
+    return Estimate(value, first(curve.low <= 0.5), first(curve.high < 0.5), reason)
 
 
 def fate(outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float) -> str:

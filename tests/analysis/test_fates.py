@@ -25,7 +25,11 @@ def test_survival_against_the_textbook():
     assert curve.survival == pytest.approx([1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448], abs=5e-4)
     # Greenwood's error of S(23) is 0.135 (ibid.); on the log-log scale 0.188 to 0.680
     assert (curve.low[-1], curve.high[-1]) == pytest.approx((0.188, 0.680), abs=1e-3)
-    assert median(curve) == 23
+    assert median(curve).value == 23
+    assert (median(curve).low, median(curve).high) == (
+        13,
+        None,
+    )  # 13 is the first time with a lower end of half or less
 
 
 def test_incidences_and_survival_add_up_to_one():
