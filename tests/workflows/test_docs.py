@@ -248,7 +248,7 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, in_this_process
     assert main(["run", str(tmp_path / "width.toml"), "--out", str(tmp_path / "out")]) == 0
     title, thin, wide, *_ = capsys.readouterr().out.splitlines()
     assert title == "What a thin layer costs"
-    assert thin.startswith("Cost: A sigmoid of width 0.01 takes ")
+    assert thin.startswith("A sigmoid of width 0.01 takes ")
     costs = pd.read_parquet(tmp_path / "out" / "report" / "costs.parquet")
     assert costs.products[0] > costs.products[1] > 0
     assert f" {costs.products[1]:.0f} products" in wide
