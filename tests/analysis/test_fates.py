@@ -123,7 +123,7 @@ def test_sizes_are_set_side_by_side_with_the_linear_growth_rate(planted):
     found = asked(Data(members, {name: points for part in parts for name, points in part.series.items()}))
     said = WORDS.answer(found.facts)
     assert "motion lasts in every run at n = 100 (at least 57% of such systems)" in said
-    assert "of smaller groups 5 of 5 go quiet, of larger ones 4 of 5 run away" in said
+    assert "of smaller groups 5 of 5 stop sticking, of larger ones 4 of 5 run away" in said
     assert [(row["state"], row["n_runs"], row["n_collapsed"]) for row in found.facts["linear"]] == [
         ("stable", 5, 3),
         ("unstable", 10, 0),
