@@ -284,7 +284,7 @@ def told(scene, measured, page, undrawn):
 
 def row(study, fate="sustained", **changes):
     mean = 30.0 if fate == "sustained" else None
-    plain = Row(study, "", "coulomb", 20, 0, 0.0, fate, 60.0, 50.0, mean, None, None, None, 1.0)
+    plain = Row(study, "", "coulomb", 20, 0, 0.0, fate, 60.0, 50.0, mean, None, None, None)
     return replace(plain, **changes)
 
 

@@ -37,10 +37,6 @@ class Portrait:
     exit: float
     paths: list[tuple[list[float], list[float], bool]]
 
-    @property
-    def leaves_right(self) -> bool:
-        return next(w for _, w, is_exit in self.paths if is_exit)[-1] > self.v
-
 
 @dataclass(frozen=True)
 class Path2:
@@ -87,14 +83,6 @@ class Parallelogram:
     sign: int
     corners: list[Corner]
     paths: list[Path2]
-
-    def exits(self) -> list[tuple[int, float]]:
-        """(block, t) of what leaves in case (a)."""
-        return [(block, t) for t, block, mode in self.paths[0].events if mode]
-
-    def leaves(self) -> list[bool]:
-        """Whether each block leaves in case (c)."""
-        return [w[1] > w[0] for w in self.paths[2].w]
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class Row:
 
     `t_last` is its last event, `mean` the time mean of n_stick after t_burn, `t_apart` when n_stick parts from that
     of the unchanged run; `period` and `swing`, its standard deviation, are those of n_stick but for the ends of the
-    run, `n_last` is the mean n_stick of its last five units of time.
+    run.
     """
 
     study: str
@@ -53,7 +53,6 @@ class Row:
     t_apart: float | None
     period: float | None
     swing: float | None
-    n_last: float
 
 
 @dataclass(frozen=True)
@@ -101,11 +100,10 @@ def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
         mean = None
         if fate != fates.DIVERGED and path.t_stop > t_burn:
             mean = cascades.window(path.t, path.n_stick, t_burn, path.t_stop).time_mean()
-        last = cascades.window(path.t, path.n_stick, max(path.t_stop - 5.0, 0.0), path.t_stop).time_mean()
         period, swing = oscillation(path) if ask.study in ("dampings", "base") else (None, None)
         found.append(Row(
             ask.study, ask.setting, ask.law, ask.n, ask.matrix, ask.size, fate, path.t_stop, float(path.t[-1]), mean,
-            apart_from(path, base, apart) if is_changed and base is not None else None, period, swing, last,
+            apart_from(path, base, apart) if is_changed and base is not None else None, period, swing,
         ))  # fmt: skip
     return found
 
