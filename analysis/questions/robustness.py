@@ -155,7 +155,8 @@ class _Judged:
         change, complete = comparison.change, self._complete(comparison)
         row: Row = dict.fromkeys(_CHANGES) | {
             "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
-            "of": change, "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
+            "of": change, "what": f"{LABELS[quantity]}, {change}",
+            "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
             "quantity": quantity, "label": LABELS[quantity], "n_matrices": len(complete),
             "n_replicates": 1 + len(self.replicates), "verdict": UNKNOWN,
         }  # fmt: skip

@@ -228,7 +228,7 @@ def parting_curves(lines: Sequence[Line]) -> Figure:
         ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
         ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
         ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap / that of two matrices")
+        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap (two matrices: 1)")
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 

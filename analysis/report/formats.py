@@ -50,7 +50,8 @@ def p_text(p: float) -> str:
 
 
 def minus(text: str) -> str:
-    """Hyphens before numbers as minus signs; what is markup stays it."""
+    """Hyphens before numbers as minus signs, none before zero; what is markup stays it."""
+    text = type(text)(re.sub(r"(?<![\w])-(?=0(\.0*)?(?![\d.]))", "", text))
     return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", MINUS, text))
 
 
