@@ -115,6 +115,6 @@ def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, setting
 def test_the_page_says_it(rng, planted, settings, spread):
     data = ensemble(rng, planted, to_and_fro if spread else lambda own: own, spread=spread)
     report = build(data, replace(settings, question=("robustness", "sensitivity")), "T", "", {})
-    assert "Do statistics stay?" in report.html
+    assert "Does a changed system keep its statistics?" in report.html
     assert ("Mean n<sub>stick</sub> moves" in report.html) == (spread > 0)
     assert set(report.figures) >= {"robustness", "parting"}
