@@ -54,7 +54,7 @@ class Sigmoid(Engine):
 
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
-    kernels = "collocation"
+    kernels = "sigmoid_steps"
 
     eps: float = setting(
         0.03,
@@ -92,9 +92,9 @@ class Sigmoid(Engine):
     )
 
     def integrate(self, task: Task) -> Run:
-        from stickslip.sim.engines import collocation  # it loads numba, half a second that settings do not need
+        from stickslip.sim.engines import sigmoid_steps  # it loads numba, half a second that settings do not need
 
-        return collocation.integrate(task, self)
+        return sigmoid_steps.integrate(task, self)
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

@@ -74,7 +74,7 @@ _XLABELS: dict[Axis, str] = {
 }
 _FIGURES: dict[str, tuple[Axis, ...]] = {"The smoothed law": ("layer",), "The exact law": ("bond", "damping")}
 #: Stiffnesses and the longest step at which orders are measured: not stiff at all, and far stiffer than a step.
-_MILD, _STIFF, _H = 1.0, 1e4, 0.1
+_MILD, _STIFF, _H = 1.0, 1e4, 0.2
 #: The shares of a limit within which, and beyond which, cells of a fixed step are told apart.
 _WITHIN, _BEYOND = 0.5, 2.0
 #: Explicit methods whose step is set by stability once the layer is stiff: cost grows as the stiffness.
