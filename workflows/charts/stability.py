@@ -44,8 +44,8 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Solver,
-    asked,
     distance,
+    methods_of,
     random_problem,
     reached,
     warm,
@@ -151,7 +151,7 @@ class StabilityScene(ChartScene):
         found = sum(
             len(columns) * len(settings)
             for axis, columns in self.axes.items()
-            for _, settings in asked(LAWS[axis], self.tolerances, self.steps)
+            for _, settings in methods_of(LAWS[axis], self.tolerances, self.steps)
         )
         return f"{found} cells{' and the hard cases' if self.cases else ''}"
 
@@ -166,7 +166,7 @@ class StabilityScene(ChartScene):
                 found = _references(axis, columns, problems)
                 references += [reference for reference, _ in found]
                 say(f"{axis}: references of {len(columns)} columns")
-                for method, settings in asked(LAWS[axis], self.tolerances, self.steps):
+                for method, settings in methods_of(LAWS[axis], self.tolerances, self.steps):
                     rows = list(_map(self, axis, method, problems, found, settings))
                     cells += rows
                     right = sum(cell.outcome == "right" for cell in rows)
