@@ -144,7 +144,10 @@ class System:
         damping = np.diag(self.damping)
         if self.cross_damping is not None:
             damping += self.cross_damping
-        return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+        matrix = np.zeros((2 * n, 2 * n))
+        np.fill_diagonal(matrix[:n, n:], 1.0)
+        matrix[n:, :n], matrix[n:, n:] = -stiffness, -damping
+        return matrix
 
     def rest_state(self, slip: ArrayLike) -> Floats:
         """Rest state with block i slipping in direction slip_i: K z = -mu slip, the fixed point of eq. (10) at w = 0.
