@@ -262,12 +262,12 @@ def _submit(
             running.add(future)
         if running.is_empty():
             return lost
-        watch = _Watch(client, scheduler)
-        _until(running.has_ready, watch)
+        patience = _Patience(client, scheduler)
+        _until(running.has_ready, patience)
         future = next(running)
         task = task_of.pop(future)
         try:
-            result = _fetch(future, watch)
+            result = _fetch(future, patience)
         except KilledWorker:
             lost.append(task)
         except (ImportError, AttributeError) as error:
@@ -280,8 +280,8 @@ def _submit(
         future.release()  # a held result is computed again when its worker dies
 
 
-class _Watch:
-    """Patience while waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
+class _Patience:
+    """While waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
 
     def __init__(self, client: Client, scheduler: str | Client | None) -> None:
         self._client, self._scheduler = client, scheduler
@@ -305,19 +305,19 @@ class _Watch:
             )
 
 
-def _until(is_so: Callable[[], bool], watch: _Watch) -> None:
+def _until(is_so: Callable[[], bool], patience: _Patience) -> None:
     while not is_so():
         time.sleep(_LOOK)
-        watch.look()
+        patience.look()
 
 
-def _fetch(future: Future[Any], watch: _Watch) -> Result:
+def _fetch(future: Future[Any], patience: _Patience) -> Result:
     """The result of a future that is done; dask computes it again if its worker has died since."""
     while True:
         try:
             return future.result(timeout=LOST_TIMEOUT / 2)
         except TimeoutError:
-            watch.look()
+            patience.look()
 
 
 def _compute(task: bytes) -> Result:

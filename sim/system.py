@@ -23,10 +23,9 @@ from stickslip.sim.arguments import Floats, floats, number, per_block
 
 
 class Columns(NamedTuple):
-    """K by columns as the kernels take it: K transposed, in float64 and float32; or, when these are empty, CSC."""
+    """K by columns as the exact engine takes it: K transposed or, when this is empty, CSC."""
 
     dense: Floats
-    single: NDArray[np.float32]
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     data: Floats
@@ -109,16 +108,12 @@ class System:
     def columns(self) -> Columns:
         """K by columns, the form in which the kernels stream it."""
         if isinstance(self.stiffness, np.ndarray):
-            return _dense_columns(self.stiffness)
+            none = np.empty(0, dtype=np.int32)
+            # a copy always: kernels are compiled anew for what is read-only
+            return Columns(np.array(self.stiffness.T, order="C"), none, none, np.empty(0))
         csc = self.stiffness
-        none = np.empty((0, 0))
         indptr, indices = csc.indptr.astype(np.int32), csc.indices.astype(np.int32)
-        return Columns(none, none.astype(np.float32), indptr, indices, csc.data.copy())
-
-    @cached_property
-    def cross_columns(self) -> Columns:
-        """N by columns; of no blocks if there is none."""
-        return _dense_columns(np.empty((0, 0)) if self.cross_damping is None else self.cross_damping)
+        return Columns(np.empty((0, 0)), indptr, indices, csc.data.copy())
 
     @cached_property
     def row_sums(self) -> Floats:
@@ -149,7 +144,10 @@ class System:
         damping = np.diag(self.damping)
         if self.cross_damping is not None:
             damping += self.cross_damping
-        return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+        matrix = np.zeros((2 * n, 2 * n))
+        np.fill_diagonal(matrix[:n, n:], 1.0)
+        matrix[n:, :n], matrix[n:, n:] = -stiffness, -damping
+        return matrix
 
     def rest_state(self, slip: ArrayLike) -> Floats:
         """Rest state with block i slipping in direction slip_i: K z = -mu slip, the fixed point of eq. (10) at w = 0.
@@ -228,9 +226,3 @@ def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
     np.fill_diagonal(cross, 0.0)
     cross.flags.writeable = False
     return diagonal, cross if cross.any() else None
-
-
-def _dense_columns(matrix: Floats) -> Columns:
-    transposed = np.array(matrix.T, order="C")  # a copy always: kernels are compiled anew for what is read-only
-    no_index = np.empty(0, dtype=np.int32)
-    return Columns(transposed, transposed.astype(np.float32), no_index, no_index, np.empty(0))

@@ -1,9 +1,14 @@
-"""Waiting for processes, with patience that ends."""
+"""Processes beside a test: waiting for them, with patience that ends, and a dask cluster of them."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 
@@ -21,3 +26,26 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+@contextlib.contextmanager
+def dask_by_hand(directory: Path, *worker: str, **variables: str) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+    """A scheduler and a worker, started as the guide says: the address, and the two processes."""
+    file = directory / f"scheduler-{time.monotonic_ns()}.json"
+    # what pytest was started with is not the worker's
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")} | variables
+    running: list[subprocess.Popen] = []
+    try:
+        for name, *more in (
+            ("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"),
+            ("worker", *worker),
+        ):
+            command = [sys.executable, "-m", f"distributed.cli.dask_{name}", "--scheduler-file", str(file), *more]
+            quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+            running.append(subprocess.Popen(command, cwd=directory, env=environment, **quiet))
+        until(lambda: file.exists() and file.read_text().endswith("}"))  # it is not written at once
+        yield json.loads(file.read_text())["address"], running
+    finally:
+        for process in reversed(running):
+            process.terminate()
+            process.wait(timeout=60)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
 from stickslip.pipeline.processes import one_thread
 from stickslip.pipeline.signals import Interrupted, interruptible
-from stickslip.workflows.parser import NO_FOLDER, parser
+from stickslip.workflows.parser import NO_FOLDER, completion, parser
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report
@@ -324,8 +324,6 @@ def _schema(arguments: argparse.Namespace) -> int:
 
 
 def _completion(arguments: argparse.Namespace) -> int:
-    from stickslip.workflows.scaffold import completion
-
     print(completion(parser(), arguments.shell))
     return _DONE
 

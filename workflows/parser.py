@@ -1,11 +1,13 @@
-"""What may be typed after `stickslip`, and the help that says so. Loads nothing: --help must not wait."""
+"""What may be typed after `stickslip`, the help that says so, and how a shell completes it. Loads nothing early."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from stickslip.workflows.scenes import shipped
 
 _CODES = """exit codes:
   0    done
@@ -173,3 +175,39 @@ def _count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
     return value
+
+
+# ---------------------------------------------------------------------------------------------- shells
+
+
+def completion(parser: argparse.ArgumentParser, shell: str) -> str:
+    """A script by which a shell completes the command: commands, options, names of scenes, files and directories."""
+    import shtab
+
+    names = " ".join(shipped())
+    complete: dict[str, Any] = {
+        "DIR": shtab.DIRECTORY,
+        "FILE": shtab.FILE,
+        "SCENE": {
+            "bash": "_stickslip_scene",
+            "zsh": "_stickslip_scene",
+            "fish": f"(string split ' ' '{names}'; __fish_complete_suffix .toml)",
+            "preamble": {
+                "bash": '_stickslip_scene() { compgen -W "' + names + "\" -- $1; compgen -f -X '!*.toml' -- $1;"
+                " compgen -d -- $1; }\n",
+                "zsh": f"_stickslip_scene() {{ compadd {names}; _files -g '*.toml' }}\n",
+            },
+        },
+    }
+    for action in _actions(parser):
+        if action.metavar in complete:
+            action.complete = complete[str(action.metavar)]  # type: ignore[attr-defined]  # shtab looks for it
+    return str(shtab.complete(parser, shell=shell))
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from _actions(sub)

@@ -1,8 +1,7 @@
-"""Before the first run: which scenes there are, a scene of one's own, what completes it in an editor or a shell."""
+"""Before the first run: which scenes there are, a scene of one's own, and all its keys."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import shlex
@@ -179,39 +178,3 @@ def key_lines(chart: str | None) -> list[str]:
         found += ["", f"{head}: {about}" if head else about]
         found += [f"{key.path:{width}}  {key.default:{wide}}  {key.meaning} ({key.values})" for key in keys]
     return found
-
-
-# ---------------------------------------------------------------------------------------------- shells
-
-
-def completion(parser: argparse.ArgumentParser, shell: str) -> str:
-    """A script by which a shell completes the command: commands, options, names of scenes, files and directories."""
-    import shtab
-
-    names = " ".join(shipped())
-    complete: dict[str, Any] = {
-        "DIR": shtab.DIRECTORY,
-        "FILE": shtab.FILE,
-        "SCENE": {
-            "bash": "_stickslip_scene",
-            "zsh": "_stickslip_scene",
-            "fish": f"(string split ' ' '{names}'; __fish_complete_suffix .toml)",
-            "preamble": {
-                "bash": '_stickslip_scene() { compgen -W "' + names + "\" -- $1; compgen -f -X '!*.toml' -- $1;"
-                " compgen -d -- $1; }\n",
-                "zsh": f"_stickslip_scene() {{ compadd {names}; _files -g '*.toml' }}\n",
-            },
-        },
-    }
-    for action in _actions(parser):
-        if action.metavar in complete:
-            action.complete = complete[str(action.metavar)]  # type: ignore[attr-defined]  # shtab looks for it
-    return str(shtab.complete(parser, shell=shell))
-
-
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for sub in action.choices.values():
-                yield from _actions(sub)

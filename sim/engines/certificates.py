@@ -39,6 +39,9 @@ _CERTAIN = 1.01
 #: What rounding may do to a motion summed up from its modes, relative to the sum of their magnitudes.
 _MODE_ROUNDING = 16 * np.finfo(np.float64).eps
 
+#: Shares of the belt's speed that are tried as a bound of |w|.
+_SHARES = np.geomspace(1.0, 1e-6, 256)[:, None]
+
 _NEVER = float("inf")
 
 
@@ -261,7 +264,7 @@ class Collapse:
         at_rest, slope = self._tangent
 
         def limit(band: float, allowed: float) -> float:
-            r = (speed - band) * np.geomspace(1.0, 1e-6, 256)[:, None]
+            r = (speed - band) * _SHARES
             bend = np.abs(at_rest - np.tanh((speed - r) / delta) - slope * r)
             strayed = self._system.friction * bend @ response.T
             slack = r[:, 0] - strayed[:, n:].max(axis=1)

@@ -154,13 +154,6 @@ def exponential(x: Lane) -> Lane:
     return terms[0].times_power_of_two(shifted)
 
 
-def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
-    """tanh x, to 2 units in the last place of 1, and its derivative."""
-    e = exponential(less(absolute(x), 20.0) * -2.0)
-    size = (1.0 - e) / (1.0 + e)
-    return size.call("copysign", x), 1.0 - size * size
-
-
 class Rows:
     """The rows of a table at some columns, as a formula reads and writes them."""
 

@@ -1,172 +1,220 @@
-"""Who sticks under the smoothed law, and when that changes: events in a step, by the layer |w - v| < band around v.
+"""Who sticks under the smoothed law, and when that changes: events and samples on a macro step.
 
-`stickslip.sim.engines.sigmoid` says what the two definitions of sticking are. On a step w - v and F are cubics.
+`stickslip.sim.engines.sigmoid` says what the definitions of sticking are. u = w - v and F are polynomials of degree
+five on a macro step, u of a block on steps of its own on each of these *pieces*.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from stickslip.sim.arguments import Floats
+from stickslip.sim.engines import loop
+from stickslip.sim.engines.collocation import (
+    DAMPING,
+    FORCE0,
+    FRICTION,
+    HIGH,
+    HIGH_FORCE,
+    LOW,
+    LOW_FORCE,
+    STEEP,
+    TOLERANCE,
+    U0,
+    Z0,
+    F,
+    U,
+    Z,
+)
 from stickslip.sim.engines.compile import inner
-from stickslip.sim.engines.loop import Law
-from stickslip.sim.engines.roots import insert_roots
+from stickslip.sim.engines.friction import law_of_number
+from stickslip.sim.engines.radau import (
+    ALL_NODES,
+    ALL_TO_POWERS,
+    BARYCENTRIC,
+    NODES,
+    STAGES,
+    TO_BERNSTEIN,
+    WEIGHTS,
+)
+from stickslip.sim.engines.roots import horner, insert_roots
 from stickslip.sim.engines.sticking import mode_of
-from stickslip.sim.system import Columns
 
-#: A step this many times longer than the relaxation time delta / mu of the layer does not resolve it.
-UNRESOLVED = 2.0
-#: Places on the bounds of its bands that a block can pass in a step: five cubics, and one at the start.
-PASSES = 16
-
-
-class Smooth(NamedTuple):
-    """The smoothed law of a system, and how closely and how far it is followed."""
-
-    law: Law
-    delta: Floats
-    springs: Floats  #: K_ii, or 0 if that is negative
-    cross: Columns  #: N
-    rough: float  #: what K in float32 may cost, over the largest number that it is multiplied with
-    longest: float  #: step
-    rtol: float
-    atol: float
-    t_end: float
-
-
-class Point(NamedTuple):
-    """Where the blocks are at one instant, and what pulls them: K z + N w, and its rate."""
-
-    z: Floats
-    w: Floats
-    rate: Floats  #: w'
-    force: Floats
-    force_rate: Floats
-
-
-class Sticking(NamedTuple):
-    """Definitions of sticking, a row each, the run's own first: |w - v| < band and, or not, |F| < mu."""
-
-    bands: Floats
-    by_force: NDArray[np.bool_]
-    modes: NDArray[np.int8]
-    calm: NDArray[np.bool_]  #: room to work in: blocks whose mode does not change in a step
-    slope0: Floats  #: h w' at both ends of a step, cut where w - v is known to be monotone
-    slope1: Floats
+#: A piece: where it starts and how long it is, as shares of the macro step; z and u at its start; u at its nodes.
+PIECE_AT, PIECE_H, PIECE_Z, PIECE_U = range(4)
+PIECE = PIECE_U + 1 + STAGES
+#: Places on the bounds of a band that a block can pass in a piece: seven polynomials of degree five, and the start.
+PASSES = 7 * STAGES + 1
 
 
 @inner
-def _marks(y0, d0, y1, d1, bound, marks, n_marks, poly, where):  # type: ignore[no-untyped-def]
-    """Add the places in (0, 1] where a cubic, given by values and slopes at both ends, passes a bound."""
-    start, end = y0 - bound, y1 - bound
-    # Bernstein coefficients: no change of sign, no root
-    second, third = start + d0 / 3.0, end - d1 / 3.0
-    if (start > 0.0 and second > 0.0 and third > 0.0 and end > 0.0) or (
-        start < 0.0 and second < 0.0 and third < 0.0 and end < 0.0
-    ):
+def _hull(values, bernstein):  # type: ignore[no-untyped-def]
+    """Coefficients of Bernstein's polynomials from values at the start and the nodes; their bounds."""
+    low, high = values[0], values[0]
+    bernstein[0] = values[0]
+    for j in range(1, STAGES + 1):
+        coefficient = 0.0
+        for k in range(STAGES + 1):
+            coefficient += TO_BERNSTEIN[j, k] * values[k]
+        bernstein[j] = coefficient
+        low, high = min(low, coefficient), max(high, coefficient)
+    return low, high
+
+
+@inner
+def _marks(values, bernstein, bound, marks, n_marks, poly, found):  # type: ignore[no-untyped-def]
+    """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
+    above, below = False, False
+    for b in bernstein:
+        above, below = above or b >= bound, below or b <= bound
+    if not (above and below):
         return n_marks
-    poly[0] = start
-    poly[1] = d0
-    poly[2] = 3.0 * (end - start) - 2.0 * d0 - d1
-    poly[3] = 2.0 * (start - end) + d0 + d1
-    return insert_roots(poly, 3, marks, n_marks, where)
+    for p in range(STAGES + 1):
+        poly[p] = 0.0
+        for k in range(STAGES + 1):
+            poly[p] += ALL_TO_POWERS[p, k] * values[k]
+    poly[0] -= bound
+    return insert_roots(poly, STAGES, marks, n_marks, found)
 
 
 @inner
-def between(y0, d0, y1, d1, x):  # type: ignore[no-untyped-def]
-    """Value at x in [0, 1] of the cubic given by values and slopes at both ends."""
-    y = 1.0 - x
-    return y * y * ((1.0 + 2.0 * x) * y0 + x * d0) + x * x * ((1.0 + 2.0 * y) * y1 - y * d1)
+def _at(values, x):  # type: ignore[no-untyped-def]
+    """Value at x of the polynomial with these values at the start and the nodes: Neville's scheme, barycentric."""
+    above, below = 0.0, 0.0
+    for k in range(STAGES + 1):
+        if x == ALL_NODES[k]:
+            return values[k]
+        weight = BARYCENTRIC[k] / (x - ALL_NODES[k])
+        above += weight * values[k]
+        below += weight
+    return above / below
 
 
 @inner
-def _slopes(y0, d0, y1, d1, is_monotone):  # type: ignore[no-untyped-def]
-    """End slopes of a cubic, cut to [0, 3] times its mean slope where it is known to be monotone.
+def _stays(low, high, low_force, high_force, mu, band, by_force, mode):  # type: ignore[no-untyped-def]
+    """Whether u and F between these bounds keep to the mode."""
+    if mode == 0:
+        return low > -band and high < band and (not by_force or (low_force > -mu and high_force < mu))
+    if (low >= band) if mode > 0 else (high <= -band):
+        return True
+    slides = by_force and (low_force >= mu or high_force <= -mu)
+    return slides and (low > 0.0 if mode > 0 else high < 0.0)
 
-    The bound under which a cubic cannot overshoot: F. N. Fritsch and R. E. Carlson, SIAM Journal on Numerical
-    Analysis 17 (1980) 238-246, doi:10.1137/0717021.
+
+@inner
+def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_recorded, work):  # type: ignore[no-untyped-def]
+    """Record the changes of mode of block i on a piece; u and F by values at the start and the nodes.
+
+    Only a force above what friction and damping bear at the edge of the band drives a block out of it: what seems to
+    leave it with less, and no farther than a step may err by, is an overshoot of the polynomial.
     """
-    mean = y1 - y0
-    low, high = min(0.0, 3.0 * mean), max(0.0, 3.0 * mean)
-    cut0 = d0 if d0 > low else low
-    cut1 = d1 if d1 > low else low
-    cut0 = cut0 if cut0 < high else high
-    cut1 = cut1 if cut1 < high else high
-    return (cut0, cut1) if is_monotone else (d0, d1)
-
-
-@inner
-def _side(y0, d0, y1, d1, bound):  # type: ignore[no-untyped-def]
-    """Side of (-bound, bound) to which a cubic keeps, by the hull of its Bernstein coefficients.
-
-    +1 above, -1 below, 0 inside, 2 if that cannot be said; without branches, so that a loop is vectorised.
-    """
-    second, third = y0 + d0 / 3.0, y1 - d1 / 3.0
-    above = (y0 >= bound) & (second >= bound) & (third >= bound) & (y1 >= bound)
-    below = (y0 <= -bound) & (second <= -bound) & (third <= -bound) & (y1 <= -bound)
-    inside = (abs(y0) < bound) & (abs(second) < bound) & (abs(third) < bound) & (abs(y1) < bound)
-    return 1 if above else (-1 if below else (0 if inside else 2))
-
-
-@inner
-def step_events(smooth, sticking, d, h, now, new, t, t_next, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Record all changes of mode by definition d in a step from t to t_next, block by block.
-
-    Returns the number of events recorded in all. The modes by this definition are brought up to date, and the slopes
-    of `sticking` are the end slopes of w in the step.
-
-    w - v and F are cubics on the step. Every place where one of them passes a bound is found; between two such
-    places the mode is constant.
-    """
-    damping, friction, v, delta = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed, smooth.delta
-    band, by_force, mode = sticking.bands[d], sticking.by_force[d], sticking.modes[d]
-    calm, slope0, slope1 = sticking.calm, sticking.slope0, sticking.slope1
-    w, rate, force, force_rate = now.w, now.rate, now.force, now.force_rate
-    new_w, new_rate, new_force, new_force_rate = new.w, new.rate, new.force, new.force_rate
-    n = len(w)
-    for i in range(n):
-        drag = damping[i] * v
-        wide = band[i] if friction[i] > 0.0 else 0.0
-        # A step that touches the layer without resolving it relaxes in it, monotone; its end slopes are off by what
-        # the stiffness makes of the error of w, and would carry the cubic out of the layer and back.
-        gap0, gap1 = w[i] - v, new_w[i] - v
-        relaxes = (min(abs(gap0), abs(gap1)) < wide) & (h * friction[i] > UNRESOLVED * delta[i])
-        slope0[i], slope1[i] = _slopes(gap0, h * rate[i], gap1, h * new_rate[i], relaxes)
-        by_speed = _side(gap0, slope0[i], gap1, slope1[i], wide)
-        pull, new_pull = h * force_rate[i], h * new_force_rate[i]
-        held = _side(drag + force[i], pull, drag + new_force[i], new_pull, friction[i])
-        calm[i] = (by_speed == mode[i]) & ((by_speed != 0) | (held == 0) | (not by_force))
-    poly, where, marks = np.empty(4), np.empty(3), np.empty(PASSES)
-    for i in range(n):
-        if calm[i]:
+    of_u, of_force, poly, found = work[0], work[1], work[2], work[3]
+    mu, strays = table[FRICTION, i], table[TOLERANCE, i]
+    low, high = _hull(u, of_u)
+    low_force, high_force = _hull(force, of_force)
+    if _stays(low, high, low_force, high_force, mu, band, by_force, mode):
+        return mode, n_recorded
+    t, h, t_next = span
+    at, block, to = events
+    marks = np.empty(PASSES + 1)
+    n_marks = _marks(u, of_u, 0.0, marks, np.int64(0), poly, found)
+    bears = mu * law_of_number(band * table[STEEP, i])[0] + table[DAMPING, i] * band
+    if mu > 0.0:
+        for sign in (-1.0, 1.0):
+            n_marks = _marks(u, of_u, sign * band, marks, n_marks, poly, found)
+            n_marks = _marks(force, of_force, sign * bears, marks, n_marks, poly, found)
+            if by_force:
+                n_marks = _marks(force, of_force, sign * mu, marks, n_marks, poly, found)
+    for k in range(n_marks + 1):
+        left = marks[k - 1] if k > 0 else 0.0
+        right = marks[k] if k < n_marks else 1.0
+        if right <= left:
             continue
-        gap0, gap1 = w[i] - v, new_w[i] - v
-        rate0, rate1 = slope0[i], slope1[i]
-        force0, force1 = damping[i] * v + force[i], damping[i] * v + new_force[i]
-        pull0, pull1 = h * force_rate[i], h * new_force_rate[i]
-        n_marks = _marks(gap0, rate0, gap1, rate1, 0.0, marks, np.int64(0), poly, where)
-        if friction[i] > 0.0:
-            for sign in (-1.0, 1.0):
-                n_marks = _marks(gap0, rate0, gap1, rate1, sign * band[i], marks, n_marks, poly, where)
-                if by_force:
-                    bound = sign * friction[i]
-                    n_marks = _marks(force0, pull0, force1, pull1, bound, marks, n_marks, poly, where)
-        for k in range(n_marks + 1):
-            left = marks[k - 1] if k > 0 else 0.0
-            right = marks[k] if k < n_marks else 1.0
-            if right <= left:
+        middle = 0.5 * (left + right)
+        gap, pull = _at(u, middle), _at(force, middle)
+        new = mode_of(gap, pull, mu, band, by_force)
+        is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not by_force or abs(pull) < mu)
+        if new != mode and not (is_borne and abs(gap) < band + strays):
+            at[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
+            block[n_recorded] = label
+            to[n_recorded] = new
+            mode = new
+            n_recorded += 1
+    return mode, n_recorded
+
+
+@inner
+def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record all changes of mode on a macro step, by every definition of sticking; returns how many are recorded.
+
+    `span` is where the step starts, how long it is and where it ends; of definition d blocks are labelled i + d n.
+    """
+    bands, by_force, modes = definitions
+    t, macro, t_next = span
+    work = np.empty((7, STAGES + 1))
+    u, force, of_piece = work[4], work[5], work[6]
+    for d in range(len(bands)):
+        mode, band = modes[d], bands[d]
+        for i in range(n):
+            if flags[i] or _stays(
+                table[LOW, i], table[HIGH, i], table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i],
+                by_force[d], mode[i],
+            ):  # fmt: skip
                 continue
-            middle = 0.5 * (left + right)
-            gap = between(gap0, rate0, gap1, rate1, middle)
-            pull = between(force0, pull0, force1, pull1, middle)
-            after = mode_of(gap, pull, friction[i], band[i], by_force)
-            if after != mode[i]:
-                events.t[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
-                events.block[n_recorded] = d * n + i
-                events.mode[n_recorded] = after
-                mode[i] = after
-                n_recorded += 1
+            u[0], force[0] = table[U0, i], table[FORCE0, i]
+            for k in range(STAGES):
+                u[k + 1], force[k + 1] = table[U + k, i], table[F + k, i]
+            mode[i], n_recorded = _of_piece(
+                u, force, table, i, band[i], by_force[d], mode[i], span, d * n + i, events, n_recorded, work
+            )
+        last = -1
+        for k in range(n_pieces):
+            i, piece = piece_block[k], pieces[k]
+            if i != last:
+                last = i
+                force[0] = table[FORCE0, i]
+                for j in range(STAGES):
+                    force[j + 1] = table[F + j, i]
+            for j in range(STAGES + 1):
+                of_piece[j] = _at(force, piece[PIECE_AT] + piece[PIECE_H] * ALL_NODES[j])
+            mode[i], n_recorded = _of_piece(
+                piece[PIECE_U:], of_piece, table, i, band[i], by_force[d], mode[i],
+                (t + macro * piece[PIECE_AT], macro * piece[PIECE_H], t_next), d * n + i, events, n_recorded, work,
+            )  # fmt: skip
     return n_recorded
+
+
+@inner
+def sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, counters):  # type: ignore[no-untyped-def]
+    """Keep the state at all sample times of a macro step."""
+    t, macro, t_next = span
+    times, z_there, w_there = samples
+    m = counters[loop.N_SAMPLED]
+    weights = np.empty(STAGES + 1)
+    while m < len(times) and times[m] <= t_next:
+        x = min((times[m] - t) / macro, 1.0)
+        for k in range(STAGES + 1):
+            weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, x)
+        for i in range(n):
+            z, u = weights[0] * table[Z0, i], weights[0] * table[U0, i]
+            for k in range(STAGES):
+                z += weights[k + 1] * table[Z + k, i]
+                u += weights[k + 1] * table[U + k, i]
+            if not flags[i]:
+                z_there[m, i], w_there[m, i] = z, v + u
+        for place in range(n_pieces):
+            piece, i = pieces[place], piece_block[place]
+            inside = (x - piece[PIECE_AT]) / piece[PIECE_H]
+            if not 0.0 <= inside <= 1.0 + 1e-9:
+                continue
+            for k in range(STAGES + 1):
+                weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, inside)
+            z, u = piece[PIECE_Z], weights[0] * piece[PIECE_U]
+            for k in range(STAGES):
+                u += weights[k + 1] * piece[PIECE_U + 1 + k]
+                moved = NODES[k] * v
+                for j in range(STAGES):
+                    moved += WEIGHTS[k, j] * piece[PIECE_U + 1 + j]
+                z += weights[k + 1] * moved * piece[PIECE_H] * macro
+            z_there[m, i], w_there[m, i] = z, v + u
+        m += 1
+    counters[loop.N_SAMPLED] = m

@@ -18,6 +18,9 @@ from stickslip.sim.engines.compile import inner
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
 HEIGHT, SINGLE_HEIGHT = 8, 16
+#: What rounding K and a vector to float32, and adding the products up in it, may do to (K x)_i, relative to
+#: sum_j |K_ij| max |x|: three roundings, and a margin for those of the sum.
+ROUGH = 8 * float(np.finfo(np.float32).eps)
 
 
 def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
@@ -29,7 +32,7 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     rows = np.zeros((-(-n // height) * height, n), dtype)
     limit = np.finfo(dtype).max  # no infinity, which would make 0 times K_ij not a number
     rows[:n] = np.clip(matrix, -limit, limit)
-    return np.ascontiguousarray(rows.reshape(-1, height, n).transpose(0, 2, 1))
+    return np.ascontiguousarray(rows.reshape(len(rows) // height, height, n).transpose(0, 2, 1))
 
 
 def _panel(n_vectors: int, height: int, single: bool) -> Any:

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from stickslip.sim.engines.arithmetic import largest
 from stickslip.sim.engines.compile import inner
-
-#: What rounding K and a vector to float32, and adding the products up in it, may do to (K x)_i, relative to
-#: sum_j |K_ij| max |x|: three roundings, and a margin for those of the sum
-ROUGH = 8 * np.finfo(np.float32).eps
 
 
 @inner
@@ -105,20 +98,3 @@ def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
         _sparse_product(columns, u, z)
     else:
         _two_in_one_pass(columns.dense, x, u, y, z, moving, _moving(x, u, moving))
-
-
-@inner
-def rough_product(columns, x, y, moving, single):  # type: ignore[no-untyped-def]
-    """y = K x with K in float32, off by at most ROUGH sum_j |K_ij| max |x|: half the memory to read.
-
-    `single` is work space, float32, shape (2, n).
-    """
-    x_max = largest(x)
-    if len(columns.dense) == 0 or x_max == 0.0:
-        one_product(columns, x, y, moving)
-        return
-    for i in range(len(x)):  # in units of the largest, or small numbers would leave the range of float32
-        single[0, i] = x[i] / x_max
-    _one_pass(columns.single, single[0], single[1], moving, _moving(x, x, moving))
-    for i in range(len(x)):
-        y[i] = single[1, i] * x_max

@@ -1,286 +1,406 @@
-"""The stiff engine: the sign smoothed to mu tanh((w - v) / delta_i), delta_i = ratio_i eps.
-
-    z' = w,    w' = -R w - N w - K z - mu tanh((w - v) / delta)        (N: off the diagonal of the damping, if given)
-
-All stiffness (up to mu / delta) sits in one scalar function a block, and what couples the blocks is small beside
-1 / h^2. So an L-stable, stiffly accurate ESDIRK method needs no linear algebra: with each block's own spring K_ii
-implicit, and the rest of K z taken at a predicted stage value (off by (h gamma) K times the predictor's error, O(h^5)
-in w), each stage is one monotone scalar equation a block,
-
-    a x + b tanh x = beta,   x = (w - v) / delta,   a = delta (1 + h gamma R + (h gamma)^2 K_ii),   b = h gamma mu,
-
-which Newton's method solves from any start: no Newton failure, however small delta. One product with K a stage.
-
-A full damping matrix C = diag(R) + N couples the velocities of a stage. Its scalar equations are solved with N w of
-a predicted w, and again with N times their own w until it stays. A sweep takes one product with N; since the root x
-depends on beta with slope below 1 / a, it multiplies the error of w, in the Euclidean norm, by at most
-h gamma |N| / (1 + h gamma min R) for every delta, and the step is kept so short that this is 1/2.
-
-The method is in `stickslip.sim.engines.esdirk`, the search for entries and exits in `stickslip.sim.engines.layer`.
-When a block sticks: see `stickslip.sim.engines.sigmoid.Sigmoid`.
-"""
+"""Steps of the sigmoid engine: how its macro steps are solved, controlled and put together; see `collocation.py`."""
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
-from stickslip.sim.engines import loop
-from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest, tanh_positive
-from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines.arithmetic import copy, largest
+from stickslip.sim.engines.collocation import (
+    BELT,
+    DAMPING,
+    DONE,
+    DRAG,
+    ERROR,
+    FLAGGED,
+    FORCE0,
+    FRICTION,
+    KEPT_F,
+    KEPT_U,
+    LENGTH,
+    MEAN_U,
+    MOMENT,
+    MOMENT_U,
+    MOVED,
+    N_ROWS,
+    PRODUCT,
+    REACH,
+    SPEED_BEFORE,
+    START,
+    STEEP,
+    STEP_H,
+    SUSPECT,
+    TAIL,
+    TOLERANCE,
+    U0,
+    Z0,
+    Z_BEFORE,
+    F,
+    G,
+    H,
+    U,
+    Z,
+    finish,
+    force,
+    force_changed,
+    newton,
+    predict,
+    prepare,
+    probe,
+    view,
+)
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Ratios, Task
-from stickslip.sim.engines.esdirk import ERROR, GAMMA, PREDICT, STAGES, WEIGHTS
-from stickslip.sim.engines.layer import PASSES, UNRESOLVED, Point, Smooth, Sticking, between, step_events
-from stickslip.sim.engines.loop import Law, State
-from stickslip.sim.engines.products import ROUGH, one_product, rough_product, two_products
+from stickslip.sim.engines.lanes import ALL, WIDTH
+from stickslip.sim.engines.layer import (
+    PASSES,
+    PIECE,
+    PIECE_AT,
+    PIECE_H,
+    PIECE_U,
+    PIECE_Z,
+    sample,
+    step_events,
+)
+from stickslip.sim.engines.panels import HEIGHT, ROUGH, SINGLE_HEIGHT, panels, products
+from stickslip.sim.engines.radau import LAST, NODES, PROJECT, STAGES, TO_POWERS
+from stickslip.sim.engines.roots import horner
 from stickslip.sim.engines.sigmoid import Sigmoid
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
 
-#: Step control: the embedded error is O(h^4); a step changes by a factor in [_SHRINK, _GROW].
-_EXPONENT = 1.0 / 4.0
-_SAFETY, _SHRINK, _GROW = 0.9, 0.1, 4.0
-#: A stage is solved when its residual is this share of the tolerance, or rounding (the last Newton step squares it).
-_SOLVED = 1e-2
-#: The share of the tolerance that K in float32 may cost in w.
+#: The most sweeps over F, Newton's iterations of a macro step in the first sweep, and of a step of a block's own.
+_SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
+#: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
+_CALIBRATION = 5.0
+#: Of tolerance: what the leading coefficient of F may change w by in a step, and what a sweep may still. What sweeps
+#: leave adds up step by step, and the steps for tight tolerances are many: then it is _SWEPT over the boost below.
+_TAIL, _SWEPT = 3.0, 20.0
+#: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
+_AT_ONCE = 0.1
+#: The share of tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
-#: The error over tolerance put down for a step that passed through an attracting layer: it is about halved.
-_MISSED = 10.0
-#: A layer |w - v| < _WIDE delta is a jump to a step in which w moves by more than _SHARP delta, however it moves: a
-#: block driven by |F| > mu passes in a time delta / |w'|, which no stage need fall into.
-_WIDE, _SHARP = 2.0, 4.0
-#: The least error put down for a step across such a layer, as a share of h times the jump J of the friction. J at the
-#: fraction theta of a step leaves h J |1 - theta - sum of b_j, c_j > theta|, at most h J / 4, and the embedded
-#: estimate vanishes for some theta: now and then a step would err by thousands of tolerances and be accepted.
-_CROSSED = 0.02
-_NEWTON_MAX = 400
-#: What a sweep over N may leave of the error of a stage, and how many there may be: from any error to rounding.
-_CONTRACTION = 0.5
-_SWEEPS_MAX = 60
+#: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
+#: than that of the polynomial.
+_BOOST, _POWER = 3.0, 0.85
+#: A step changes by these factors at most. A prediction is good for little more than its own length: _GROW_FAST is
+#: for steps far below what is allowed.
+_SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
+_FAR_BELOW = 1e-2
 
-# behind the common clocks: the next step to try, and the error of the last one
-_STEP, _LAST_ERROR = loop.N_CLOCKS, loop.N_CLOCKS + 1
+# behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change
+_STEP, _KEPT, _SLOW = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)
 
-
-class _Work(NamedTuple):
-    """Room for a step's stages, by rows, and for what is known of each block in one."""
-
-    stage_w: Floats
-    stage_rate: Floats
-    base: Floats  #: what w is without the stage's own w'
-    coupling: Floats  #: K z + N w with what is predicted
-    fixed: Floats  #: K z of it
-    guess: Floats  #: of w, with which z was predicted
-    change: Floats  #: of w since the start of the step, as guessed or last solved
-    x: Floats  #: (w - v) / delta; at the end of a step its error over tolerance
-    beta: Floats
-    low: Floats
-    moving: NDArray[np.int64]
-    single: NDArray[np.float32]
-
-    @classmethod
-    def blank(cls, n: int) -> _Work:
-        # NaN: a value used before it was computed would show
-        stages, rows = np.full((2, STAGES, n), np.nan), np.full((8, n), np.nan)
-        return cls._make([*stages, *rows, np.zeros(n, np.int64), np.zeros((2, n), np.float32)])
+_products, _single_products = products(STAGES), products(STAGES, single=True)
 
 
 @inner
-def _solve_stage(smooth, work, s, h, allowed):  # type: ignore[no-untyped-def]
-    """Solve w = base + h gamma w'(w) in stage s for all blocks from a guess x of (w - v) / delta.
-
-    Each block's own spring is taken at w itself, not at the guess. In |x| the function
-    a |x| + b tanh |x| - |beta| is concave and rising: from the left Newton's method climbs to the root, from the
-    right its first step lands left of it, and `low` bounds how far left.
-    """
-    damping, friction, v = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed
-    delta, springs = smooth.delta, smooth.springs
-    base, coupling, guess, x, beta, low = work.base, work.coupling, work.guess, work.x, work.beta, work.low
-    w, rate = work.stage_w[s], work.stage_rate[s]
-    n = len(w)
-    step = h * GAMMA
-    for i in range(n):
-        pull = step * step * springs[i]
-        grow = 1.0 + step * damping[i] + pull
-        a, b = delta[i] * grow, step * friction[i]
-        beta[i] = base[i] - step * coupling[i] + pull * guess[i] - v * grow
-        size = abs(beta[i])
-        linear, saturated = size / (a + b), (size - b) / a
-        low[i] = saturated if saturated > linear else linear
-        y = math.copysign(1.0, beta[i]) * x[i]
-        x[i] = y if y > low[i] else low[i]
-    unsolved = n
-    for _ in range(_NEWTON_MAX):
-        unsolved = 0  # counted, since a maximum of floats would keep the loop from being vectorised
-        for i in range(n):
-            a, b = delta[i] * (1.0 + step * damping[i] + step * step * springs[i]), step * friction[i]
-            y = x[i]
-            tanh = tanh_positive(y)
-            residual = a * y + b * tanh - abs(beta[i])
-            y -= residual / (a + b * (1.0 - tanh * tanh))
-            x[i] = y if y > low[i] else low[i]
-            unsolved += 1 if abs(residual) > allowed + ROUNDING * abs(beta[i]) else 0
-        if unsolved == 0:
-            break
-    for i in range(n):
-        w[i] = v + delta[i] * math.copysign(x[i], beta[i])
-        rate[i] = (w[i] - base[i]) / step
-    return unsolved == 0
-
-
-@inner
-def _touches(y0, d0, y1, d1, wide):  # type: ignore[no-untyped-def]
-    """Whether a cubic that begins and ends on one side of a layer comes into it between."""
-    side = math.copysign(1.0, y0)
-    if min(side * (y0 + d0 / 3.0), side * (y1 - d1 / 3.0)) > wide:
-        return False
-    closest = wide + 1.0
-    for k in range(1, 8):
-        closest = min(closest, side * between(y0, d0, y1, d1, 0.125 * k))
-    return closest <= wide
-
-
-@inner
-def _step(smooth, work, band, h, now, new, counters):  # type: ignore[no-untyped-def]
-    """One trial step from `now` to `new`. Returns the largest error over tolerance and its block."""
-    columns, cross, rtol, atol = smooth.law.columns, smooth.cross, smooth.rtol, smooth.atol
-    damping, friction, v, delta = smooth.law.damping, smooth.law.friction, smooth.law.belt_speed, smooth.delta
-    z, w, rate, force, new_z, new_w = now.z, now.w, now.rate, now.force, new.z, new.w
-    stage_w, stage_rate, base, x, beta = work.stage_w, work.stage_rate, work.base, work.x, work.beta
-    coupling, fixed, guess, change = work.coupling, work.fixed, work.guess, work.change
-    moving, single = work.moving, work.single
-    n = len(z)
-    copy(w, stage_w[0])
-    copy(rate, stage_rate[0])
-    is_coupled = len(cross.dense) > 0
-    for s in range(1, STAGES):
-        for i in range(n):
-            base[i] = w[i]
-            new_z[i] = 0.0
-            new_w[i] = w[i]
-        for j in range(s):
-            a = h * WEIGHTS[s, j]
-            p = h * PREDICT[s, j]
-            for i in range(n):
-                base[i] += a * stage_rate[j, i]
-                new_z[i] += a * stage_w[j, i]
-                new_w[i] += p * stage_rate[j, i]
-        for i in range(n):
-            change[i] = new_w[i] - w[i]
-            guess[i] = new_w[i]
-            new_w[i] = new_z[i] + h * GAMMA * new_w[i]
-            # the layer moves with its block: the last stage is the best guess inside it, harmless outside
-            x[i] = (stage_w[s - 1, i] - v) / delta[i]
-        # K z is known at the start of the step; K times what z moves is small, and may be rough
-        if h * smooth.rough * largest(new_w) <= _ROUGH_SHARE * atol:
-            rough_product(columns, new_w, coupling, moving, single)
-        else:
-            one_product(columns, new_w, coupling, moving)
-        for i in range(n):
-            coupling[i] += force[i]
-        copy(coupling, fixed)
-        for _ in range(_SWEEPS_MAX if is_coupled else 1):
-            if is_coupled:  # N w at the start is in `force`; `change` is what w moves by, as guessed or last solved
-                one_product(cross, change, coupling, moving)
-                counters[loop.N_PRODUCTS] += 1
-                for i in range(n):
-                    coupling[i] += fixed[i]
-            if not _solve_stage(smooth, work, s, h, _SOLVED * atol):
-                return np.inf, 0
-            is_solved = True
-            if is_coupled:
-                for i in range(n):
-                    new_w[i] = (stage_w[s, i] - w[i]) - change[i]
-                    change[i] = stage_w[s, i] - w[i]
-                    x[i] = (stage_w[s, i] - v) / delta[i]
-                is_solved = largest(new_w) <= _SOLVED * atol + ROUNDING * largest(beta)
-            if is_solved:
-                break
-        if not is_solved:
-            return np.inf, 0
-    last = STAGES - 1
-    new_rate = stage_rate[last]
-    for i in range(n):
-        new_z[i] = z[i] + (new_z[i] + h * GAMMA * stage_w[last, i])
-        new_w[i] = stage_w[last, i]
-        error_z, error_w = 0.0, 0.0
+def _begin(table, n, macro, kept, numbers):  # type: ignore[no-untyped-def]
+    """Begin a macro step at the end of the one that is kept."""
+    for k in range(STAGES):
+        x = 1.0 + NODES[k] * macro / kept
         for j in range(STAGES):
-            error_z += ERROR[j] * stage_w[j, i]
-            error_w += ERROR[j] * stage_rate[j, i]
-        allowed_z = atol + rtol * max(abs(z[i]), abs(new_z[i]))
-        allowed_w = atol + rtol * max(abs(w[i]), abs(new_w[i]))
-        x[i] = max(abs(h * error_z) / allowed_z, abs(h * error_w) / allowed_w)
-        # While |F| < mu the layer attracts: a step that reaches it ends in it, or its stages missed the turn, which
-        # the embedded error need not show.
-        drag = damping[i] * v
-        attracted, attracts = abs(drag + force[i]) < friction[i], abs(drag + coupling[i]) < friction[i]
-        gap, new_gap = w[i] - v, new_w[i] - v
-        least, most = gap, gap
-        for j in range(1, STAGES):
-            least, most = min(least, stage_w[j, i] - v), max(most, stage_w[j, i] - v)
-        wide = _WIDE * delta[i]
-        if friction[i] > 0.0 and most - least > _SHARP * delta[i]:
-            passed = min(max(most, -wide), wide) - min(max(least, -wide), wide)
-            jump = friction[i] * passed / wide
-            if jump == 0.0 and _touches(gap, h * rate[i], new_gap, h * new_rate[i], wide):
-                jump = 2.0 * friction[i]
-            # of a block held at the start or the end, w keeps no error: friction bends there, or w is drawn to v
-            if (attracts and abs(new_gap) < band[i]) or (attracted and abs(gap) < band[i]):
-                x[i] = max(x[i], _CROSSED * h * h * jump / allowed_z)
-            else:
-                x[i] = max(x[i], _CROSSED * h * jump / allowed_w)
-        if attracted and attracts and abs(new_gap) > band[i] and h * friction[i] > UNRESOLVED * delta[i]:
-            reached = gap * new_gap < 0.0
-            for j in range(STAGES):
-                reached = reached or abs(stage_w[j, i] - v) < band[i]
-            x[i] = max(x[i], _MISSED) if reached else x[i]
-    worst = largest(x)
-    block = 0
-    for i in range(n):
-        block = i if x[i] == worst else block
-    return worst, block
+            numbers[k, j] = horner(TO_POWERS[:, j], STAGES - 1, x)
+    numbers[STAGES, STEP_H] = macro
+    for first in range(0, n, WIDTH):
+        predict(table, first, numbers)
 
 
 @inner
-def _sample(h, now, new, slope0, slope1, t, t_next, state):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times up to t_next: cubics in each block's z, and quartics in w.
+def _flag(first, n, well, flags, listed, n_listed):  # type: ignore[no-untyped-def]
+    """Flag and list those of `WIDTH` blocks that are not well; returns how many are listed."""
+    for lane in range(min(WIDTH, n - first)):
+        if flags[first + lane] or not (well >> lane) & 1:
+            flags[first + lane] = True
+            listed[n_listed] = first + lane
+            n_listed += 1
+    return n_listed
 
-    The quartic has the values and slopes of w at both ends, and what z moves by as its integral.
+
+@inner
+def _together(table, n, flags, listed, iterations, numbers):  # type: ignore[no-untyped-def]
+    """All blocks in one step; those for which that does not do are flagged, and listed. Returns how many."""
+    n_listed, some = np.int64(0), False
+    for i in range(n):
+        table[DONE, i] = 1.0 if flags[i] else 0.0
+        some = some or flags[i]
+    for first in range(0, n, WIDTH):
+        for _ in range(iterations):
+            if newton(table, first, numbers) == ALL:
+                break
+        well = finish(table, first, numbers)
+        if some or well != ALL:
+            n_listed = _flag(first, n, well, flags, listed, n_listed)
+    return n_listed
+
+
+@inner
+def _strayed(table, n, flags, numbers):  # type: ignore[no-untyped-def]
+    """Flag those whose one step does not do off the nodes; returns how many."""
+    n_strayed = 0
+    for first in range(0, n, WIDTH):
+        well = probe(table, first, numbers)
+        if well != ALL:
+            for lane in range(min(WIDTH, n - first)):
+                if not flags[first + lane] and not (well >> lane) & 1:
+                    flags[first + lane] = True
+                    n_strayed += 1
+    return n_strayed
+
+
+@inner
+def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, numbers):  # type: ignore[no-untyped-def]
+    """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot."""
+    n_pieces = np.int64(0)
+    block = np.full(WIDTH, -1)
+    waiting, active = 0, 0
+    for lane in range(WIDTH):
+        for row in range(N_ROWS):
+            own[row, lane] = 0.0
+        own[H, lane] = 1.0
+        own[STEEP, lane] = 1.0
+    while True:
+        for lane in range(WIDTH):
+            if block[lane] < 0 and waiting < n_listed:
+                i = listed[waiting]
+                waiting += 1
+                active += 1
+                block[lane] = i
+                for row in (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH):
+                    own[row, lane] = table[row, i]
+                for p in range(STAGES):
+                    value = 0.0
+                    for k in range(STAGES):
+                        value += TO_POWERS[p, k] * table[F + k, i]
+                    own[G + p, lane] = value
+                    own[MOMENT + p, lane] = 0.0
+                    own[MOMENT_U + p, lane] = 0.0
+                own[START, lane] = 0.0
+                own[LENGTH, lane] = min(next_h[i] / macro, 1.0)
+        if active == 0:
+            return n_pieces
+        for lane in range(WIDTH):
+            own[DONE, lane] = 1.0 if block[lane] < 0 else 0.0
+            if block[lane] >= 0:
+                rest = 1.0 - own[START, lane]
+                length = own[LENGTH, lane]
+                if length > 0.97 * rest:
+                    length = rest
+                elif length > 0.5 * rest:
+                    length = 0.5 * rest
+                own[LENGTH, lane] = length
+                own[H, lane] = length * macro
+        prepare(own, 0, numbers)
+        for _ in range(_NEWTON_OWN):
+            if newton(own, 0, numbers) == ALL:
+                break
+        finish(own, 0, numbers)
+        probe(own, 0, numbers)
+        for lane in range(WIDTH):
+            i = block[lane]
+            if i < 0:
+                continue
+            length, allowed = own[LENGTH, lane], own[TOLERANCE, lane]
+            error = own[ERROR, lane]
+            if own[DONE, lane] < 0.5:
+                factor = 0.25
+            else:
+                factor = min(max(_SAFETY * (allowed / max(error, 1e-300)) ** (1.0 / STAGES), 0.1), _GROW_OWN)
+            if own[DONE, lane] < 0.5 or own[SUSPECT, lane] > 0.5 or not error <= allowed:
+                own[LENGTH, lane] = length * min(factor, 0.5)
+                if not length > 1e-13:
+                    return -1 - i
+                continue
+            if n_pieces == len(piece_block):
+                return -1 - i
+            piece = pieces[n_pieces]
+            piece_block[n_pieces] = i
+            n_pieces += 1
+            start = own[START, lane]
+            piece[PIECE_AT], piece[PIECE_H] = start, length
+            piece[PIECE_Z], piece[PIECE_U] = own[Z0, lane], own[U0, lane]
+            for k in range(STAGES):
+                piece[PIECE_U + 1 + k] = own[U + k, lane]
+                x = start + NODES[k] * length
+                weight = LAST[k] * length * own[Z + k, lane]
+                for p in range(STAGES):
+                    own[MOMENT + p, lane] += weight
+                    weight *= x
+                if with_u:
+                    weight = LAST[k] * length * own[U + k, lane]
+                    for p in range(STAGES):
+                        own[MOMENT_U + p, lane] += weight
+                        weight *= x
+            own[U0, lane] = own[U + STAGES - 1, lane]
+            own[Z0, lane] = own[Z + STAGES - 1, lane]
+            own[START, lane] = start + length
+            own[LENGTH, lane] = length * factor
+            if own[START, lane] >= 1.0 - 1e-12:
+                ends[0, i], ends[1, i] = own[U0, lane], own[Z0, lane]
+                next_h[i] = length * factor * macro
+                for k in range(STAGES):
+                    value, mean = 0.0, 0.0
+                    for p in range(STAGES):
+                        value += PROJECT[k, p] * own[MOMENT + p, lane]
+                        mean += PROJECT[k, p] * own[MOMENT_U + p, lane]
+                    table[Z + k, i] = value
+                    table[MEAN_U + k, i] = mean
+                block[lane] = -1
+                active -= 1
+                own[H, lane] = 1.0
+                own[STEEP, lane] = 1.0
+                own[FRICTION, lane] = 0.0
+                for k in range(STAGES):
+                    own[G + k, lane] = 0.0
+
+
+@inner
+def _times(matrix, x, y):  # type: ignore[no-untyped-def]
+    """y_k = K x_k at all nodes, K in panels or, when these are none, by sparse rows (indptr, indices, data)."""
+    dense, _, indptr, indices, data = matrix
+    if len(dense) > 0:
+        _products(dense, x, y)
+        return
+    for i in range(len(indptr) - 1):
+        a, b, c, d, e = 0.0, 0.0, 0.0, 0.0, 0.0
+        for place in range(indptr[i], indptr[i + 1]):
+            j, value = indices[place], data[place]
+            a += value * x[0, j]
+            b += value * x[1, j]
+            c += value * x[2, j]
+            d += value * x[3, j]
+            e += value * x[4, j]
+        y[0, i], y[1, i], y[2, i], y[3, i], y[4, i] = a, b, c, d, e
+
+
+@inner
+def _couple(table, n, matrices, flags, is_first, rough, work, numbers):  # type: ignore[no-untyped-def]
+    """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
+    matrix, cross, with_cross = matrices
+    product, single, single_product = work
+    changed = False
+    if not is_first and len(matrix[1]) > 0 and not with_cross:
+        for k in range(Z, Z + STAGES):
+            for i in range(n):
+                table[PRODUCT + k - Z, i] = table[k, i] - table[Z_BEFORE + k - Z, i]
+        most = 0.0
+        for k in range(PRODUCT, PRODUCT + STAGES):
+            most = max(most, largest(table[k, :n]))
+        changed = most < rough
+        if changed:
+            for k in range(STAGES):
+                for i in range(n):
+                    single[k, i] = np.float32(table[PRODUCT + k, i])
+            _single_products(matrix[1], single, single_product)
+            for k in range(STAGES):
+                for i in range(n):
+                    table[PRODUCT + k, i] = single_product[k, i]
+    if not changed:
+        _times(matrix, table[Z : Z + STAGES], table[PRODUCT : PRODUCT + STAGES])
+    if with_cross:
+        for k in range(STAGES):
+            for i in range(n):
+                table[MEAN_U + k, i] = table[MEAN_U + k, i] if flags[i] else table[U + k, i]
+        _times(cross, table[MEAN_U : MEAN_U + STAGES], product)
+        for k in range(STAGES):
+            for i in range(n):
+                table[PRODUCT + k, i] += product[k, i]
+    for k in range(STAGES):
+        for i in range(n):
+            table[Z_BEFORE + k, i] = table[Z + k, i]
+    for first in range(0, n, WIDTH):
+        if changed:
+            force_changed(table, first, numbers)
+        else:
+            force(table, first, numbers)
+    return largest(table[MOVED, :n]), largest(table[TAIL, :n])
+
+
+@inner
+def _worst(table, n):  # type: ignore[no-untyped-def]
+    """The block whose F is least known."""
+    worst, most = 0, 0.0
+    for i in range(n):
+        here = max(table[MOVED, i], table[TAIL, i])
+        if not here <= most and most == most:  # what is not a number is worst
+            worst, most = i, here
+    return worst
+
+
+@inner
+def _sweep(  # type: ignore[no-untyped-def]
+    table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
+    work, numbers, counters,
+):  # fmt: skip
+    """Sweep over the blocks until F stays. Returns whether it does, the tail of F, `slow`, and how many pieces.
+
+    `slow` is what a sweep leaves of a change, as seen before. Blocks with steps of their own begin anew each time.
     """
-    z, w, new_z, new_w, samples = now.z, now.w, new.z, new.w, state.samples
-    k = state.counters[loop.N_SAMPLED]
-    while k < len(samples.t) and samples.t[k] <= t_next:
-        x = min((samples.t[k] - t) / h, 1.0)
-        for i in range(len(z)):
-            samples.z[k, i] = between(z[i], h * w[i], new_z[i], h * new_w[i], x)
-            samples.w[k, i] = between(w[i], slope0[i], new_w[i], slope1[i], x)
-            mean = (new_z[i] - z[i]) / h - 0.5 * (w[i] + new_w[i]) - (slope0[i] - slope1[i]) / 12.0
-            samples.w[k, i] += 30.0 * (x * (1.0 - x)) ** 2 * mean
-        k += 1
-    state.counters[loop.N_SAMPLED] = k
+    swept_below = min(1.0, _SWEPT / boost)
+    tail, n_pieces, last = 0.0, np.int64(0), np.inf
+    for sweep in range(_SWEEPS):
+        n_listed = _together(table, n, flags, listed, _NEWTON, numbers)
+        for k in range(n_listed):
+            next_h[listed[k]] = before[listed[k]]
+        n_pieces = _apart(
+            table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, numbers
+        )
+        if n_pieces < 0:
+            break
+        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, numbers)
+        counters[loop.N_PRODUCTS] += STAGES * (2 if matrices[2] else 1)
+        moved, tail = moved * boost, tail * boost
+        if not tail < 100.0 * _TAIL:
+            break
+        now = min(moved / last, 0.9) if sweep > 0 else slow
+        enough = swept_below * (1.0 - now) * (_AT_ONCE if sweep == 0 else 1.0)
+        if moved < enough and _strayed(table, n, flags, numbers) == 0:
+            return True, tail, slow, n_pieces
+        last, slow = moved, now
+    return False, tail, slow, n_pieces
+
+
+@inner
+def _accept(table, n, flags, macro, next_h, ends, z, w, v):  # type: ignore[no-untyped-def]
+    """Go to the end of a macro step."""
+    for i in range(n):
+        table[SPEED_BEFORE, i] = abs(table[U0, i] + v)
+        table[FLAGGED, i] = 1.0 if flags[i] else 0.0
+        if flags[i]:
+            table[U0, i], table[Z0, i] = ends[0, i], ends[1, i]
+        else:
+            table[U0, i], table[Z0, i] = table[U + STAGES - 1, i], table[Z + STAGES - 1, i]
+            next_h[i] = max(next_h[i], macro)
+        z[i], w[i] = table[Z0, i], table[U0, i] + v
+    copy(table[F + STAGES - 1], table[FORCE0])
+    for k in range(STAGES):
+        copy(table[F + k], table[KEPT_F + k])
+        copy(table[U + k], table[KEPT_U + k])
 
 
 @kernel
-def _advance(smooth, sticking, state, now, new, work, events, bound):  # type: ignore[no-untyped-def]
+def _advance(  # type: ignore[no-untyped-def]
+    table, own, numbers, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
+    z, w, clock, counters, t_end, v, atol, boost, samples, events, bound,
+):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
-    law, cross, t_end = smooth.law, smooth.cross, smooth.t_end
-    mode, clock, counters = state.mode, state.clock, state.counters
-    slope0, slope1 = sticking.slope0, sticking.slope1
-    n, n_definitions = len(mode), len(sticking.bands)
-    n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
-    rejected = False
+    n = len(z)
+    mode = definitions[2][0]
+    ends, before = np.empty((2, n)), np.empty(n)
+    n_recorded = np.int64(0)
+    grown = True
     for _ in range(loop.STEPS_A_SLICE):
         t = clock[loop.TIME]
         remaining = t_end - t
-        if remaining <= 0.0:
-            _sample(1.0, now, now, now.rate, now.rate, t, t, state)  # a run of no length
+        if remaining <= 0.0:  # a run of no length may want its samples
+            sample(table, n, flags, pieces, piece_block, np.int64(0), v, (t, 1.0, t), samples, counters)
             return loop.DONE, n_recorded
-        if n_recorded + PASSES * n * n_definitions > len(events.t):
+        if n_recorded + PASSES * (n + len(piece_block)) * len(definitions[0]) > len(events[0]):
             return loop.BUFFER_FULL, n_recorded
         if mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
             same = True
@@ -288,123 +408,151 @@ def _advance(smooth, sticking, state, now, new, work, events, bound):  # type: i
                 same = same and mode[i] == mode[0]
             if same:
                 return loop.ALL_SLIP, n_recorded
-        h = min(clock[_STEP], smooth.longest)
-        if h >= 0.99 * remaining:  # not a last step of almost nothing
-            h = remaining
-        worst, block = _step(smooth, work, sticking.bands[0], h, now, new, counters)
-        counters[loop.N_PRODUCTS] += STAGES - 1
-        if not worst <= 1.0:
+        macro = clock[_STEP]
+        if macro >= 0.999 * remaining:
+            macro = remaining
+        elif macro > 0.5 * remaining:
+            macro = 0.5 * remaining
+        _begin(table, n, macro, clock[_KEPT], numbers)
+        copy(next_h, before)
+        for i in range(n):
+            flags[i] = False
+        rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
+        swept, tail, slow, n_pieces = _sweep(
+            table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
+            piece_block, work, numbers, counters,
+        )  # fmt: skip
+        if not swept or tail > _TAIL:
             counters[loop.N_REJECTED] += 1
-            counters[loop.LAST_BLOCK] = block
-            factor = _SAFETY * worst**-_EXPONENT if worst < np.inf else _SHRINK
-            clock[_STEP] = h * max(_SHRINK, factor)
-            rejected = True
-            if clock[_STEP] <= 1e-15 * max(1.0, abs(t)):
+            counters[loop.LAST_BLOCK] = _worst(table, n) if n_pieces >= 0 else -1 - n_pieces
+            factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK) if tail > _TAIL else 0.5
+            clock[_STEP], clock[_SLOW] = macro * factor, 0.0
+            grown = False
+            if clock[_STEP] <= 1e-14 * max(1.0, abs(t)):
                 return loop.STALLED, n_recorded
+            copy(before, next_h)
             continue
         counters[loop.N_STEPS] += 1
-        two_products(law.columns, new.z, new.w, new.force, new.force_rate, work.moving)
-        counters[loop.N_PRODUCTS] += 2
-        if len(cross.dense) > 0:
-            # two_products would save a pass over N, and cost a second of compilation in a second place
-            one_product(cross, new.w, work.fixed, work.moving)
-            one_product(cross, new.rate, work.change, work.moving)
-            counters[loop.N_PRODUCTS] += 2
-            for i in range(n):
-                new.force[i] += work.fixed[i]
-                new.force_rate[i] += work.change[i]
-        t_next = t_end if h == remaining else t + h
-        for d in range(n_definitions - 1, -1, -1):  # the run's own last: its slopes are the samples'
-            n_recorded = step_events(smooth, sticking, d, h, now, new, t, t_next, events, n_recorded)
-        _sample(h, now, new, slope0, slope1, t, t_next, state)
-        for i in range(n):
-            now.z[i] = new.z[i]
-            now.w[i] = new.w[i]
-            now.rate[i] = new.rate[i]
-            now.force[i] = new.force[i]
-            now.force_rate[i] = new.force_rate[i]
-        clock[loop.TIME] = t_next
-        worst = max(worst, 1e-4)
-        factor = _SAFETY * worst ** (-0.7 * _EXPONENT) * clock[_LAST_ERROR] ** (0.4 * _EXPONENT)
-        clock[_LAST_ERROR] = worst
-        clock[_STEP] = h * min(max(factor, _SHRINK), 1.0 if rejected else _GROW)
-        rejected = False
-        if not max(largest(now.z), largest(now.w)) <= bound:
+        t_next = t_end if macro == remaining else t + macro
+        span = t, macro, t_next
+        for first in range(0, n, WIDTH):
+            view(table, first, numbers)
+        n_recorded = step_events(
+            table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
+        )
+        sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, counters)
+        _accept(table, n, flags, macro, next_h, ends, z, w, v)
+        factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
+        most = _GROW_FAST if tail < _FAR_BELOW * _TAIL else _GROW
+        clock[loop.TIME], clock[_KEPT], clock[_SLOW] = t_next, macro, slow
+        clock[_STEP] = macro * min(max(factor, _SHRINK), most if grown else 1.0)
+        grown = True
+        if not max(largest(z), largest(w)) <= bound:
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
 
 
-def integrate(task: Task, settings: Sigmoid) -> Run:
-    """Run a task with these settings; IntegrationError if the step shrinks to rounding."""
+def integrate(task: Task, engine: Sigmoid) -> Run:
+    """Run a task under the rules of `stickslip.sim.engines.contract`.
+
+    Raises
+    ------
+    ValueError
+        If there is not one ratio a block, or the layer is too wide for its definition of sticking.
+    IntegrationError
+        If the step shrinks to rounding.
+    """
     system, v, n = task.system, task.system.belt_speed, task.system.n
-    delta = Ratios.for_blocks("ratio", settings.ratio, n) * settings.eps
-    is_manifold = settings.stick == "manifold"
+    delta = Ratios.for_blocks("ratio", engine.ratio, n) * engine.eps
+    is_manifold = engine.stick == "manifold"
     if is_manifold and not (delta < 1).all():
         raise ValueError(
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
-    band = delta * np.log(1 / delta) if is_manifold else settings.threshold * delta
-    bands = np.vstack([band, np.multiply.outer(np.array(settings.thresholds, dtype=np.float64), delta)])
-    rtol, atol = settings.rtol, settings.atol
-    smooth = Smooth(
-        law=Law.of(system),
-        delta=delta,
-        springs=np.maximum(np.asarray(system.stiffness.diagonal(), dtype=np.float64), 0.0),
-        cross=system.cross_columns,
-        rough=float(ROUGH * float(system.row_sums.max())),
-        longest=_longest_step(system),
-        rtol=rtol,
-        atol=atol,
-        t_end=task.t_end,
-    )
-    now, n_products = _start(task, delta)
-    work = _Work.blank(n)
-    sticking = _sticking(system, now, bands, np.array([is_manifold] + [False] * len(settings.thresholds)), work)
-    speed = max(float(np.abs(now.w).max()), float(np.abs(now.rate).max()))
-    step = min(task.t_end - task.t_start, 0.1, (atol**0.25) * 0.1 / speed if speed > 0 else 0.1)
-    state = State.at_start(task, now.z, now.w, sticking.modes[0], step, 1.0)
-    state.counters[loop.N_PRODUCTS] = n_products
-    blank = np.full((4, n), np.nan)
-    new = Point(z=blank[0], w=blank[1], rate=work.stage_rate[-1], force=blank[2], force_rate=blank[3])
+    band = delta * np.log(1 / delta) if is_manifold else engine.threshold * delta
+    bands = np.vstack([band, np.multiply.outer(np.array(engine.thresholds, dtype=np.float64), delta)])
+    bands[:, system.friction == 0] = 0.0  # without friction no block sticks
+    by_force = np.array([is_manifold] + [False] * len(engine.thresholds))
+    rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
+    boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
+
+    z, w, cross = task.z0.copy(), task.w0.copy(), system.cross_damping
+    drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
+    if cross is not None:
+        drag += cross.sum(axis=1) * v
+        pull += cross @ w
+    modes = _modes(system, w, pull, bands, by_force)
+    table = _table(system, z, w, delta, drag, pull)
+    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * system.friction / (boost * atol))
+    numbers = np.zeros((STAGES + 1, STAGES))
+    numbers[STAGES] = 0.0, v, atol, rtol, boost
+    speed = max(float(np.abs(x).max()) for x in (w, system.damping * (w - v) + pull, system.friction))
+    step = min(task.t_end - task.t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
+    state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 0.0)
+    state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
+
+    n_pieces = 16 * n + 256
+    single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
+    arguments = (
+        table, np.zeros((N_ROWS, WIDTH)), numbers, _matrices(system), ROUGH * float(system.row_sums.max()),
+        (np.zeros((STAGES, table.shape[1])), single[0], single[1]), (bands, by_force, modes),
+        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4),
+        np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
+        task.t_end, v, atol, boost, tuple(state.samples),
+    )  # fmt: skip
     return loop.complete(
         task,
         state,
-        lambda events, bound: _advance(smooth, sticking, state, now, new, work, events, bound),
-        Collapse(system, atol + rtol * abs(v), float(band.max()), float(bands.max()), delta),
-        stalled=f"the step fell to rounding (rtol = {rtol:g}, atol = {atol:g}); ask for less accuracy,"
+        lambda events, bound: _advance(*arguments, tuple(events), bound),
+        certificates.Collapse(system, engine.atol + engine.rtol * abs(v), band.max(), bands.max(), delta),
+        stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
-        events_a_step=PASSES * bands.size,
-        initial_modes=sticking.modes.copy(),
-        thresholds=settings.thresholds,
+        events_a_step=PASSES * (n + n_pieces) * len(bands),
+        initial_modes=modes.copy(),
+        thresholds=engine.thresholds,
     )
 
 
-def _longest_step(system: System) -> float:
-    """The longest step with which the sweeps over N contract; infinite without it."""
-    if system.cross_damping is None:
-        return math.inf
-    excess = np.linalg.norm(system.cross_damping, 2) - _CONTRACTION * system.damping.min()
-    return float(_CONTRACTION / (GAMMA * excess)) if excess > 0 else math.inf
-
-
-def _start(task: Task, delta: Floats) -> tuple[Point, int]:
-    """The start of a task, and how many products with K and N it took to know what pulls there."""
-    system, z, w = task.system, task.z0.copy(), task.w0.copy()
-    cross = system.cross_damping
-    force, force_rate = system.stiffness @ z, system.stiffness @ w
-    if cross is not None:
-        force += cross @ w
-    rate = -system.damping * w - force - system.friction * np.tanh((w - system.belt_speed) / delta)
-    if cross is not None:
-        force_rate += cross @ rate
-    return Point(z, w, rate, force, force_rate), 2 if cross is None else 4
-
-
-def _sticking(system: System, now: Point, bands: Floats, by_force: NDArray[np.bool_], work: _Work) -> Sticking:
+def _modes(system: System, w: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_]) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
-    v, n = system.belt_speed, system.n
-    held = (system.friction > 0) & (np.abs(now.w - v) < bands)
-    held[by_force] &= np.abs(system.damping * v + now.force) < system.friction
-    side = np.where(now.w != v, np.sign(now.w - v), np.sign(now.rate))  # on the belt's speed, where it goes next
-    modes = np.where(held, 0, side).astype(np.int8)
-    return Sticking(bands, by_force, modes, np.zeros(n, dtype=np.bool_), work.base, work.x)
+    u = w - system.belt_speed
+    held = np.abs(u) < bands
+    held[by_force] &= np.abs(pull) < system.friction
+    side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
+    return np.where(held, 0, side).astype(np.int8)
+
+
+def _table(system: System, z: Floats, w: Floats, delta: Floats, drag: Floats, pull: Floats) -> Floats:
+    """What formulas read and write, at the start; columns that are no block have numbers that are harmless."""
+    n, v = system.n, system.belt_speed
+    table = np.zeros((N_ROWS, -(-n // HEIGHT) * HEIGHT))
+    for row in (STEEP, H, DONE, TOLERANCE):
+        table[row] = 1.0
+    table[BELT] = v
+    table[U0, :n], table[Z0, :n], table[SPEED_BEFORE, :n] = w - v, z, np.abs(w)
+    table[DAMPING, :n], table[FRICTION, :n], table[STEEP, :n] = system.damping, system.friction, 1.0 / delta
+    table[DRAG, :n], table[FORCE0, :n] = drag, pull
+    table[KEPT_F : KEPT_F + STAGES, :n], table[KEPT_U : KEPT_U + STAGES, :n] = pull, w - v
+    return table
+
+
+_MATRICES: WeakKeyDictionary[System, tuple[Any, Any, bool]] = WeakKeyDictionary()
+
+
+def _matrices(system: System) -> tuple[Any, Any, bool]:
+    """K and N as `_times` takes them, and whether there is an N."""
+    if system not in _MATRICES:
+        cross = np.empty((0, 0)) if system.cross_damping is None else system.cross_damping
+        _MATRICES[system] = _matrix(system.stiffness), _matrix(cross), cross.size > 0
+    return _MATRICES[system]
+
+
+def _matrix(matrix: Any) -> tuple[NDArray[Any], ...]:
+    """Panels in float64 and float32 if it is dense, else its rows."""
+    if isinstance(matrix, np.ndarray):
+        no_index = np.empty(0, dtype=np.int32)
+        dense, single = panels(matrix, HEIGHT, np.float64), panels(matrix, SINGLE_HEIGHT, np.float32)
+        return dense, single, no_index, no_index, np.empty(0)
+    rows = matrix.tocsr()
+    no_panels = np.empty((0, 0, HEIGHT)), np.empty((0, 0, SINGLE_HEIGHT), np.float32)
+    return *no_panels, rows.indptr.astype(np.int32), rows.indices.astype(np.int32), rows.data.astype(np.float64)

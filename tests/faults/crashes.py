@@ -8,8 +8,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +16,7 @@ from typing import Any
 from stickslip.pipeline import expand, storage
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
-from tests.processes import until
+from tests.processes import dask_by_hand, until
 
 
 @fault(quick=5, full=200, timeout=600)
@@ -149,7 +147,7 @@ def workers_killed_from_outside(world: World, count: int) -> int:
         out = world.directory / f"out{k}"
         number = [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV][k % 3]
         process = world.command("run", str(world.scene_file), "--out", str(out), "--workers", "2", sleep=0.15)
-        until(lambda out=out: (out / "data").exists() and any((out / "data").glob("shard-*")))
+        until(lambda out=out: any(out.glob("data/shard-*")))
         for _ in range(1 + k // 3):
             workers = children(process.pid)
             with contextlib.suppress(ProcessLookupError):
@@ -167,7 +165,7 @@ def worker_killed_again_as_it_comes_back(world: World, count: int) -> int:
     for k in range(count):
         out = world.directory / f"out{k}"
         process = world.command("run", str(world.scene_file), "--out", str(out), "--workers", "1", sleep=1.5)
-        until(lambda out=out: (out / "data").exists() and any((out / "data").glob("shard-*")))
+        until(lambda out=out: any(out.glob("data/shard-*")))
         os.kill(children(process.pid)[0], signal.SIGKILL)
         again = time.monotonic() + 14.9
         until(lambda process=process: bool(children(process.pid)))
@@ -182,64 +180,24 @@ def worker_killed_again_as_it_comes_back(world: World, count: int) -> int:
 @fault(quick=0, full=2, timeout=400)
 def scheduler_lost(world: World, count: int) -> int:
     """A cluster whose scheduler is killed: one clear message, what is done is kept, and another goes on."""
-    environment = {
-        **os.environ,
+    variables = {
         "PYTHONPATH": f"{INJECT}{os.pathsep}{ROOT}",
         "STICKSLIP_FAULTS": json.dumps({"target_cost": TARGET_COST, "sleep": 0.15}),
     }
-
-    def started(what: str, file: Path, *options: str) -> subprocess.Popen:
-        return subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                f"from distributed.cli import dask_{what}; dask_{what}.main()",
-                "--scheduler-file",
-                str(file),
-                "--host",
-                "127.0.0.1",
-                "--no-dashboard",
-                *options,
-            ],
-            env=environment,
-            cwd=world.directory,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-
-    def cluster(k: int) -> tuple[str, list[subprocess.Popen]]:
-        file = world.directory / f"scheduler{k}.json"
-        processes = [started("scheduler", file, "--port", "0")]
-        until(file.exists)
-        time.sleep(0.2)  # for it to be written
-        processes.append(started("worker", file, "--nthreads", "1"))
-        return json.loads(file.read_text())["address"], processes
-
     for k in range(count):
         out = world.directory / f"out{k}"
-        address, processes = cluster(2 * k)
-        driver = world.command("run", str(world.scene_file), "--out", str(out), "--scheduler", address)
-        try:
-            until(lambda out=out: (out / "data").exists() and len(list((out / "data").glob("shard-*"))) > 1)
-            processes[0].kill()
+        arguments = ("run", str(world.scene_file), "--out", str(out), "--scheduler")
+        with dask_by_hand(world.directory, "--nthreads", "1", **variables) as (address, (scheduler, _)):
+            driver = world.command(*arguments, address)
+            until(lambda out=out: len(list(out.glob("data/shard-*"))) > 1)
+            scheduler.kill()
             code, _, err = end_of(driver, 120)
-        finally:
-            for process in processes:
-                process.kill()
-                process.wait()
         assert code == 1, err
         assert "expected the scheduler to stay until the end, lost it" in err, err
         assert "Traceback" not in err, err
         world.check_no_strays(out)
-        address, processes = cluster(2 * k + 1)
-        try:
-            code, _, err = end_of(
-                world.command("run", str(world.scene_file), "--out", str(out), "--scheduler", address), 120
-            )
-        finally:
-            for process in processes:
-                process.kill()
-                process.wait()
+        with dask_by_hand(world.directory, "--nthreads", "1", **variables) as (address, _):
+            code, _, err = end_of(world.command(*arguments, address), 120)
         assert code == 0, err
         world.check(out)
     return count

@@ -136,7 +136,7 @@ def test_a_run_without_workers_gives_up(monkeypatch):
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            driver._until(lambda: False, driver._Watch(client, None))
+            driver._until(lambda: False, driver._Patience(client, None))
 
 
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):

@@ -16,7 +16,7 @@ from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
 STIFF = ("one", "stiff", "undamped stiff")
-BOUND = 100.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
+BOUND = 20.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
 
 
 def draw(family, rng, t_max):
@@ -50,7 +50,7 @@ def draw(family, rng, t_max):
     return system, z, w, delta, np.sort(np.append(rng.uniform(0.0, t_end, 5), t_end))
 
 
-def multiples(system, z, w, delta, times, tolerances, rng, integrate=simulate):
+def multiples(system, z, w, delta, times, tolerances, rng):
     """The multiple at the end and the largest at the samples, by tolerance; None where two references disagree."""
     reference = radau.states(system, z, w, delta, times, 1e-11, 0.02)
     apart = np.abs(reference - radau.states(system, z, w, delta, times, 4e-12, 0.006)).max()
@@ -64,7 +64,7 @@ def multiples(system, z, w, delta, times, tolerances, rng, integrate=simulate):
     unit = sensitivity * (1.0 + np.abs(reference).max())
     found = []
     for tol in tolerances:
-        run = integrate(
+        run = simulate(
             system, z, w, times[-1], t_eval=times, engine="sigmoid", eps=1e-3, ratio=delta / 1e-3, stick="threshold",
             rtol=tol, atol=tol, stop_early=False,
         )  # fmt: skip
@@ -87,12 +87,12 @@ def study(n_systems, seed, tolerances, t_max):
 def test_random_systems_keep_to_the_stated_multiple():
     seed = secrets.randbits(32)
     print(f"seed {seed}")
-    rows = study(16, seed, (1e-3, 1e-5, 1e-7), 4.0)
+    rows = study(16, seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0)
     worst = max(rows, key=lambda row: max(row[3:]))
     print(f"{len(rows)} runs, worst {worst}")
-    assert len(rows) > 24  # the others have no reference
+    assert len(rows) > 32  # the others have no reference
     assert max(worst[3:]) < BOUND
-    assert np.median([row[3] for row in rows]) < 3
+    assert np.median([row[3] for row in rows]) < 1
 
 
 PASSING = {  # a layer passed at speed: |F| > mu, in a time delta / |w'| and not delta / mu
@@ -104,13 +104,13 @@ PASSING = {  # a layer passed at speed: |F| > mu, in a time delta / |w'| and not
 
 @pytest.mark.parametrize("case", PASSING)
 def test_a_layer_passed_at_speed_is_seen(case):
-    """Some cost thousands of tolerances in w, unseen by the embedded estimate."""
+    """Nodes on both sides of it agree on a polynomial that misses it."""
     tol, system, z, w, delta, t_end = PASSING[case]
     times = np.linspace(0.0, t_end, 60)[1:]
     start = (np.array([z]), np.array([w]), np.array([delta]))
-    ((end, samples),) = multiples(system, *start, times, (tol,), np.random.default_rng(0))
-    print(end, samples)
-    assert samples < 10
+    found = multiples(system, *start, times, (tol, 1e-2 * tol), np.random.default_rng(0))
+    print(found)
+    assert max(samples for _, samples in found) < 8
 
 
 @pytest.mark.parametrize("tol", [1e-7, 1e-8])
@@ -135,7 +135,7 @@ def test_the_reference_against_a_closed_form():
 
 
 def _table(n_systems, seed):
-    rows = study(n_systems, seed, tuple(10.0**-k for k in range(3, 10)), 20.0)
+    rows = study(n_systems, seed, tuple(10.0**-k for k in range(3, 11)), 8.0)
     print(f"seed {seed}\n{'':18}runs  median   95%   worst | samples worst")
     for column, names in ((2, sorted({row[2] for row in rows})), (1, FAMILIES)):
         for name in names:

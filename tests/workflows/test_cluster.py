@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import json
 import os
 import re
 import signal
@@ -19,6 +17,7 @@ from distributed import Client
 
 from stickslip.pipeline import parse_scene, run_scene, status, verify
 from stickslip.workflows.commands import main
+from tests.processes import dask_by_hand
 from tests.scenes import COULOMB, ensemble
 
 SCRIPT = Path(__file__).parents[2] / "workflows" / "guide" / "slurm.py"
@@ -102,32 +101,6 @@ def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tm
     assert shards(out) == reference
 
 
-@contextlib.contextmanager
-def by_hand(directory, *worker):
-    """A scheduler and a worker as the guide says to start them."""
-    dask = [sys.executable, "-m", "distributed.cli."]
-    connection = directory / "scheduler.json"
-    # what pytest was started with is not the worker's
-    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    running = []
-    for name, *more in (
-        ("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"),
-        ("worker", *worker),
-    ):
-        command = [*dask[:2], f"{dask[2]}dask_{name}", "--scheduler-file", str(connection), *more]
-        running.append(
-            subprocess.Popen(
-                command, cwd=directory, env=environment, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
-            )
-        )
-    try:
-        yield connection
-    finally:
-        for process in reversed(running):
-            process.terminate()
-            process.wait(timeout=30)
-
-
 @pytest.mark.parametrize(
     ("worker", "warned"),
     [
@@ -144,10 +117,7 @@ def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, 
     source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 60", b"matrices = 6")
     (tmp_path / "mine.toml").write_bytes(source)
     run_scene(parse_scene(source), source, tmp_path / "reference", workers=0)
-    with by_hand(tmp_path, *worker) as connection:
-        while not (connection.exists() and connection.read_text().endswith("}")):  # it is not written at once
-            time.sleep(0.02)
-        address = json.loads(connection.read_text())["address"]
+    with dask_by_hand(tmp_path, *worker) as (address, _):
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=30)
         command = ["run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--scheduler", address]

@@ -390,7 +390,7 @@ METHODS: tuple[Method, ...] = (
 )
 
 
-def asked(
+def methods_of(
     model: Model, tolerances: tuple[float, ...], steps: tuple[float, ...]
 ) -> Iterator[tuple[Method, tuple[float, ...]]]:
     """The methods of a law, each with what it is asked for: tolerances or steps. One with nothing is left out."""

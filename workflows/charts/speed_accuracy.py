@@ -32,8 +32,8 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Ratio,
-    asked,
     distance,
+    methods_of,
     random_problem,
     reached,
     warm,
@@ -101,7 +101,7 @@ class SpeedScene(ChartScene):
                 reference, z = _reference(problem, ratio)
                 references.append(reference)
                 product = Product(np.asarray(problem.system.stiffness))
-                for method, settings in asked(reference.model, self.tolerances, self.steps):
+                for method, settings in methods_of(reference.model, self.tolerances, self.steps):
                     row = Cost(n, ratio, reference.model, method.name, None, None, "measured")
                     if not method.is_installed:
                         found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]

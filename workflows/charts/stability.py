@@ -45,8 +45,8 @@ from stickslip.workflows.charts.peers import (
     Model,
     Problem,
     Solver,
-    asked,
     distance,
+    methods_of,
     random_problem,
     reached,
     warm,
@@ -75,7 +75,7 @@ _XLABELS: dict[Axis, str] = {
 }
 _FIGURES: dict[str, tuple[Axis, ...]] = {"The smoothed law": ("layer",), "The exact law": ("bond", "damping")}
 #: Stiffnesses and the longest step at which orders are measured: not stiff at all, and far stiffer than a step.
-_MILD, _STIFF, _H = 1.0, 1e4, 0.1
+_MILD, _STIFF, _H = 1.0, 1e4, 0.2
 #: The shares of a limit within which, and beyond which, cells of a fixed step are told apart.
 _WITHIN, _BEYOND = 0.5, 2.0
 #: Explicit methods whose step is set by stability once the layer is stiff: cost grows as the stiffness.
@@ -152,7 +152,7 @@ class StabilityScene(ChartScene):
         found = sum(
             len(columns) * len(settings)
             for axis, columns in self.axes.items()
-            for _, settings in asked(LAWS[axis], self.tolerances, self.steps)
+            for _, settings in methods_of(LAWS[axis], self.tolerances, self.steps)
         )
         return f"{found} cells{' and the hard cases' if self.cases else ''}"
 
@@ -167,7 +167,7 @@ class StabilityScene(ChartScene):
                 found = _references(axis, columns, problems)
                 references += [reference for reference, _ in found]
                 say(f"{axis}: references of {len(columns)} columns")
-                for method, settings in asked(LAWS[axis], self.tolerances, self.steps):
+                for method, settings in methods_of(LAWS[axis], self.tolerances, self.steps):
                     rows = list(_map(self, axis, method, problems, found, settings))
                     cells += rows
                     right = sum(cell.outcome == "right" for cell in rows)

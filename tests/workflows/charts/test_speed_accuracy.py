@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip import sim
+from stickslip.pipeline import expand, parse_scene
 from stickslip.workflows.charts import load_chart, peers
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import (
@@ -21,6 +22,7 @@ from stickslip.workflows.charts.speed_accuracy import (
     products_at,
 )
 from stickslip.workflows.commands import main
+from tests.scenes import SIGMOID, ensemble
 
 TINY = """
 chart = "speed_accuracy"
@@ -57,27 +59,8 @@ def silent(line):
 
 
 def test_the_system_is_that_of_an_ensemble_with_the_same_seed(scene_file):
-    from stickslip.pipeline import expand, parse_scene
-
-    ensemble = parse_scene(b"""
-[system]
-coupling = "antisymmetric"
-n = 5
-[start]
-z = -0.7
-w = -0.4
-[run]
-t_end = 2.0
-matrices = 1
-seed = 1
-[[engine]]
-name = "sigmoid"
-ratio = "uniform"
-[analysis]
-t_burn = 0.0
-dt = 0.1
-""")
-    (member,) = expand(ensemble)
+    smooth = f'{SIGMOID}\nratio = "uniform"'
+    (member,) = expand(parse_scene(ensemble(5, 2.0, 1, smooth, seed=1).encode()))
     problem = load_chart(scene_file).problem(5, "uniform")
     np.testing.assert_array_equal(problem.system.stiffness, member.system().stiffness)
     np.testing.assert_array_equal(problem.delta, 0.03 * member.ratios())
