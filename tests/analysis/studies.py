@@ -27,7 +27,7 @@ from stickslip.analysis.stats import (
     parting,
     pool,
 )
-from stickslip.analysis.stats.cascades import Law, Window, sizes, window
+from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import (
@@ -40,7 +40,7 @@ from stickslip.analysis.stats.families import (
     truncate,
 )
 from stickslip.analysis.stats.goodness import goodness
-from stickslip.analysis.stats.nulls import BlockSteps, triggered
+from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations, triggered
 from stickslip.analysis.stats.rivals import rivals
 
 CONFIDENCE = 0.95
@@ -343,6 +343,26 @@ def slow_mode_study(rng, ensembles):
         yield from over_rotation("slow mode", names, runs, rng, ensembles, answers)
 
 
+def definitions_study(rng, ensembles):
+    """gamma by each definition over that of rotated blocks; 1 for independent blocks."""
+    dts = (0.2, 1.0, 3.0)
+    runs = {law: [] for law in laws(dts)}
+    for _ in range(ensembles):
+        steps = blocks_run(rng)
+        win = steps.window()
+        observed = sums(win.step)
+        for dt in dts:
+            observed |= sums(np.diff(win.path()[win.grid_index(dt)]), dt)
+        chance = rotations(steps, dts, DRAWS, rng)
+        for law, rows in runs.items():
+            rows.append(np.concatenate([observed[law], chance[law]]))
+    picks = rng.integers(ensembles, size=(ensembles, MATRICES))
+    for law, rows in runs.items():
+        rows = np.array(rows)
+        found = [over_null(gamma, rows[some, :2], rows[some, 2:], CONFIDENCE).ratio for some in picks]
+        yield judged("gamma over rotation", str(law), 1.0, found, log=True)
+
+
 def triggering_study(rng, ensembles):
     """Pairs of exits within tau over rotation: 1 for independent blocks, else that of all runs.
 
@@ -610,6 +630,7 @@ STUDIES = {
     "dispersion": dispersion_study,
     "pool": pool_study,
     "slow_mode": slow_mode_study,
+    "definitions": definitions_study,
     "triggering": triggering_study,
     "effective": effective_study,
     "growth": growth_study,
