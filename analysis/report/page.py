@@ -146,7 +146,8 @@ def build(
     said = [one.says("answer") for one in leading[:MOST_SAID]]
     ordered = [*leading, *others]
     alarms = [text for one in ordered if (text := one.says("alarm"))]
-    warned = [item for one in ordered for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
+    heard = [*leading, *(one for one in others if getattr(one.words, "of_data", False))]
+    warned = [item for one in heard for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
     alerts = sorted(warned, key=lambda item: item.startswith(_TICK))[:MOST_ALERTS]
     page = filled.get_template("report.html").render(
         title=title,
