@@ -180,7 +180,7 @@ def test_an_engine_that_cannot_go_on_leaves_a_row_with_its_words(scene, monkeypa
 def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_process, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
-    assert "Random systems, exact engine: An event costs" in capsys.readouterr().out
+    assert "Random systems, exact engine: an event goes as" in capsys.readouterr().out
     page = (out / "report.html").read_text()
     assert "A tiny &lt;chart&gt;" in page
     assert not re.search(r"\b(nan|inf|None)\b", re.sub(r"data:image[^\"]*", "", page))

@@ -136,7 +136,7 @@ def test_a_run_is_given_up_when_patience_ends():
 def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
-    assert "n = 5, r uniform in (0, 1]: At an error of 1e-4 the cheapest is" in capsys.readouterr().out
+    assert " comes to an error of 1e-4 with " in capsys.readouterr().out
 
     page = (out / "report.html").read_text()
     assert "A tiny &lt;chart&gt;" in page

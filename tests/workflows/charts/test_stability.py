@@ -216,7 +216,7 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "In short: The coulomb engine is nowhere wrong without a word" in printed
+    assert "The coulomb engine is nowhere wrong without a word" in printed
     page = (out / "report.html").read_text()
     assert "A tiny &lt;chart&gt;" in page
     assert "https://" not in page

@@ -280,7 +280,7 @@ def test_a_bad_chart_is_refused_with_key_and_remedy_and_nothing_is_written(mista
 def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
-    assert "Exact law: " in capsys.readouterr().out
+    assert "Exact law, the coulomb engine: " in capsys.readouterr().out
     page = (out / "report.html").read_text()
     assert "A tiny &lt;chart&gt;" in page
     assert not re.search(r"\b(nan|inf|None)\b", page.split("</figure>")[1])
