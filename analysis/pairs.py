@@ -141,17 +141,17 @@ def settings(members: pd.DataFrame) -> list[Setting]:
         bases = _bases(some)
         if bases:
             name = label(key, keys)
-            found.append(Setting(name, key, bases, _comparisons(name, some, bases)))
+            found.append(Setting(name, key, bases, _comparisons(name, some)))
     return sorted(found, key=lambda s: (s.key["n"], s.key["engine"], s.label))
 
 
 def _rows(members: pd.DataFrame) -> list[dict[str, Any]]:
     """Members as plain values, null as None, optional columns filled in."""
     names = [*_CHANGING, "member_id", "matrix"]
-    optional = [name for name in ("ratio_draw", "perturbation_reading", "twin_size") if name in members]
+    empty = dict.fromkeys(("ratio_draw", "perturbation_reading", "twin_size", "start_draw"))
+    optional = [name for name in empty if name in members]
     table = members[[*names, *optional]].astype(object)
     rows = table.where(table.notna(), None).to_dict(orient="records")
-    empty = {"ratio_draw": None, "perturbation_reading": None, "twin_size": None}
     return [empty | {str(name): value for name, value in row.items()} for row in rows]
 
 
@@ -172,29 +172,36 @@ def _ratios(row: dict[str, Any]) -> tuple[str | None, int | None]:
     return str(row["ratio"]), 0 if draw is None else int(draw)
 
 
+def _first(unchanged: Sequence[dict[str, Any]]) -> tuple[str | None, int | None]:
+    """The ratios of the bases: equal ones if there are such members, else the first draw."""
+    return min({_ratios(row) for row in unchanged}, key=lambda r: (r[0] is not None, r[1] or 0))
+
+
 def _bases(rows: Sequence[dict[str, Any]]) -> dict[int, str]:
     """The unchanged member of each matrix: equal ratios if there are such members, else the first draw."""
     unchanged = [row for row in rows if _change(row) is None]
     if not unchanged:
         return {}
-    first = min({_ratios(row) for row in unchanged}, key=lambda r: (r[0] is not None, r[1] or 0))
+    first = _first(unchanged)
     chosen = sorted((row for row in unchanged if _ratios(row) == first), key=lambda row: str(row["member_id"]))
     return {
         int(row["matrix"]): str(row["member_id"]) for row in sorted(reversed(chosen), key=lambda row: row["matrix"])
     }
 
 
-def _comparisons(label: str, rows: Sequence[dict[str, Any]], bases: dict[int, str]) -> tuple[Comparison, ...]:
-    unchanged = {(int(row["matrix"]), _ratios(row)): str(row["member_id"]) for row in rows if _change(row) is None}
+def _comparisons(label: str, rows: Sequence[dict[str, Any]]) -> tuple[Comparison, ...]:
+    original = [row for row in rows if _change(row) is None]
+    unchanged = {(row["matrix"], row["start_draw"], _ratios(row)): str(row["member_id"]) for row in original}
+    first = _first(original)
     pairs: dict[Change, list[Pair]] = {}
     for row in rows:
         matrix, member_id, change = int(row["matrix"]), str(row["member_id"]), _change(row)
         if row["twin_size"] and row["perturbation_size"]:
             continue
         if change is not None:
-            base = unchanged.get((matrix, _ratios(row)))
+            base = unchanged.get((matrix, row["start_draw"], _ratios(row)))
         else:
-            change, base = Change(RATIOS), bases.get(matrix)
+            change, base = Change(RATIOS), unchanged.get((matrix, row["start_draw"], first))
         if base is not None and base != member_id:
             pairs.setdefault(change, []).append(Pair(matrix, base, member_id))
     order = {START: 0, RATIOS: 1, CONSTANTS: 2}

@@ -15,14 +15,18 @@ from numpy.typing import ArrayLike
 
 from stickslip import sim
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.quantity import Distribution, Value, short, word
+from stickslip.pipeline.quantity import Distribution, FromFile, Value, short, word
 from stickslip.pipeline.scene import EngineTable, Scene, parse_scene
 from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.systems import SystemFile, read
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
 MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = range(9)
+
+#: What a file holds, by what a draw in its place would be for.
+_ARRAYS = {FRICTION: "friction", DAMPING: "damping", START_Z: "z0", START_W: "w0"}
 
 #: The readings of a perturbation in a member's name.
 _READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
@@ -52,6 +56,7 @@ class Member:
     friction: Value
     belt_speed: float
     matrix: int
+    system_file: SystemFile | None
     perturbation_reading: str | None
     perturbation_size: float
     perturbation_draw: int | None
@@ -81,14 +86,25 @@ class Member:
         return {"kappa": self.kappa} | leaf | ({} if self.degree is None else {"degree": self.degree})
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
-        """A number as it is; of a distribution its draw, shape (n,)."""
+        """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
+        if isinstance(value, FromFile):
+            assert self.system_file is not None
+            return np.asarray(read(self.system_file)[_ARRAYS[purpose]], dtype=np.float64)
         return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
 
     @property
+    def file(self) -> str | None:
+        """The name of the file that its system is read from."""
+        return None if self.system_file is None else self.system_file.name
+
+    @property
     def drawn(self) -> str | None:
-        """What is drawn for each block, as text; None: nothing."""
+        """What is drawn for each block, or read from a file, as text; None: nothing."""
         keys = {"leaf": self.leaf, "damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
-        return "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution)) or None
+        return (
+            "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution | FromFile))
+            or None
+        )
 
     def system(self) -> sim.System:
         """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
@@ -143,7 +159,8 @@ class Member:
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
         sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
         """
-        a_row = self.n if self.coupling in sim.COUPLINGS else min(self.n, 50)
+        is_sparse = self.coupling not in sim.COUPLINGS if self.system_file is None else self.system_file.is_sparse
+        a_row = min(self.n, 50) if is_sparse else self.n
         rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**2 * a_row, dict(self.settings))
         certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
@@ -158,6 +175,14 @@ _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0
 # Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
 @lru_cache(maxsize=1)
 def _own_system(member: Member) -> sim.System:
+    if member.system_file is not None:
+        damping = np.empty(0)
+        if member.damping is not None:
+            damping = np.asarray(member._by_block(member.damping, DAMPING))
+        elif member.rho is not None:
+            damping = np.random.default_rng(member._seed(MATRIX)).uniform(member.rho, 2 * member.rho, member.n)
+        friction = member._by_block(member.friction, FRICTION)
+        return sim.System(read(member.system_file)["stiffness"], damping, friction, member.belt_speed)
     return sim.draw_system(
         member.coupling,
         member.n,
@@ -204,15 +229,15 @@ def _expand(scene: Scene) -> Iterator[Member]:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
     words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
     places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
-    for n, matrix, place, change, engine in product(
-        scene.system.n, range(scene.run.matrices), places, changes, scene.engines
+    for (n, file), matrix, place, change, engine in product(
+        scene.sources, range(scene.run.matrices), places, changes, scene.engines
     ):
         if change.reading is not None and change.reading not in scene.readings_of(engine):
             continue
         if change.twin_size is not None and not engine.twins:
             continue
         for draw, of_engine in words[engine].items():
-            member = _member(scene, n, matrix, place, change, of_engine, engine, draw)
+            member = _member(scene, n, file, matrix, place, change, of_engine, engine, draw)
             yield _with_shared_cost(scene, member, engine)
 
 
@@ -274,6 +299,7 @@ def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
 def _member(
     scene: Scene,
     n: int,
+    file: SystemFile | None,
     matrix: int,
     place: _Place,
     change: _Change,
@@ -281,13 +307,18 @@ def _member(
     engine: EngineTable,
     draw: int | None,
 ) -> Member:
-    at = place.at
+    at, of_file = place.at, []
+    if file is not None:
+        own: dict[str, Any] = {"friction": FromFile()} if "friction" in file.arrays else {}
+        own |= {"damping": FromFile(), "rho": None} if "damping" in file.arrays else {}
+        at, of_file = at | own | {"kappa": file.scale}, [f"K{file.sha256[:12]}"]
     return Member(
-        member_id="-".join([f"n{n}", f"m{matrix:03d}", *place.words, *change.words, *words]),
+        member_id="-".join([f"n{n}", *of_file, f"m{matrix:03d}", *place.words, *change.words, *words]),
         n=n,
         coupling=scene.system.coupling,
         **{name: value for name, value in at.items() if name not in ("z", "w")},
-        matrix=matrix,
+        matrix=matrix if file is None else file.matrix(matrix),
+        system_file=file,
         perturbation_reading=change.reading,
         perturbation_size=change.size,
         perturbation_draw=change.draw,

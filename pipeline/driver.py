@@ -16,6 +16,7 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
 
+from stickslip.pipeline import systems
 from stickslip.pipeline.cluster import check_address, check_memory, connect
 from stickslip.pipeline.design import Member, Task, expand
 from stickslip.pipeline.errors import ScheduleError
@@ -116,7 +117,8 @@ def run_scene(
     StoreError
         If the directory cannot be used or written.
     SceneError
-        If a worker of this machine cannot hold the scene's largest system; nothing was done.
+        If a worker of this machine cannot hold the scene's largest system, or a file that systems are read from is
+        gone or another; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
@@ -135,6 +137,9 @@ def run_scene(
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, source, retry_failed, accept_version) as store:
+        for file in {member.system_file for batch, _ in store.todo for member in batch.members}:
+            if file is not None:
+                systems.read(file)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}
         tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
         firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)

@@ -48,8 +48,19 @@ class Distribution:
         return f"{self.law}({short(self.first)}, {short(self.second)})"
 
 
+@dataclass(frozen=True, slots=True)
+class FromFile:
+    """A number for each block that the file of the system holds."""
+
+    size: float = 0.0
+    word: str = "file"
+
+    def __str__(self) -> str:
+        return "file"
+
+
 #: What one run has.
-Value: TypeAlias = float | Distribution
+Value: TypeAlias = float | Distribution | FromFile
 
 #: What a key holds: a tuple is a list of the file, of which each value is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -80,6 +91,8 @@ def as_written(quantity: Quantity) -> Any:
     """A quantity as TOML and JSON have it."""
     if isinstance(quantity, tuple):
         return [as_written(value) for value in quantity]
+    if isinstance(quantity, FromFile):
+        return str(quantity)
     return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
 
 
@@ -92,6 +105,7 @@ class _Key:
 
     laws: tuple[str, ...] = ()
     least: int | None = None
+    may_be_of_file: bool = False
 
     def read(self, given: object) -> Quantity:
         """A quantity from what the file holds."""
@@ -106,8 +120,10 @@ class _Key:
         return found
 
     def _value(self, given: object, whole: object) -> Value:
-        if isinstance(given, Distribution):
+        if isinstance(given, Distribution | FromFile):
             given = as_written(given)
+        if given == "file" and self.may_be_of_file and given is whole:
+            return FromFile()
         number = _number(given)
         if number is not None and self._bears(number):
             return number
@@ -173,7 +189,8 @@ class _Key:
             for law in self.laws
         ]
         items = {"anyOf": [one, *drawn]} if drawn else one
-        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn]}
+        of_file = [{"const": "file"}] if self.may_be_of_file else []
+        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *of_file]}
 
 
 def _number(given: object) -> float | None:
@@ -196,7 +213,7 @@ def _number_in(text: str) -> bool:
 AnyNumber = Annotated[Quantity, _Key()]
 Scale = Annotated[Quantity, _Key(least=0)]
 BlockScale = Annotated[Quantity, _Key(("uniform",), least=0)]
-BlockNumber = Annotated[Quantity, _Key(tuple(LAWS))]
+BlockNumber = Annotated[Quantity, _Key(tuple(LAWS), may_be_of_file=True)]
 
 
 # ---------------------------------------------------------------------------------------------- the grid
@@ -247,7 +264,9 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
 
 def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
     """Numbers come before distributions."""
-    return [("", one, 0.0) if isinstance(one, float) else (one.law, one.first, one.second) for one in row]
+    drawn = [one if isinstance(one, Distribution) else None for one in row]
+    numbers = [one if isinstance(one, float) else 0.0 for one in row]
+    return [(one.law, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
 
 
 def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:

@@ -21,6 +21,7 @@ from stickslip.pipeline.quantity import (
     BlockNumber,
     BlockScale,
     Distribution,
+    FromFile,
     Quantity,
     Scale,
     Value,
@@ -30,8 +31,10 @@ from stickslip.pipeline.quantity import (
     size,
     values,
 )
+from stickslip.pipeline.systems import SystemFile, with_files
 from stickslip.pipeline.toml import (
     BlockNumbers,
+    Blocks,
     Count,
     Natural,
     Positive,
@@ -55,23 +58,48 @@ MAX_MEMBERS = 1_000_000
 MAX_SAMPLES = 10_000_000
 
 
+_LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+
+#: The name of the coupling whose systems are read from files.
+OF_FILE = "file"
+
+
 def _coupling(name: str) -> str:
-    known = (*COUPLINGS, *GRAPHS)
+    known = (*COUPLINGS, *GRAPHS, OF_FILE)
     if name not in known:
         raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
     return name
+
+
+class FileTable(StrictTable):
+    """[system.files]: a file that a system is read from, as it was when the scene was read; written by stickslip."""
+
+    at: str = Field(description="where it lies", examples=["/data/K.npz"])
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(description="digest of its bytes", examples=[""])
+    n: Blocks = Field(description="number of blocks", examples=[50])
+    scale: Natural = Field(description="largest |K_ij|", examples=[1.0])
+    entries: Count = Field(description="number of entries of K that are kept", examples=[2500])
+    is_sparse: bool = Field(description="whether K is sparse", examples=[False])
+    arrays: Annotated[tuple[str, ...], _LIST] = Field(
+        description="what it holds for each block", examples=[["friction"]]
+    )
 
 
 class SystemTable(StrictTable):
     """[system]: what the systems are drawn from."""
 
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
-        description="name of the ensemble, or of the graph that springs lie along",
+        description="name of the ensemble, or of the graph that springs lie along; or that K is read from a file",
         examples=["antisymmetric"],
-        json_schema_extra={"enum": [*COUPLINGS, *GRAPHS]},
+        json_schema_extra={"enum": [*COUPLINGS, *GRAPHS, OF_FILE]},
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
-    kappa: Scale = Field(
+    path: str | None = Field(
+        default=None,
+        description="file of K, .npz, .npy or Matrix Market, beside the scene; or several, by a pattern",
+        examples=["K.npz"],
+    )
+    kappa: Scale | None = Field(
         default=0.2, description="scale of the stiffnesses; of a graph the springs between neighbours", examples=[0.2]
     )
     leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph", examples=[0.1])
@@ -84,6 +112,9 @@ class SystemTable(StrictTable):
     )
     friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
     belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+    files: dict[str, FileTable] | None = Field(
+        default=None, description="what the files were when the scene was read: written by stickslip"
+    )
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -97,7 +128,43 @@ class SystemTable(StrictTable):
         n = max(self.n)
         if self.coupling in COUPLINGS:
             return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
+        if self.coupling == OF_FILE:
+            return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
         return 100.0 * n * (1.0 + size(self.degree or 4.0))
+
+    @property
+    def known_files(self) -> dict[str, FileTable]:
+        """The files that systems are read from, by their names beside the scene."""
+        return self.files or {}
+
+    def _files_apply(self) -> None:
+        if self.coupling != OF_FILE:
+            if self.path is not None or self.files is not None:
+                raise ValueError(f'path: expected none with coupling = "{self.coupling}"; remove it, or write "file"')
+            return
+        if self.path is None:
+            raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
+        if not self.files:
+            raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
+        if "kappa" in self.model_fields_set and self.kappa is not None:
+            raise ValueError('kappa: expected none with coupling = "file", which has K itself; remove it')
+        object.__setattr__(self, "kappa", None)
+        for name, file in self.files.items():
+            if file.n not in self.n:
+                raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
+            given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+            for array, keys in (("friction", {"friction"}), ("damping", {"damping", "rho"})):
+                if array in file.arrays and keys & given:
+                    key = sorted(keys & given)[0]
+                    raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
+            same = [other for other in self.files if self.files[other].sha256 == file.sha256 and other != name]
+            if same:
+                raise ValueError(
+                    f"path: expected files that differ, got {name} and {same[0]}, which are equal; remove one"
+                )
+        alone = set(self.n) - {file.n for file in self.files.values()}
+        if alone:
+            raise ValueError(f"n: expected the numbers of blocks of the files, got {min(alone)} of none; remove it")
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
@@ -107,6 +174,7 @@ class SystemTable(StrictTable):
                 if key in self.model_fields_set and getattr(self, key) is not None:
                     raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
                 object.__setattr__(self, key, None)
+        self._files_apply()
         if self.damping is not None:
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
@@ -137,9 +205,6 @@ class StartTable(StrictTable):
                 "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
             )
         return self
-
-
-_LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 
 
 class RunTable(StrictTable):
@@ -431,10 +496,12 @@ class Scene(StrictTable):
         """Which of the optional parts of a dataset there are."""
         thresholds = any(engine.settings.get("thresholds") for engine in self.engines)
         drawn = (one for quantity in self.quantities.values() for one in values(quantity))
+        in_files = any(file.arrays for file in self.system.known_files.values())
         asked = {
+            "file": self.system.coupling == OF_FILE,
             "graph": self.system.coupling in GRAPHS,
-            "damping": self.system.damping is not None,
-            "drawn": any(isinstance(one, Distribution) for one in drawn),
+            "damping": self.system.damping is not None or in_files,
+            "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
             "separation": self.record.separation is not None,
@@ -467,6 +534,13 @@ class Scene(StrictTable):
                 f"perturbation.readings: expected those that keep what {what} is,"
                 f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
             )
+        for key, array in (("z", "z0"), ("w", "w0")):
+            lacking = [name for name, file in self.system.known_files.items() if array not in file.arrays]
+            if isinstance(getattr(self.start, key), FromFile) and (lacking or self.system.coupling != OF_FILE):
+                where = lacking[0] if lacking else f'coupling = "{self.system.coupling}"'
+                raise ValueError(
+                    f"start.{key}: expected a file with the array `{array}`, got {where} without; write a number"
+                )
         self._changes_apply()
         self._steps_and_changes_are_resolved()
         try:
@@ -561,7 +635,16 @@ class Scene(StrictTable):
         starts = math.prod(len(axis.rows) for axis in self.axes)
         if starts <= MAX_MEMBERS:
             starts = sum(len(self.start_draws(at)) for _, at in self.points())
-        return len(self.system.n) * self.run.matrices * starts * runs
+        return len(self.sources) * self.run.matrices * starts * runs
+
+    @property
+    def sources(self) -> list[tuple[int, SystemFile | None]]:
+        """The numbers of blocks that systems are drawn for; or the files that they are read from, with theirs."""
+        if self.system.coupling != OF_FILE:
+            return [(n, None) for n in self.system.n]
+        files = self.system.known_files
+        named = sorted(files, key=lambda name: (files[name].n, name))
+        return [(files[name].n, SystemFile(name=name, **files[name].model_dump(exclude={"n"}))) for name in named]
 
     def n_changes(self, engine: EngineTable) -> int:
         """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
@@ -582,6 +665,9 @@ class Scene(StrictTable):
         for table, engine in zip(keys["engine"], self.engines, strict=True):
             if engine.picked_for is not None:
                 table["picked_for"] = engine.picked_for
+        if self.system.files is not None:
+            keys["system"]["files"] = {name: file.sha256 for name, file in self.system.files.items()}
+            del keys["system"]["path"]
         for axis in self.axes:  # the order in the file means nothing
             for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
                 keys["start" if key in ("z", "w") else "system"][key] = as_written(column)
@@ -602,7 +688,19 @@ def load_scene(path: str | Path) -> Scene:
     SceneError
         If the file cannot be read, is not TOML, or is not a scene; one line a problem.
     """
-    return parse_scene(read_source(path), str(path))
+    return parse_scene(scene_source(path), str(path))
+
+
+def scene_source(path: str | Path) -> bytes:
+    """The bytes of a scene file, with what the files that it names are: all that a scene is known by.
+
+    Raises
+    ------
+    SceneError
+        If the file, or one that it names, cannot be read or holds something else.
+    """
+    source = read_source(path)
+    return with_files(parse_toml(source, str(path)), source, Path(path).parent)
 
 
 def parse_scene(source: bytes, name: str = "scene") -> Scene:

@@ -45,6 +45,7 @@ def _of_engines() -> Iterator[pa.Field]:
 
 #: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
 _RECORDED = {
+    "file": [_column("file", pa.string(), "file that K is read from, as named beside the scene", False)],
     "graph": [
         _column("leaf", pa.float64(), "stiffness of every block's leaf spring; null if drawn"),
         _column("degree", pa.float64(), "mean number of neighbours; null if not a network"),

@@ -19,7 +19,7 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
-from stickslip.pipeline.quantity import Distribution
+from stickslip.pipeline.quantity import Distribution, FromFile
 from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
@@ -51,9 +51,8 @@ class Result:
 
 
 #: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_DETERMINING = [
-    Path(__file__).with_name(f"{room}.py") for room in ("design", "quantity", "scene", "schema", "worker")
-]
+_ROOMS = ("design", "quantity", "scene", "schema", "systems", "worker")
+_DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in _ROOMS]
 
 
 def program() -> str:
@@ -101,7 +100,7 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 def _parameters(member: Member) -> dict[str, Any]:
     settings = {name: value for name, value in member.settings if name in SCHEMA.names}
     own = {name: getattr(member, name) for name in _PARAMETERS}
-    return {name: None if isinstance(one, Distribution) else one for name, one in own.items()} | settings
+    return {name: None if isinstance(one, Distribution | FromFile) else one for name, one in own.items()} | settings
 
 
 def _results(member: Member, recording: Recording) -> dict[str, Any]:
@@ -221,7 +220,11 @@ def load_kernels(members: Iterable[Member]) -> None:
     for engine, member in one_an_engine(members).items():
         if engine not in _loaded:
             with _alone(engine) if is_cold(engine) else contextlib.nullcontext():
-                row(replace(member, member_id="", n=min(member.n, 3), t_end=1e-6), Recording("", (), None))
+                tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
+                if member.system_file is not None:
+                    tiny = replace(tiny, system_file=None, coupling="chain", leaf=0.1, damping=1.0, friction=1.0)
+                    tiny = replace(tiny, z0=0.0, w0=0.0)
+                row(tiny, Recording("", (), None))
             _loaded.add(engine)
 
 

@@ -66,12 +66,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
     from stickslip.pipeline import parse_scene, run_scene
+    from stickslip.pipeline.scene import scene_source
     from stickslip.pipeline.signals import last_act
     from stickslip.pipeline.storage import DATA, SCENE, Directory
-    from stickslip.pipeline.toml import read_source
     from stickslip.workflows.progress import Watch, clock
 
-    source = read_source(file)
+    source = scene_source(file)
     scene = parse_scene(source, str(file))
 
     def how_to_go_on() -> None:
@@ -116,11 +116,11 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline import parse_scene
     from stickslip.pipeline.cluster import check_memory
     from stickslip.pipeline.estimate import estimate
-    from stickslip.pipeline.toml import read_source
+    from stickslip.pipeline.scene import scene_source
     from stickslip.pipeline.writer import Store
     from stickslip.workflows.progress import in_words
 
-    source = read_source(file)
+    source = scene_source(file)
     scene = parse_scene(source, str(file))
     check_memory(scene, arguments.workers)
     store = Store(out, scene, source, arguments.retry_failed, arguments.accept_version)

@@ -1,0 +1,187 @@
+"""Systems from files: what is read, what is refused, and how a file that changes is noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+
+from stickslip import sim
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_scene, systems, verify
+from stickslip.pipeline.scene import scene_source
+from stickslip.workflows.commands import main
+
+SCENE = """\
+[system]
+coupling = "file"
+path = "K.npz"
+n = 4
+belt_speed = [-0.1, -0.2]
+[start]
+z = "file"
+w = {uniform = [-0.3, 0.1]}
+draws = 2
+[run]
+t_end = 5.0
+matrices = 2
+[[engine]]
+name = "coulomb"
+tol = 1e-6
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+
+@pytest.fixture
+def rng():
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed = {seed}")
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def arrays(rng):
+    """A file's content: K of four blocks, not symmetric, and what it may hold beside."""
+    stiffness = rng.uniform(-0.2, 0.2, (4, 4)) + np.diag(rng.uniform(1.0, 2.0, 4))
+    return {"stiffness": stiffness, "friction": rng.uniform(0.8, 1.2, 4), "z0": rng.uniform(-1, 1, 4)}
+
+
+def written(folder, arrays, text=SCENE):
+    np.savez(folder / "K.npz", **arrays)
+    (folder / "mine.toml").write_text(text)
+    return folder / "mine.toml"
+
+
+def test_a_file_is_the_system_and_its_digest_is_in_the_name(tmp_path, arrays):
+    members = expand(load_scene(written(tmp_path, arrays)))
+    assert len(members) == 2 * 2 * 2
+    assert len({member.member_id for member in members}) == len(members)
+    sha256 = members[0].system_file.sha256
+    assert all(member.member_id.startswith(f"n4-K{sha256[:12]}-m00") for member in members)
+    for member in members:
+        system = member.system()
+        assert np.array_equal(system.stiffness, arrays["stiffness"])
+        assert np.array_equal(system.friction, arrays["friction"])
+        assert (system.damping >= 3.5).all()
+        assert np.array_equal(member.start()[0], arrays["z0"])
+        assert member.drawn == "friction = file; z = file; w = uniform(-0.3, 0.1)"
+    assert len({member.system().damping.tobytes() for member in members}) == 2  # a draw for each of `matrices`
+
+
+def test_the_run_of_a_member_is_that_of_simulate(tmp_path, arrays):
+    file = written(tmp_path, arrays)
+    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert set(table.file) == {"K.npz"}
+    assert table.kappa.unique() == pytest.approx([np.abs(arrays["stiffness"]).max()])
+    assert table.friction.isna().all()
+    member = expand(load_scene(file))[-1]
+    system = sim.System(arrays["stiffness"], member.system().damping, arrays["friction"], member.belt_speed)
+    run = sim.simulate(system, *member.start(), t_end=5.0, tol=1e-6)
+    row = table.set_index("member_id").loc[member.member_id]
+    assert (row.outcome, row.n_events, row.n_steps) == (run.outcome, run.stats.n_events, run.stats.n_steps)
+
+
+def test_all_formats_hold_the_same_system(tmp_path, arrays):
+    k = arrays["stiffness"] * (np.abs(arrays["stiffness"]) > 0.1)
+    sparse = scipy.sparse.csc_array(k)
+    np.save(tmp_path / "a.npy", k)
+    np.savez(tmp_path / "b.npz", anything=k)
+    np.savez(tmp_path / "c.npz", stiffness=k)
+    scipy.sparse.save_npz(tmp_path / "d.npz", sparse)
+    scipy.sparse.save_npz(tmp_path / "e.npz", scipy.sparse.csr_array(k))
+    scipy.io.mmwrite(tmp_path / "f.mtx", sparse)
+    file = tmp_path / "mine.toml"
+    file.write_text(SCENE.replace("K.npz", "[a-f].*").replace('"file"\nw', "0.0\nw"))
+    found = {member.system_file.name: member.system() for member in expand(load_scene(file))}
+    assert len(found) == 6
+    for name, system in found.items():
+        assert scipy.sparse.issparse(system.stiffness) == (name in ("d.npz", "e.npz", "f.mtx")), name
+        dense = system.stiffness.toarray() if scipy.sparse.issparse(system.stiffness) else system.stiffness
+        assert np.array_equal(dense, k), name
+
+
+def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
+    text = SCENE.replace("K.npz", "K*.npz")
+    file = written(tmp_path, arrays, text)
+    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    run_scene(load_scene(file), scene_source(file), tmp_path / "two", workers=2)
+    assert content(tmp_path / "two") == content(tmp_path / "out")
+    before = content(tmp_path / "out" / "data")
+    np.savez(tmp_path / "K-new.npz", **arrays | {"stiffness": arrays["stiffness"] + np.eye(4)})
+    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    assert before.items() <= content(tmp_path / "out" / "data").items()
+    for one in tmp_path.glob("K*.npz"):
+        one.unlink()
+    assert verify(tmp_path / "out") == []
+    assert sorted(query.members(tmp_path / "out").file.unique()) == ["K-new.npz", "K.npz"]
+
+
+def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, content, capsys):
+    file = written(tmp_path, arrays)
+    source, scene = scene_source(file), load_scene(file)
+    run_scene(scene, source, tmp_path / "out", workers=0)
+    before = content(tmp_path / "out")
+    written(tmp_path, arrays | {"friction": arrays["friction"] * 1.5})
+    with pytest.raises(StoreError, match=r"system\.files\.K\.npz: '[0-9a-f]{64}' here, '[0-9a-f]{64}' there"):
+        run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    assert content(tmp_path / "out") == before
+    systems._read.cache_clear()
+    with pytest.raises(SceneError, match=r"K\.npz as it was when the scene was read .* got another"):
+        run_scene(scene, source, tmp_path / "new", workers=0)  # changed between the reading and the run
+
+
+BAD = {
+    "not square": ({"stiffness": np.zeros((4, 3))}, ["K.npz: stiffness", "square", "(4, 3)"]),
+    "nan": ({"stiffness": np.full((4, 4), np.nan)}, ["K.npz: stiffness", "finite", "NaN"]),
+    "another n": (
+        {"stiffness": np.eye(5), "friction": np.ones(5), "z0": np.ones(5)},
+        ["system.n", "that of K.npz, 5", "write `n = 5`"],
+    ),
+    "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz: stiffness", "square matrix of numbers"]),
+    "objects": ({"stiffness": np.full((4, 4), None)}, ["K.npz", "pickle"]),
+    "friction of others": ({"friction": np.ones(3)}, ["K.npz: friction", "shape (4,)"]),
+    "negative friction": ({"friction": -np.ones(4)}, ["K.npz: friction", "mu >= 0"]),
+    "nan in a start": ({"z0": np.full(4, np.nan)}, ["K.npz: z0", "finite"]),
+    "an unknown array": ({"frictoin": np.ones(4)}, ["K.npz", "`stiffness`", "frictoin"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_file_that_is_none_is_refused_in_a_line(case, tmp_path, arrays, capsys, monkeypatch):
+    changed, words = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, arrays | changed)
+    assert main(["run", "mine.toml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert all(word in line for word in words), line
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["K.npz", "mine.toml"]
+
+
+BAD_SCENES = {
+    "no such file": ("K.npz", "none.npz", ["system.path", "'none.npz'", "names none in"]),
+    "no path": ('path = "K.npz"\n', "", ["system.path", 'add `path = "K.npz"`']),
+    "a path of an ensemble": ('"file"\npath', '"full"\npath', ["system.path", 'coupling = "full"']),
+    "a key that the file has": ("n = 4", "n = 4\nfriction = 1.0", ["system.friction", "array `friction` of K.npz"]),
+    "a start that the file lacks": ("w = {uniform = [-0.3, 0.1]}\ndraws = 2", 'w = "file"', ["start.w", "`w0`"]),
+    "a scale of a file": ("n = 4", "n = 4\nkappa = 0.2", ["system.kappa", "K itself", "remove it"]),
+    "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "got 5 of none"]),
+}
+
+
+def test_copies_of_a_file_are_refused(tmp_path, arrays):
+    np.savez(tmp_path / "K-copy.npz", **arrays)
+    with pytest.raises(SceneError, match=r"system\.path: expected files that differ, got K-copy\.npz and K\.npz"):
+        load_scene(written(tmp_path, arrays, SCENE.replace("K.npz", "K*.npz")))
+
+
+@pytest.mark.parametrize("case", BAD_SCENES)
+def test_a_scene_that_does_not_fit_its_file_is_refused(case, tmp_path, arrays):
+    old, new, words = BAD_SCENES[case]
+    assert SCENE.count(old) == 1
+    with pytest.raises(SceneError) as caught:
+        load_scene(written(tmp_path, arrays, SCENE.replace(old, new)))
+    (line,) = str(caught.value).splitlines()
+    assert all(word in line for word in words), line
