@@ -13,7 +13,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 
 from stickslip.pipeline.quantity import (
     AnyNumber,
@@ -72,17 +80,15 @@ def _coupling(name: str) -> str:
 
 
 class FileTable(StrictTable):
-    """[system.files]: a file that a system is read from, as it was when the scene was read; written by stickslip."""
+    """A file that a system is read from, as it was when the scene was read; see `pipeline.systems`."""
 
-    at: str = Field(description="where it lies", examples=["/data/K.npz"])
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(description="digest of its bytes", examples=[""])
-    n: Blocks = Field(description="number of blocks", examples=[50])
-    scale: Natural = Field(description="largest |K_ij|", examples=[1.0])
-    entries: Count = Field(description="number of entries of K that are kept", examples=[2500])
-    is_sparse: bool = Field(description="whether K is sparse", examples=[False])
-    arrays: Annotated[tuple[str, ...], _LIST] = Field(
-        description="what it holds for each block", examples=[["friction"]]
-    )
+    at: str
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    n: Blocks
+    scale: Natural
+    entries: Count
+    is_sparse: bool
+    arrays: Annotated[tuple[str, ...], _LIST]
 
 
 class SystemTable(StrictTable):
@@ -112,7 +118,7 @@ class SystemTable(StrictTable):
     )
     friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
     belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
-    files: dict[str, FileTable] | None = Field(
+    files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
         default=None, description="what the files were when the scene was read: written by stickslip"
     )
 
