@@ -27,6 +27,7 @@ from stickslip.pipeline import (
     run_scene,
 )
 from stickslip.pipeline.cluster import QuietScheduler, local
+from stickslip.pipeline.scene import scene_source
 from stickslip.pipeline.signals import unbroken
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find
@@ -113,14 +114,14 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     try:
         file = find(arguments.scene)
-        scene = load_scene(file)
+        scene, source = load_scene(file), scene_source(file)
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
         with interruptible(), start(arguments) as client:
             print(f"dask    waiting for the first of {arguments.workers} workers")
             client.wait_for_workers(1)
             with Watch(arguments.out) as watch:
-                status = run_scene(scene, file.read_bytes(), arguments.out, scheduler=client, on_progress=watch)
+                status = run_scene(scene, source, arguments.out, scheduler=client, on_progress=watch)
     except Interrupted as interrupt:
         print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
         return interrupt.exit_code
