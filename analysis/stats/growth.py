@@ -103,7 +103,7 @@ def growth(
     kept = length >= needed
     n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))
     if not kept.any():
-        none = Estimate(reason="no pair stays in its linear range")
+        none = Estimate(reason="no pair in range")
         return Growth(none, np.zeros(0), np.zeros(0, int), t_from, t_from, len(kept), n_floor, n_ceiling)
     m = int(length[kept].min())
     centred = t[:m] - t[:m].mean()
