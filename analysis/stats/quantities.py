@@ -57,7 +57,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "correlation_time": Quantity(
         "correlation time", lambda win: (0.0, 0.0) if (tau := correlation_time(win).value) is None else (tau, 1.0)
     ),
-    "band": Quantity("share of the variance in periods 15 to 25", lambda win: (band_share(win), 1.0)),
+    "band": Quantity("variance at periods 15–25", lambda win: (band_share(win), 1.0)),
 }
 #: Every name that a margin can be declared for, with its label.
 LABELS = {name: one.label for name, one in QUANTITIES.items()} | {DISTRIBUTION: "stationary distribution of n_stick"}
