@@ -263,11 +263,16 @@ class Collapse:
         n, response = self._system.n, _modes(self._linear).response
         at_rest, slope = self._tangent
 
-        def limit(band: float, allowed: float) -> float:
+        def tried(band: float) -> tuple[Floats, Floats]:
+            """How far the modes may reach, and how far the motion then strays from theirs, by each bound r."""
             r = (speed - band) * _SHARES
             bend = np.abs(at_rest - np.tanh((speed - r) / delta) - slope * r)
             strayed = self._system.friction * bend @ response.T
-            slack = r[:, 0] - strayed[:, n:].max(axis=1)
-            return float(np.where(strayed.max(axis=1) <= allowed, slack, 0.0).max(initial=0.0))
+            return r[:, 0] - strayed[:, n:].max(axis=1), strayed.max(axis=1)
 
-        return limit(self._band, np.inf), limit(self._widest, self._allowed) if self._widest < speed else 0.0
+        own, strayed = tried(self._band)
+        limit = float(own.max(initial=0.0))
+        if self._widest >= speed:
+            return limit, 0.0
+        wide, strayed = (own, strayed) if self._widest == self._band else tried(self._widest)
+        return limit, float(np.where(strayed <= self._allowed, wide, 0.0).max(initial=0.0))
