@@ -70,6 +70,8 @@ def test_rows_hold_parameters_and_results(finished, scene):
             kept = {name: getattr(member, name) for name in member.__slots__} | dict(member.settings)
             for name in ("settings", "thresholds", "shared_cost"):  # in columns of their own; no part of the data
                 kept.pop(name, None)
+            for name in kept.keys() - row.keys():  # columns of other scenes
+                assert kept.pop(name) is None, name
             assert {name: row[name] for name in kept} == kept
             assert row["n_events"] == row["n_entries"] + row["n_exits"] + row["n_crossings"] == len(row["event_t"])
             assert row["n_stick_end"] == row["n_stick"][-1]
