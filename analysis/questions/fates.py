@@ -81,6 +81,7 @@ def answer(study: Study) -> Answer:
         "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
         "t_burn": study.settings.t_burn,
+        "drift_margin": enough.MARGIN,
         "block": BLOCK,
     }
     tables = {

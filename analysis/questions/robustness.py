@@ -23,7 +23,7 @@ from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import LABELS, QUANTITIES
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE
+from stickslip.analysis.style import GREY, PANEL, SMOOTHED, STYLE
 
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 BOUND = 0.5  # a quantity stays if a change does less than so much of what a fresh matrix does
@@ -272,7 +272,7 @@ def against_base(points: Sequence[tuple[str, bool, np.ndarray]]) -> Figure:
         ends = (both.min() - margin, both.max() + margin)
         ax.plot(ends, ends, "--", color=GREY, linewidth=0.9)
         marks = {True: iter("s^Dv"), False: iter("ophP")}
-        colours = {True: iter((SMOOTHED, "#e0a030", "#8c2d04")), False: iter((EXACT, "#56a0d3", "#9ecae1"))}
+        colours = {True: iter(("#f0a860", SMOOTHED, "#8c2d04")), False: iter(("#2171b5", "#6baed6", "#9ecae1"))}
         for name, is_change, means in points:
             colour = next(colours[is_change], GREY)
             form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}

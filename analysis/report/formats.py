@@ -136,7 +136,7 @@ def table(
     out = [f'<div class="wide"><table class="{escape(kind)}">']
     if caption:
         out.append(f"<caption>{escape(caption)}</caption>")
-    heads = "".join(f"<th{_left(column)}>{escape(column[0])}</th>" for column in kept)
+    heads = "".join(f"<th{_left(column)}>{_lowered(column[0])}</th>" for column in kept)
     out.append(f"<thead><tr>{heads}</tr></thead><tbody>")
     for k in range(len(shown)):
         out.append(f"<tr>{''.join(_cell(column, cells[j][k]) for j, column in enumerate(kept))}</tr>")
@@ -194,7 +194,11 @@ def _joined(values: Sequence[Any], show: Show) -> str:
 
 
 def _cell(column: Column, text: str) -> str:
-    return f'<td data-h="{escape(column[0])}"{_left(column)}>{escape(text)}</td>'
+    return f'<td data-h="{escape(column[0])}"{_left(column)}>{_lowered(text)}</td>'
+
+
+def _lowered(text: str) -> Markup:
+    return escape(text).replace("n_stick", Markup("n<sub>stick</sub>"))
 
 
 def _left(column: Column) -> str:

@@ -116,7 +116,7 @@ def test_a_common_slow_mode_leads_and_exits_do_not_set_each_other_off(planted, r
     found = clustering.answer(study_of(planted, runs))
     assert found.facts["lead"]["kind"] == POWER
     assert found.facts["lead"]["verdict"] == MORE
-    assert "share a slow rhythm: above period 100" in said("clustering", found)
+    assert "move slowly together: at periods above 100" in said("clustering", found)
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):

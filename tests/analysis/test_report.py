@@ -60,7 +60,9 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     found = law(report)
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
-    said = "as the toss of a coin gives" if verdict == "as chance" else f"{verdict} than the toss of a coin gives"
+    said = (
+        "not told from the toss of a coin" if verdict == "as chance" else f"{verdict} than the toss of a coin gives"
+    )
     assert said in report.headline[1]
     assert_honest(report)
 

@@ -364,7 +364,9 @@ def test_the_law_has_a_gamma_a_definition_and_none_is_picked(judged, told, measu
     many = [one, replace(one, definition="length", dt=1.0, gamma=0.9, low=0.7, high=1.1)]
     assert judged(cascades=many)["gamma"]["verdict"] == "cannot be told"
     words = told(cascades=many)["f ∝ exp(−γ Δn), γ ≈ 0.74"][1]
-    assert words == "γ = 0.700 by events, 0.70 to 0.90 by 2 definitions; 0.74 lies in the interval of 1"
+    assert (
+        words == "γ = 0.700 by events, 0.90 by falls in a row, as the paper says; 0.74 lies in the interval of 1 of 2"
+    )
     assert judged(cascades=many)["clusters"]["verdict"] == "not reproduced"
     assert judged(cascades=[replace(one, gamma=0.5, low=0.45, high=0.55)])["clusters"]["verdict"] == "reproduced"
     nothing = replace(one, gamma=None, low=None, high=None, reason="too few", counts=[[]])
@@ -429,7 +431,7 @@ def test_a_scene_of_one_figure_judges_its_claims_alone(tmp_path, capsys, in_this
     file, out = tmp_path / "one.toml", tmp_path / "out"
     file.write_text('chart = "paper"\nfigures = 2\nseed = 0\n')
     assert main(["run", str(file), "--out", str(out)]) == 0
-    assert "Of 3 claims 0 reproduced, 2 true after a correction, 1 not reproduced" in capsys.readouterr().out
+    assert "Of 3 claims 0 reproduced, 2 corrected, 1 not reproduced" in capsys.readouterr().out
     assert {f.stem for f in (out / "report").glob("*.parquet")} == {"claims", "corners"}
     assert len(pd.read_parquet(out / "report" / "corners.parquet")) == 8
     assert len(json.loads((out / "report" / "tables.json").read_text())["corners"]) == 8
