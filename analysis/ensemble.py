@@ -23,14 +23,24 @@ from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
-SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", "t_end", "perturbation_size")
+#: Columns of members that may be left out, as if null: what a scene may sweep or draw.
+OPTIONAL = ("leaf", "degree", "damping", "friction", "z0", "w0", "drawn")
+SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
     "engine",
     *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
     *TOLERANCES,
 )
-REQUIRED = (*SYSTEM_KEYS, *ENGINE_KEYS, "member_id", "matrix", "outcome", "reason", "t_stop")
+REQUIRED = (
+    *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
+    *ENGINE_KEYS,
+    "member_id",
+    "matrix",
+    "outcome",
+    "reason",
+    "t_stop",
+)
 EVENTS = Law("events")
 
 #: Change points of n_stick of a run: t, shape (m,), and n_stick, shape (m,), n_stick[k] on [t[k], t[k+1]).
@@ -65,6 +75,10 @@ class Data:
     events: Mapping[str, Events] = field(default_factory=dict)
     separations: Mapping[str, Separation] = field(default_factory=dict)
     thresholds: Mapping[tuple[str, float], ChangePoints] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        absent = [name for name in OPTIONAL if name not in self.members]
+        object.__setattr__(self, "members", self.members.assign(**dict.fromkeys(absent)))
 
 
 @dataclass
@@ -175,9 +189,12 @@ class Study:
         return _window(self.data.series, member_id, self.settings.t_burn, t_end)
 
     def judged(self) -> list[Group]:
-        """Groups whose runs allow a statistic of a steady state, those of the largest n first."""
+        """Groups whose runs allow a statistic of a steady state.
+
+        First those all of whose runs last, which are no survivors; of these the largest n first.
+        """
         found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
-        return sorted(found, key=lambda one: -int(one.key["n"]))
+        return sorted(found, key=lambda one: (len(one.finished) < len(one.members), -int(one.key["n"])))
 
     def refusal(self) -> tuple[str, dict[str, Any]]:
         """Why no group is judged, a code of `stats.enough`, and the facts that `basis.html` says of it."""
@@ -279,7 +296,7 @@ def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
         rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
         is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
         if is_said or len(values) > 1:
-            parts.append(f"{name} = {_plain(key[name])}")
+            parts.append(_plain(key[name]) if name == "drawn" else f"{name} = {_plain(key[name])}")
     if key["perturbation_size"] > 0:
         parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
     return ", ".join(parts)

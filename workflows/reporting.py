@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 
-import pandas as pd
-
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Events
 from stickslip.analysis.report import PAGE
@@ -43,30 +41,10 @@ class _Events(Mapping[str, Events]):
         return len(self._found)
 
 
-#: What members may differ in that the analysis does not know by name.
-_SWEPT = ("damping", "friction", "z0", "w0", "drawn")
-
-
-def _by_sweep(table: pd.DataFrame) -> pd.DataFrame:
-    """Members with the swept values as part of the name of their coupling, by which the analysis tells them apart."""
-    swept = [name for name in _SWEPT if name in table and len(table[name].value_counts(dropna=False)) > 1]
-    if not swept:
-        return table
-    rows = table[swept].astype(object).where(table[swept].notna(), None).itertuples(index=False)
-    said = [
-        [str(value) if name == "drawn" else f"{name} = {value:g}" for name, value in zip(swept, row, strict=True)
-         if value is not None]
-        for row in rows
-    ]  # fmt: skip
-    return table.assign(
-        coupling=[", ".join((str(one), *words)) for one, words in zip(table["coupling"], said, strict=True)]
-    )
-
-
 def _data(path: Where) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     return Data(
-        _by_sweep(members(path)),
+        members(path),
         series=series(path),
         events=_Events(all_events(path)),
         separations=separations(path),

@@ -38,7 +38,8 @@ def answer(study: Study) -> Answer:
     made = [(group, _law_row(group, level, study.settings.t_burn)) for group in study.groups]
     sizes = [row for group, _ in made for row in _size_rows(group, level)]
     tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
-    judged = [(group, row) for group, row in made if row["basis"] in (enough.ENOUGH, enough.DRIFT_UNKNOWN)]
+    by_label = {row["group"]: row for _, row in made}
+    judged = [(group, by_label[group.label]) for group in study.judged()]
     judged = [(group, row) for group, row in judged if row["gamma_low"] is not None]
     facts: dict[str, Any] = {
         "rows": [row for _, row in made],
@@ -49,12 +50,11 @@ def answer(study: Study) -> Answer:
     if not judged:
         best = max(made, key=lambda one: one[1]["n_cascades"])[1]
         return Answer(facts | {"best": best}, lack=best["basis"], tables=tables)
-    largest = max(group.key["n"] for group, _ in judged)
-    lead = [(group, row) for group, row in judged if group.key["n"] == largest]
+    lead = [(group, row) for group, row in judged if group.key["n"] == judged[0][0].key["n"]]
     group, row = lead[0]
     facts |= {
         "lead": row,
-        "refused": [row for _, row in made if row["basis"] not in (enough.ENOUGH, enough.DRIFT_UNKNOWN)],
+        "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
         "sizes": [one for one in sizes if one["group"] == group.label],
         "pool": (_pool_facts(group, row)),
     }
@@ -86,7 +86,7 @@ def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
         row["difference"] = rate.value - LN2
     if rate.low is not None and rate.high is not None and rate.value is not None:
         row |= {"difference_low": rate.low - LN2, "difference_high": rate.high - LN2}
-        if basis.code in (enough.ENOUGH, enough.DRIFT_UNKNOWN):
+        if basis.code in enough.JUDGED:
             row["verdict"] = _verdict(rate, LN2)
     mean = group.mean(confidence).value
     if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:

@@ -115,7 +115,7 @@ class _Judged:
             return NO_MOTION
         if not self.replicates:
             return NO_REPLICATES
-        return "" if self.basis.code in (enough.ENOUGH, enough.DRIFT_UNKNOWN) else self.basis.code
+        return "" if self.basis.code in enough.JUDGED else self.basis.code
 
     def _complete(self, change: Comparison | None = None) -> list[tuple[list[str], list[str]]]:
         """Of each matrix whose runs all reached t_end in motion: base and replicates, and its changed runs."""

@@ -29,6 +29,7 @@ _TICK = '<li class="ok"'
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "members", "finished", "quiet"), I), "coupling": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
+    **dict.fromkeys(("leaf", "degree", "damping", "friction", "z0", "w0"), F), "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
 }  # fmt: skip
 

@@ -85,7 +85,7 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     row = found.tables["growth"].iloc[0]
     assert row["rate"] == pytest.approx(rate, abs=0.002)
     assert row["verdict"] == verdict
-    assert row["e_fold_low"] < 1 / abs(rate) < row["e_fold_high"]
+    assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
 
 
 def test_displacements_below_the_errors_of_a_smoothed_law_tell_nothing(rng, planted, settings):
@@ -140,7 +140,7 @@ def test_pairs_of_every_kind(planted):
     ]  # fmt: skip
     found = {
         (c.change.kind, p.base, p.changed): c.change
-        for setting in sorted_settings(pd.DataFrame(rows))
+        for setting in sorted_settings(Data(pd.DataFrame(rows), {}).members)
         for c in setting.comparisons
         for p in c.pairs
     }
@@ -150,6 +150,7 @@ def test_pairs_of_every_kind(planted):
     assert found[CONSTANTS, "c0", "c0-p"].reading == "scale"
     # with a member of equal ratios, that one is the base of every draw
     equal = planted.member("one", 0, **{**planted.sigmoid, "ratio": "one"})
-    (sigmoid,) = [s for s in sorted_settings(pd.DataFrame([*rows, equal])) if s.key["engine"] == "sigmoid"]
+    members = Data(pd.DataFrame([*rows, equal]), {}).members
+    (sigmoid,) = [s for s in sorted_settings(members) if s.key["engine"] == "sigmoid"]
     (ratios,) = [c for c in sigmoid.comparisons if c.change.kind == RATIOS]
     assert {(p.base, p.changed) for p in ratios.pairs} == {("one", "s0"), ("one", "s1")}

@@ -61,7 +61,7 @@ def test_members_filtered_and_chosen(finished, scene):
 def test_series_are_the_runs_own(finished, scene):
     members = {member.member_id: member for member in expand(scene)}
     seen = []
-    for member_id, t, n_stick in query.series(finished):
+    for member_id, (t, n_stick) in query.series(finished).items():
         seen.append(member_id)
         assert t.dtype == np.float64
         assert n_stick.dtype == np.int32
@@ -142,7 +142,7 @@ READERS = {
     "members": query.members,
     "table": query.table,
     "dask": lambda path: query.dask_members(path).compute(scheduler="threads"),
-    "series": lambda path: list(query.series(path)),
+    "series": lambda path: list(query.series(path).items()),
     "all_events": lambda path: list(query.all_events(path).items()),
     "n_stick": lambda path: query.n_stick(path, "n3-m000-coulomb-1e-10"),
     "events": lambda path: query.events(path, "n3-m000-coulomb-1e-10"),
@@ -186,7 +186,7 @@ def test_sql_agrees_with_arrow(finished):
     want = frame.groupby(["n", "engine"]).agg(k=("n_exits", "size"), e=("n_exits", "sum")).reset_index()
     assert counted.astype(want.dtypes).equals(want)
     long = query.sql(finished, "SELECT * FROM n_stick")
-    for member_id, t, n_stick in query.series(finished):
+    for member_id, (t, n_stick) in query.series(finished).items():
         rows = long[long["member_id"] == member_id]
         assert np.array_equal(rows["t"], t)
         assert np.array_equal(rows["n_stick"], n_stick)
@@ -333,7 +333,7 @@ def test_cascades_by_hand(finished, scene):
     """From the definition: walk along n_stick; what falls between a rise and the next rise is one cascade."""
     found = query.sql(finished, "SELECT * FROM cascades")
     assert len(found) > 20
-    for member_id, t, n_stick in query.series(finished):
+    for member_id, (t, n_stick) in query.series(finished).items():
         want = []
         fall = None
         for k in range(1, len(t)):

@@ -116,7 +116,7 @@ def test_4_cascades_are_those_of_the_report(ask, kept):
     """The definition `events` of the analysis, in the same window."""
     frame = counted(kept)
     want: dict[tuple[int, str, int], int] = {}
-    for member_id, t, n_stick in query.series(kept):
+    for member_id, (t, n_stick) in query.series(kept).items():
         if member_id in frame.index:
             n, engine, t_end = frame.loc[member_id, ["n", "engine", "t_end"]]
             for size in spans(window(t, n_stick, 50.0, t_end)).size:
@@ -131,7 +131,7 @@ def test_the_view_cascades_is_the_analysis_from_first_to_last(kept):
     ends = query.members(kept).set_index("member_id")["t_end"]
     found = query.sql(kept, "SELECT * FROM cascades")
     assert len(found) > 50
-    for member_id, t, n_stick in query.series(kept):
+    for member_id, (t, n_stick) in query.series(kept).items():
         want = spans(window(t, n_stick, 0.0, ends[member_id]))
         rows = found[found["member_id"] == member_id]
         np.testing.assert_array_equal(rows["start"], want.start)

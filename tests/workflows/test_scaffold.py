@@ -211,7 +211,7 @@ def test_one_import_has_the_contract():
     [
         (stickslip, "stickslip.sim", {"dask", "pandas", "pyarrow", "matplotlib"}),
         (pipeline, "stickslip.pipeline.scene", {"dask", "pandas", "pyarrow"}),
-        (analysis, "stickslip.analysis.report.figures", {"pandas", "scipy.stats", "jinja2"}),
+        (analysis, "stickslip.analysis.style", {"pandas", "scipy.stats", "jinja2"}),
     ],
 )
 def test_a_package_loads_its_rooms_as_they_are_asked_for(package, room, heavy):
