@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -26,6 +27,26 @@ def test_the_physics_needs_no_dask_and_no_files():
 def test_the_name_loads_nothing():
     """`import stickslip` takes some hundredths of a second; numba alone would take half of one."""
     assert not {"numpy", "numba", "scipy", "pandas", "dask"} & loaded_by("import stickslip; stickslip.__version__")
+
+
+def test_what_lies_beside_the_modules_is_in_a_wheel():
+    """Templates, their style and the scenes; guides lie there for readers of the repository."""
+    named = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    kept = {
+        file.resolve()
+        for package, patterns in named.items()
+        if package != "*"
+        for pattern in patterns
+        for file in (ROOT / package.replace(".", "/")).glob(pattern)
+    }
+    beside = {
+        file.resolve()
+        for floor in ("sim", "pipeline", "analysis", "workflows")
+        for file in (ROOT / floor).rglob("*")
+        if file.suffix in (".html", ".css", ".toml")
+    }
+    assert beside
+    assert beside <= kept
 
 
 def loaded_by(code):
