@@ -424,7 +424,7 @@ def effective_study(rng, ensembles, t_end=2400.0):
     The last planted motion is too slow for the window: `is_short` must say so, in the share in the last row.
     """
     for name, (shares, _) in WANDERS.items():
-        runs = max(ensembles // 4, 200)
+        runs = 4 * ensembles  # of few, all ensembles would be alike
         x = np.rint(100 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
         rows = np.array([effective.row(window(np.arange(t_end), one, 0.0, t_end)) for one in x])
         means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)

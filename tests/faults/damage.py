@@ -101,7 +101,7 @@ _QUESTIONS = (
         out, "SELECT engine, count(*) AS many, sum(n_exits) AS exits FROM members GROUP BY ALL ORDER BY ALL"
     ),
     lambda out: query.sql(out, "SELECT count(*) AS many, max(t) AS last FROM n_stick"),
-    lambda out: [(member_id, t.tolist(), n.tolist()) for member_id, t, n in query.series(out)],
+    lambda out: [(member_id, t.tolist(), n.tolist()) for member_id, (t, n) in query.series(out).items()],
     lambda out: query.dask_members(out).compute(scheduler="sync"),
     status,
 )
