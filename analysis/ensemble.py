@@ -197,7 +197,7 @@ class Study:
         return sorted(found, key=lambda one: (len(one.finished) < len(one.members), -int(one.key["n"])))
 
     def refusal(self) -> tuple[str, dict[str, Any]]:
-        """Why no group is judged, a code of `stats.enough`, and the facts that `basis.html` says of it."""
+        """Why no group is judged, a code of `stats.enough`, and the facts that ``basis.html`` says of it."""
         best = max((one.basis(self.settings.confidence) for one in self.groups), key=lambda one: one.n_cascades)
         return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
