@@ -1,6 +1,5 @@
 """Planted changes of planted matrices: which quantities stay, which move, and when that cannot be told."""
 
-import secrets
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +14,6 @@ from stickslip.analysis.stats import enough
 
 T_END = 1000.0
 MATRICES = 20
-
-
-@pytest.fixture
-def rng():
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
 
 
 def paths(rng, levels):

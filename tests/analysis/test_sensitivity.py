@@ -1,7 +1,5 @@
 """Pairs of runs that part at a planted rate, and when they have parted."""
 
-import secrets
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,13 +11,6 @@ from stickslip.analysis.questions.sensitivity import GROWS, PARTS, SHRINKS, STAY
 from stickslip.analysis.stats import parting
 
 T_END = 1000.0
-
-
-@pytest.fixture
-def rng():
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
 
 
 def test_mean_difference_against_the_integral_by_hand():
