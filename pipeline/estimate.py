@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -32,6 +31,7 @@ from scipy import special
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.processes import n_cores
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording, encode
 from stickslip.pipeline.worker import is_cold, load_kernels, row
@@ -146,7 +146,7 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     parts = tuple(part for part in scene.records if part not in ("growth_rate", "separation"))
     recording = replace(Recording.of(scene), parts=parts, separation=None)
     wanted = min(workers, len(packed))
-    cores = max(1, min(wanted, _n_cores()))
+    cores = max(1, min(wanted, n_cores()))
     with _workers(cores) as pool:
         compiled = _load(pool, cores, kinds)
         begin = time.perf_counter() - start - compiled
@@ -166,11 +166,6 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         compile_seconds=compiled,
         busy=busy,
     )
-
-
-def _n_cores() -> int:
-    """The cores that this process may use, where the system says so; else those of the machine."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _kinds(members: list[Member]) -> list[_Kind]:

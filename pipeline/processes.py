@@ -41,6 +41,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+def n_cores() -> int:
+    """The cores that this process may use, where the system says so; else those of the machine."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 # ---------------------------------------------------------------------------------------------- a child
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.processes import Child, ChildDied
+from stickslip.pipeline.processes import Child, ChildDied, n_cores
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
@@ -26,8 +25,7 @@ class Asking:
 
     def __init__(self) -> None:
         self._stack = ExitStack()
-        n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        n_children = min(n_cores, MOST_PROCESSES) - 1
+        n_children = min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
         self._threads: list[threading.Thread] = []
         self._each(_load)
