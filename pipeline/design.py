@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip import sim
+from stickslip.pipeline.engine_table import EngineTable
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.quantity import Distribution, FromFile, Value, short, word
-from stickslip.pipeline.scene import EngineTable, Scene, parse_scene
+from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.systems import SystemFile, read
 from stickslip.sim.engines import ENGINES

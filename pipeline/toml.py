@@ -56,6 +56,9 @@ def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     return tuple(ordered)
 
 
+#: A list of the file; frozen models hold tuples.
+List = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+
 Blocks = Annotated[int, Field(ge=1, le=MAX_BLOCKS)]
 Positive = Annotated[float, Field(gt=0)]
 Natural = Annotated[float, Field(ge=0)]

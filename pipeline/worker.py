@@ -51,7 +51,7 @@ class Result:
 
 
 #: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_ROOMS = ("design", "quantity", "scene", "schema", "systems", "worker")
+_ROOMS = ("design", "engine_table", "quantity", "scene", "schema", "system_table", "systems", "tables", "worker")
 _DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in _ROOMS]
 
 

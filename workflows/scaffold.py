@@ -140,7 +140,7 @@ def _tables(path: str, table: dict[str, Any], known: dict[str, Any]) -> Iterator
 
 
 def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
-    from stickslip.pipeline.scene import TOLERANCES
+    from stickslip.pipeline.engine_table import TOLERANCES
 
     if "default" in field:
         return json.dumps(field["default"])

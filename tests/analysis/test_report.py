@@ -18,7 +18,7 @@ from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report import page
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.estimates import LN2
-from stickslip.pipeline.scene import QuestionName
+from stickslip.pipeline.tables import QuestionName
 
 
 @pytest.fixture(autouse=True)

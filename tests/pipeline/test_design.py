@@ -163,7 +163,7 @@ def test_each_draw_is_numpys_own_under_its_key(source):
 
 
 @pytest.mark.parametrize(
-    "room", ["sim/engines/loop.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/scene.py"]
+    "room", ["sim/engines/loop.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/tables.py"]
 )
 def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
     """Data of two sets of draws are never mixed: a change of any of these sources is another program."""

@@ -25,8 +25,7 @@ from stickslip.analysis.ensemble import OUTCOMES
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
-from stickslip.pipeline import SceneError, expand, parse_scene, query, run_scene
-from stickslip.pipeline import scene as scenes
+from stickslip.pipeline import SceneError, engine_table, expand, parse_scene, query, run_scene
 from stickslip.sim import couplings, draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.workflows.charts import CHARTS
@@ -205,7 +204,7 @@ def test_matrices_from_files(tmp_path, monkeypatch):
 
 
 def test_the_tolerances_are_those_that_are_picked():
-    from stickslip.pipeline.scene import TOLERANCES
+    from stickslip.pipeline.engine_table import TOLERANCES
 
     rows = re.findall(r"^\| .*? \| (1e-\d+) \| (1e-\d+) \|$", page("engines"), flags=re.MULTILINE)[:2]
     assert [tuple(map(float, row)) for row in rows] == [(t["tol"], t["rtol"]) for t in TOLERANCES.values()]
@@ -263,10 +262,10 @@ def test_an_engine_is_a_class_with_its_settings(monkeypatch):
     exact = simulate(system, -0.7, -0.4, 2.0, engine="sigmoid", eps=0.1, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(run.z, exact.z, atol=1e-8)
     np.testing.assert_array_equal(run.samples.z[1], run.z)
-    table = scenes._table(engine).model_validate({"name": "fixed_step", "step": 0.01})
+    table = engine_table._table(engine).model_validate({"name": "fixed_step", "step": 0.01})
     assert table.settings == {"eps": 0.03, "step": 0.01}
     with pytest.raises(ValueError, match="greater than 0"):
-        scenes._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
+        engine_table._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
     with pytest.raises(ValueError, match=r"^step: expected a number in \(0, inf\)"):
         simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", step=0.0)
 

@@ -14,7 +14,7 @@ import pytest
 import stickslip
 from stickslip import analysis, pipeline, sim
 from stickslip.pipeline import Scene, load_scene
-from stickslip.pipeline.scene import TOLERANCES
+from stickslip.pipeline.engine_table import TOLERANCES
 from stickslip.pipeline.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.charts import CHARTS

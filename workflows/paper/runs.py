@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, PERTURBATION
+from stickslip.pipeline.engine_table import TOLERANCES
 from stickslip.pipeline.processes import Child
-from stickslip.pipeline.scene import TOLERANCES
 from stickslip.workflows.charts.peers import W0, Z0, Floats, random_ratios, seed_of
 
 #: The ensemble that gives all of figure 3; the constants of section 4.

@@ -1,0 +1,136 @@
+"""[system]: the systems of a scene, drawn from an ensemble, tied along a graph, or read from files."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+
+from stickslip.pipeline.quantity import AnyNumber, BlockScale, Scale, size
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable
+from stickslip.sim.arguments import did_you_mean
+from stickslip.sim.couplings import COUPLINGS
+from stickslip.sim.graphs import GRAPHS
+
+#: The name of the coupling whose systems are read from files.
+OF_FILE = "file"
+
+
+def _coupling(name: str) -> str:
+    known = (*COUPLINGS, *GRAPHS, OF_FILE)
+    if name not in known:
+        raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+    return name
+
+
+class FileTable(StrictTable):
+    """A file that a system is read from, as it was when the scene was read; see `pipeline.systems`."""
+
+    at: str
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    n: Blocks
+    scale: Natural
+    entries: Count
+    is_sparse: bool
+    arrays: Annotated[tuple[str, ...], List]
+
+
+class SystemTable(StrictTable):
+    """[system]: what the systems are drawn from."""
+
+    coupling: Annotated[str, AfterValidator(_coupling)] = Field(
+        description="name of the ensemble, or of the graph that springs lie along; or that K is read from a file",
+        examples=["antisymmetric"],
+        json_schema_extra={"enum": [*COUPLINGS, *GRAPHS, OF_FILE]},
+    )
+    n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
+    path: str | None = Field(
+        default=None,
+        description="file of K, .npz, .npy or Matrix Market, beside the scene; or several, by a pattern",
+        examples=["K.npz"],
+    )
+    kappa: Scale | None = Field(
+        default=0.2, description="scale of the stiffnesses; of a graph the springs between neighbours", examples=[0.2]
+    )
+    leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph", examples=[0.1])
+    degree: Scale | None = Field(
+        default=4.0, description="mean number of neighbours in the graph `network`", examples=[4.0]
+    )
+    rho: Scale | None = Field(default=3.5, description="scale of the dampings", examples=[3.5])
+    damping: BlockScale | None = Field(
+        default=None, description="damping R of every block, in the place of `rho`", examples=[0.0]
+    )
+    friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
+    belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+    files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the files were when the scene was read: written by stickslip"
+    )
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """The readings of a perturbation that keep what the system is."""
+        kept = COUPLINGS[self.coupling].readings if self.coupling in COUPLINGS else ()
+        return kept if self.damping is None else tuple(set(kept) & {"relative"})  # there is no scale of R
+
+    @property
+    def bytes_of_system(self) -> float:
+        """About what drawing the largest system takes."""
+        n = max(self.n)
+        if self.coupling in COUPLINGS:
+            return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
+        if self.coupling == OF_FILE:
+            return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
+        return 100.0 * n * (1.0 + size(self.degree or 4.0))
+
+    @property
+    def known_files(self) -> dict[str, FileTable]:
+        """The files that systems are read from, by their names beside the scene."""
+        return self.files or {}
+
+    def _files_apply(self) -> None:
+        if self.coupling != OF_FILE:
+            if self.path is not None or self.files is not None:
+                raise ValueError(f'path: expected none with coupling = "{self.coupling}"; remove it, or write "file"')
+            return
+        if self.path is None:
+            raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
+        if not self.files:
+            raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
+        if "kappa" in self.model_fields_set and self.kappa is not None:
+            raise ValueError('kappa: expected none with coupling = "file", which has K itself; remove it')
+        object.__setattr__(self, "kappa", None)
+        for name, file in self.files.items():
+            if file.n not in self.n:
+                raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
+            given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+            for array, keys in (("friction", {"friction"}), ("damping", {"damping", "rho"})):
+                if array in file.arrays and keys & given:
+                    key = sorted(keys & given)[0]
+                    raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
+            same = [other for other in self.files if self.files[other].sha256 == file.sha256 and other != name]
+            if same:
+                raise ValueError(
+                    f"path: expected files that differ, got {name} and {same[0]}, which are equal; remove one"
+                )
+        alone = set(self.n) - {file.n for file in self.files.values()}
+        if alone:
+            raise ValueError(f"n: expected the numbers of blocks of the files, got {min(alone)} of none; remove it")
+
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        """What is not used is refused, and no part of the data."""
+        for key, has_it in (("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network")):
+            if not has_it:
+                if key in self.model_fields_set and getattr(self, key) is not None:
+                    raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
+                object.__setattr__(self, key, None)
+        self._files_apply()
+        if self.damping is not None:
+            if "rho" in self.model_fields_set and self.rho is not None:
+                raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
+            object.__setattr__(self, "rho", None)
+        if self.degree is not None and size(self.degree) > min(self.n) - 1:
+            most = f"n - 1 = {min(self.n) - 1}, all the others"
+            raise ValueError(f"degree: expected at most {most}, got {size(self.degree):g}; lower it")
+        return self

@@ -1,0 +1,139 @@
+"""The tables of a scene that are no system and no engine: [start], [run], [record], [analysis] and what changes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from stickslip.pipeline.engine_table import Readings
+from stickslip.pipeline.quantity import BlockNumber, Distribution, values
+from stickslip.pipeline.toml import Count, List, Natural, Positive, PositiveNumbers, StrictTable, as_tuple
+from stickslip.sim.engines.contract import Purpose
+
+
+class StartTable(StrictTable):
+    """[start]: the state that every block starts from."""
+
+    z: BlockNumber = Field(description="displacement at t = 0", examples=[-0.7])
+    w: BlockNumber = Field(description="velocity at t = 0", examples=[-0.4])
+    draws: Count | None = Field(
+        default=None,
+        description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",
+        examples=[300],
+    )
+
+    @model_validator(mode="after")
+    def _only_what_is_drawn(self) -> Self:
+        if self.draws is not None and not any(
+            isinstance(one, Distribution) for one in (*values(self.z), *values(self.w))
+        ):
+            raise ValueError(
+                "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
+            )
+        return self
+
+
+class RunTable(StrictTable):
+    """[run]: how long, how many, from which seed."""
+
+    t_end: Positive = Field(description="end of each run", examples=[1000.0])
+    matrices: Count = Field(description="number of random systems for each n", examples=[20])
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+    zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = Field(
+        default=None,
+        description="keys whose lists go together, value by value, in place of a grid",
+        examples=[[["kappa", "rho"]]],
+    )
+    purpose: Purpose | None = Field(
+        default=None,
+        description="what the tolerances left out are picked for; default: chosen from what the scene records",
+        examples=["statistics"],
+    )
+
+
+class PerturbationTable(StrictTable):
+    """[perturbation]: each system again with its constants moved; size 0, unmoved, is always run once."""
+
+    readings: Readings = Field(
+        default=("scale",),
+        min_length=1,
+        description="what moves by how much: see `stickslip.sim.perturb_system`",
+        examples=[["scale", "relative"]],
+    )
+    sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])
+    draws: Count = Field(default=1, description="number of random changes of each size", examples=[3])
+
+
+class TwinsTable(StrictTable):
+    """[twins]: each system again from a start moved in a random direction, the same for every size."""
+
+    sizes: PositiveNumbers = Field(
+        description="distances between the starts: root mean square over the blocks", examples=[[1e-8, 1e-2]]
+    )
+
+
+class RecordTable(StrictTable):
+    """[record]: what is kept beside the change points of n_stick, which always are."""
+
+    events: bool = Field(default=False, description="whether to keep every event", examples=[False])
+    growth_rate: bool = Field(
+        default=False,
+        description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",
+        examples=[False],
+    )
+    separation: Positive | None = Field(
+        default=None,
+        description="time step at which the distance of a changed run from the unchanged one is kept",
+        examples=[5.0],
+    )
+
+
+class MarginsTable(StrictTable):
+    """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
+
+    Shares of the original's value, `distribution` of its standard deviation in time.
+    """
+
+    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick", examples=[0.1])
+    variance: Positive = Field(default=0.25, description="margin of its variance in time", examples=[0.25])
+    rate: Positive = Field(default=0.1, description="margin of the rate of its changes", examples=[0.1])
+    gamma: Positive = Field(default=0.05, description="margin of gamma by events", examples=[0.05])
+    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time", examples=[0.5])
+    band: Positive = Field(default=0.5, description="margin of its power at periods 15 to 25", examples=[0.5])
+    distribution: Positive = Field(default=0.5, description="margin of its stationary distribution", examples=[0.5])
+
+
+#: What a report can be asked first: the names of `analysis.questions`.
+QuestionName = Literal[
+    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness"
+]
+
+
+class AnalysisTable(StrictTable):
+    """[analysis]: handed to the statistics; without influence on the data."""
+
+    t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
+    dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
+    map_dt: PositiveNumbers | None = Field(
+        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.1]]
+    )
+    tau: PositiveNumbers = Field(
+        default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
+    )
+    smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to", examples=[1])
+    resamples: int = Field(
+        default=200, ge=2, description="most surrogates of a member for what chance gives", examples=[200]
+    )
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.95, description="level of the intervals", examples=[0.95]
+    )
+    margins: MarginsTable = MarginsTable()
+    question: Annotated[
+        tuple[QuestionName, ...],
+        BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),
+    ] = Field(
+        default=(),
+        description="questions that lead the report, in this order; what the data are about if left out",
+        examples=[["cascades"]],
+    )
