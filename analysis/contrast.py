@@ -1,6 +1,6 @@
 """How far two groups of runs lie apart in each statistic: paired where they share their random systems.
 
-Every statistic is a function of two sums a matrix, so that one estimator serves all of them. A difference is relative
+Every statistic is a function of two sums a unit, so that one estimator serves all of them. A difference is relative
 to the first group; of shares of runs it is the difference itself.
 """
 
@@ -66,7 +66,7 @@ class Sample:
     Attributes
     ----------
     sums : dict of str to dict of int to ndarray, shape (2,)
-        By statistic and matrix. Only runs that reached t_end enter, but for shares, where each matrix has its first
+        By statistic and unit. Only runs that reached t_end enter, but for shares, where each unit has its first
         run that did not fail: 1 or 0, and 1.
     unjudged : set of str
         Statistics that most windows are too short for.
@@ -76,21 +76,21 @@ class Sample:
     unjudged: set[str] = field(default_factory=set)
 
     def rows(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices in ascending order, and their sums, shape (G, 2); those in which nothing was counted left out."""
+        """Units in ascending order, and their sums, shape (G, 2); those in which nothing was counted left out."""
         found = self.sums.get(name, {})
-        kept = sorted(matrix for matrix, row in found.items() if row[1] > 0)
-        return np.array(kept, dtype=np.int64), np.array([found[matrix] for matrix in kept]).reshape(-1, 2)
+        kept = sorted(unit for unit, row in found.items() if row[1] > 0)
+        return np.array(kept, dtype=np.int64), np.array([found[unit] for unit in kept]).reshape(-1, 2)
 
-    def add(self, name: str, matrix: int, row: Sequence[float]) -> None:
-        """Add two sums of a run to those of its matrix."""
+    def add(self, name: str, unit: int, row: Sequence[float]) -> None:
+        """Add two sums of a run to those of its unit."""
         held = self.sums.setdefault(name, {})
-        held[matrix] = held.get(matrix, np.zeros(2)) + np.array(row, dtype=np.float64)
+        held[unit] = held.get(unit, np.zeros(2)) + np.array(row, dtype=np.float64)
 
-    def add_window(self, matrix: int, win: Window, of: Collection[str]) -> dict[str, tuple[float, float]]:
+    def add_window(self, unit: int, win: Window, of: Collection[str]) -> dict[str, tuple[float, float]]:
         """Add some quantities of the window of a run, and return them."""
         sums = {name: COMPARED[name].sums(win) for name in of}
         for name, two in sums.items():
-            self.add(COMPARED[name].label, matrix, two)
+            self.add(COMPARED[name].label, unit, two)
         return sums
 
 
@@ -110,17 +110,17 @@ def sample(study: Study, group: Group) -> Sample:
     """Read each run of a group once."""
     found = Sample()
     ends: dict[int, str] = {}
-    columns = (group.members[name] for name in ("matrix", "member_id", "outcome", "t_end"))
-    for matrix, member_id, outcome, t_end in zip(*columns, strict=True):
-        if outcome != "failed" and int(matrix) not in ends:
+    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end"))
+    for unit, member_id, outcome, t_end in zip(*columns, strict=True):
+        if outcome != "failed" and int(unit) not in ends:
             own = study.data.series[member_id] if outcome == "finished" else None
-            ends[int(matrix)] = fate(str(outcome), own, float(t_end))
+            ends[int(unit)] = fate(str(outcome), own, float(t_end))
     for name, some in _ENDS.items():
-        for matrix, end in ends.items():
-            found.add(name, matrix, [end in some, 1.0])
+        for unit, end in ends.items():
+            found.add(name, unit, [end in some, 1.0])
     n_runs = n_short = 0
     for row, _, win in study.windows(group):
-        tau, is_known = found.add_window(group.matrices[row], win, COMPARED)["correlation_time"]
+        tau, is_known = found.add_window(group.units[row], win, COMPARED)["correlation_time"]
         n_runs, n_short = n_runs + 1, n_short + (not is_known or is_short(win, tau))
     if 2 * n_short > n_runs:
         found.unjudged.add(COMPARED["correlation_time"].label)
@@ -128,7 +128,7 @@ def sample(study: Study, group: Group) -> Sample:
 
 
 def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Row:
-    """Second against first in one statistic, not judged yet; paired: over the matrices that both have."""
+    """Second against first in one statistic, not judged yet; paired: over the units that both have."""
     (mine, a), (theirs, b) = first.rows(one.name), second.rows(one.name)
     if paired:
         both = np.intersect1d(mine, theirs)

@@ -1,12 +1,18 @@
 """An ensemble as the statistics see it, and its members sorted into groups of like members.
 
-A group holds the members that differ in the matrix only (and, for the sigmoid, in the draw of the stiffness
-ratios). Only members that reached t_end enter a statistic; the others are counted, with outcome and reason.
+A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
+Only members that reached t_end enter a statistic; the others are counted, with outcome and reason.
+
+The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
+there is one matrix and several starts they are the starts, and what is inferred holds over starts of this system. A K
+from a file is a system of its own, apart from other files; but files with one draw and one start each are units, as
+matrices are.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,7 +30,9 @@ from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
-OPTIONAL = ("leaf", "degree", "damping", "friction", "z0", "w0", "drawn")
+OPTIONAL = ("file", "leaf", "degree", "damping", "friction", "z0", "w0", "drawn")
+#: What the units of a group may be.
+MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
@@ -59,7 +67,7 @@ class Data:
     Attributes
     ----------
     members : DataFrame
-        One row a member; the columns in `REQUIRED`, null where a setting does not apply.
+        One row a member; the columns in `REQUIRED`, null where a setting does not apply. `with_units` adds its own.
     series : mapping to ChangePoints
         Of every member that did not fail.
     events : mapping to Events
@@ -78,12 +86,12 @@ class Data:
 
     def __post_init__(self) -> None:
         absent = [name for name in OPTIONAL if name not in self.members]
-        object.__setattr__(self, "members", self.members.assign(**dict.fromkeys(absent)))
+        object.__setattr__(self, "members", with_units(self.members.assign(**dict.fromkeys(absent))))
 
 
 @dataclass
 class Group:
-    """Members alike in everything but the matrix, with what their finished runs give, a row a matrix.
+    """Members alike in everything but what is drawn, with what their finished runs give, a row a unit.
 
     Attributes
     ----------
@@ -92,14 +100,14 @@ class Group:
     key : dict
         The values that its members share, by `SYSTEM_KEYS` and `ENGINE_KEYS`.
     members : DataFrame
-    matrices : list of int
+    units : list of int
         Of the finished members, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
         Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 5)
-        `effective.row`, of several runs of one matrix their mean.
+        `effective.row`, of several runs of one unit their mean.
     n_quiet : int
         Finished, but nothing sticks or slips anew after t_burn.
     """
@@ -107,11 +115,16 @@ class Group:
     label: str
     key: dict[str, Any]
     members: pd.DataFrame
-    matrices: list[int] = field(default_factory=list)
+    units: list[int] = field(default_factory=list)
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     histograms: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     n_quiet: int = 0
+
+    @property
+    def unit(self) -> str:
+        """What its units are: `MATRIX`, `START` or `FILE`."""
+        return str(self.members["unit_is"].iloc[0])
 
     @property
     def finished(self) -> pd.DataFrame:
@@ -136,22 +149,22 @@ class Group:
             row[: len(one)] = one
         return found[:, 1:]
 
-    def by_matrix(self) -> np.ndarray:
-        """`means` averaged over the runs of each matrix: every matrix weighs the same."""
+    def by_unit(self) -> np.ndarray:
+        """`means` averaged over the runs of each unit: every unit weighs the same."""
         return self.means / self.means[:, 4:] if len(self.means) else self.means
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
-        return over_matrices(ratio, self.by_matrix()[:, [0, 4]], confidence)
+        return over_matrices(ratio, self.by_unit()[:, [0, 4]], confidence)
 
     def drift(self, confidence: float) -> Estimate:
-        """Mean n_stick in the second half of the window minus the first, paired over matrices."""
-        rows = self.by_matrix()
+        """Mean n_stick in the second half of the window minus the first, paired over units."""
+        rows = self.by_unit()
         return over_matrices(ratio, np.column_stack([rows[:, 2] - rows[:, 1], rows[:, 4]]), confidence)
 
     def basis(self, confidence: float) -> enough.Basis:
         """Whether a statistic that assumes a stationary law may be judged."""
-        return enough.basis(self.by_matrix()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
+        return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
 
 
 @dataclass
@@ -171,6 +184,11 @@ class Study:
         for group in found:
             _fill(group, self.data.series, self.settings)
         return found
+
+    @property
+    def unit(self) -> str:
+        """What most groups have for units."""
+        return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     @cached_property
     def ends(self) -> Mapping[str, tuple[str, float]]:
@@ -202,7 +220,7 @@ class Study:
         return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
     def windows(self, group: Group, series: Series | None = None) -> Iterator[tuple[int, str, Window]]:
-        """Row (matrix), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
+        """Row (unit), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
 
         Of another `series`, those of its members that are there.
 
@@ -252,6 +270,26 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
             )
 
 
+def with_units(members: pd.DataFrame) -> pd.DataFrame:
+    """Members with the columns `unit`, a number, and `unit_is`, which of `MATRIX`, `START` and `FILE` it is.
+
+    Where files are the units, `file` and `kappa`, the scale of a file's K, are null: they tell no groups apart.
+    """
+    found = members.assign(unit=members["matrix"].astype("int64"), unit_is=MATRIX)
+    starts = found["start_draw"] if "start_draw" in found else pd.Series(pd.NA, found.index)
+    by = [found["n"], found["file"]]
+    is_one = found["matrix"].groupby(by, dropna=False).transform("nunique") == 1
+    n_starts = starts.groupby(by, dropna=False).transform("nunique")
+    of_file = found["file"].notna()
+    of_file &= (is_one & (n_starts <= 1)).groupby([of_file, found["n"]]).transform("all")
+    of_start = is_one & (n_starts > 1) & starts.notna()
+    found.loc[of_file, "unit_is"], found.loc[of_start, "unit_is"] = FILE, START
+    found.loc[of_start, "unit"] = starts[of_start].astype("int64")
+    if of_file.any():
+        found[["file", "kappa"]] = found[["file", "kappa"]].mask(of_file)
+    return found
+
+
 def is_changed(members: pd.DataFrame) -> pd.Series:
     """Which members have other constants or another start than the original of their matrix."""
     changed = members["perturbation_size"] > 0
@@ -282,7 +320,7 @@ def groups(members: pd.DataFrame) -> list[Group]:
 
     parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
     keys = [key for key, _ in parts]
-    return [Group(label(key, keys), key, alike.sort_values(["matrix", "member_id"])) for key, alike in parts]
+    return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
 
 
 def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
@@ -308,8 +346,8 @@ def _plain(value: object) -> str:
 
 def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     """Read each finished run of a group once and keep the sums."""
-    group.matrices = [int(matrix) for matrix in group.finished["matrix"].unique()]
-    n_rows = len(group.matrices)
+    group.units = [int(unit) for unit in group.finished["unit"].unique()]
+    n_rows = len(group.units)
     group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     for row, _, win in _windows(group, series, settings.t_burn):
@@ -325,12 +363,12 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
 def _windows(
     group: Group, series: Series, t_burn: float, may_lack: bool = False
 ) -> Iterator[tuple[int, str, Window]]:
-    row_of = {matrix: row for row, matrix in enumerate(group.matrices)}
+    row_of = {unit: row for row, unit in enumerate(group.units)}
     table = group.finished
-    for matrix, member_id, t_end in zip(table["matrix"], table["member_id"], table["t_end"], strict=True):
+    for unit, member_id, t_end in zip(table["unit"], table["member_id"], table["t_end"], strict=True):
         if may_lack and member_id not in series:
             continue
-        yield row_of[int(matrix)], str(member_id), _window(series, member_id, t_burn, float(t_end))
+        yield row_of[int(unit)], str(member_id), _window(series, member_id, t_burn, float(t_end))
 
 
 def _window(series: Series, member_id: str, t_burn: float, t_end: float) -> Window:

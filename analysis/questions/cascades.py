@@ -73,7 +73,7 @@ def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
     some = sums[:, 1] > 0
     rate = over_matrices(gamma, sums[some], confidence)
     span = float(group.key["t_end"]) - t_burn
-    samples = effective(group.effective, span, confidence) if group.matrices else None
+    samples = effective(group.effective, span, confidence) if group.units else None
     row: Row = {
         "group": group.label, "n": group.key["n"], "engine": group.key["engine"], "n_matrices": int(some.sum()),
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
@@ -90,7 +90,7 @@ def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
             row["verdict"] = _verdict(rate, LN2)
     mean = group.mean(confidence).value
     if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:
-        rows = np.hstack([sums, group.by_matrix()[:, [0, 4]]])[some]
+        rows = np.hstack([sums, group.by_unit()[:, [0, 4]]])[some]
         over = over_matrices(pool.against(group.key["n"]), rows, confidence)
         row |= {
             "gamma_pool": pool.gamma(group.key["n"], mean),

@@ -99,7 +99,7 @@ def _measured(study: Study, group: Group) -> _Measured:
     edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
     bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
     pairs = [part for part in parts if part.kind == PAIRS]
-    n_rows, n_exits, n_runs = len(group.matrices), 0, 0
+    n_rows, n_exits, n_runs = len(group.units), 0, 0
     runs, control = np.zeros((n_rows, len(parts) + len(bands), 2)), np.zeros((n_rows, len(pairs), 2))
     for row, member_id, win in study.windows(group):
         if member_id not in study.data.events:

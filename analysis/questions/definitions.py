@@ -42,7 +42,7 @@ class _Sheet:
 
     def add(self, to: Sums, row: int, found: Sums) -> None:
         for law, one in found.items():
-            to.setdefault(law, np.zeros((len(self.group.matrices), 2)))[row] += one
+            to.setdefault(law, np.zeros((len(self.group.units), 2)))[row] += one
 
 
 def answer(study: Study) -> Answer:

@@ -94,17 +94,17 @@ def answer(study: Study) -> Answer | None:
 def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
     """What further thresholds of sticking give, by label of the group; all runs in one pass."""
     runs = {
-        str(member_id): (group.label, int(matrix), float(t_end))
+        str(member_id): (group.label, int(unit), float(t_end))
         for group in study.groups
-        for matrix, member_id, t_end in zip(*(group.finished[name] for name in ("matrix", "member_id", "t_end")),
+        for unit, member_id, t_end in zip(*(group.finished[name] for name in ("unit", "member_id", "t_end")),
                                             strict=True)
     }  # fmt: skip
     found: dict[str, dict[float, Sample]] = {}
     for (member_id, threshold), points in study.data.thresholds.items():
         if member_id in runs:
-            label, matrix, t_end = runs[member_id]
+            label, unit, t_end = runs[member_id]
             held = found.setdefault(label, {}).setdefault(threshold, Sample())
-            held.add_window(matrix, window(*points, study.settings.t_burn, t_end), _BY_THRESHOLD)
+            held.add_window(unit, window(*points, study.settings.t_burn, t_end), _BY_THRESHOLD)
     return found
 
 

@@ -107,7 +107,7 @@ def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float
     n, mean = int(group.key["n"]), group.mean(confidence).value
     known, over = sizes[0] == 1 and mean is not None and 0 < mean < n, Estimate()
     if known:
-        means = group.by_matrix()[group.counts.sum(axis=1) > 0]
+        means = group.by_unit()[group.counts.sum(axis=1) > 0]
         over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
     value = 1 + pool.excess(n, mean) if known and mean is not None else None
     return {"pool": value, "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high}
@@ -116,7 +116,7 @@ def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float
 def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
     """What the runs' own blocks give where they ignore each other, and how far the runs lie from it."""
     settings, events = study.settings, study.data.events
-    sums = np.zeros((len(group.matrices), 3))
+    sums = np.zeros((len(group.units), 3))
     for row, member_id, win in study.windows(group):
         if member_id in events:
             steps, rng = block_steps(*events[member_id], win.t_start, win.t_stop), study.generator(member_id)

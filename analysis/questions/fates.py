@@ -48,7 +48,7 @@ _GROUP: Mapping[str, str] = {
     "effective_by": S, "basis": S,
 }  # fmt: skip
 _CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F, **dict.fromkeys(ENDS, F)}
-_RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "member_id": S, "fate": S, "t": F, "growth_rate": F}
+_RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "unit": I, "member_id": S, "fate": S, "t": F, "growth_rate": F}
 
 
 def answer(study: Study) -> Answer:
@@ -118,14 +118,14 @@ def _runs(study: Study, group: Group) -> Iterator[Row]:
     """Fate of each run, and when its motion ended; for a runaway, when it left every bound."""
     table = group.members
     rates = table["growth_rate"] if "growth_rate" in table else [pd.NA] * len(table)
-    columns = (table[name] for name in ("member_id", "matrix", "outcome", "t_end", "t_stop"))
-    for member_id, matrix, outcome, t_end, t_stop, rate in zip(*columns, rates, strict=True):
+    columns = (table[name] for name in ("member_id", "matrix", "unit", "outcome", "t_end", "t_stop"))
+    for member_id, matrix, unit, outcome, t_end, t_stop, rate in zip(*columns, rates, strict=True):
         own = None if outcome == "failed" else study.data.series[member_id]
         how = fate(str(outcome), own if outcome == "finished" else None, float(t_end))
         t = None if own is None else float(own[0][-1])
         yield {
-            "group": group.label, "n": group.key["n"], "kappa_n": group.key["n"] * group.key["kappa"],
-            "matrix": int(matrix), "member_id": str(member_id), "fate": how,
+            "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
+            "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
             "t": {DIVERGED: t_stop, SUSTAINED: t_end}.get(how, t),
             "growth_rate": None if pd.isna(rate) else float(rate),
             "system": tuple(group.key[name] for name in SYSTEM_KEYS),
@@ -133,24 +133,28 @@ def _runs(study: Study, group: Group) -> Iterator[Row]:
 
 
 def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None:
-    """Survival of the first run of each matrix of a group."""
+    """Survival of the first run of each unit of a group."""
     first: dict[int, Row] = {}
     for row in runs:
         if row["group"] == group.label and row["fate"] != FAILED:
-            first.setdefault(row["matrix"], row)
+            first.setdefault(row["unit"], row)
     if not first:
         return None
     times = np.array([row["t"] for row in first.values()], dtype=np.float64)
     return survival(times, [row["fate"] for row in first.values()], confidence)
 
 
+def _kappa_n(key: Mapping[str, Any]) -> float | None:
+    return None if key["kappa"] is None else key["n"] * key["kappa"]
+
+
 def _share(runs: Sequence[Row], confidence: float) -> Row:
-    """Share of runs in motion at the end; the runs of one matrix are not independent."""
+    """Share of runs in motion at the end; the runs of one unit are not independent."""
     if not runs:
         return {"sustained": None, "low": None, "high": None}
     counts: dict[tuple[Any, ...], list[int]] = {}
     for row in runs:
-        held = counts.setdefault((row["system"], row["matrix"]), [0, 0])
+        held = counts.setdefault((row["system"], row["unit"]), [0, 0])
         held[0] += row["fate"] == SUSTAINED
         held[1] += 1
     share, low, high, _ = share_over_matrices(np.array(list(counts.values())), confidence)
@@ -165,10 +169,10 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     ends = [row["t"] for row in watched if row["fate"] in ENDS]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
-    samples = effective(group.effective, span, level) if group.matrices else None
+    samples = effective(group.effective, span, level) if group.units else None
     half = Estimate() if curve is None else median(curve)
     return {
-        "group": group.label, "n": group.key["n"], "kappa_n": group.key["n"] * group.key["kappa"],
+        "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
         **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
         "half": half, "median": half.value, "median_low": half.low, "median_high": half.high,
@@ -199,12 +203,12 @@ def _systems(study: Study, runs: Sequence[Row]) -> list[Row]:
                 "system": ", ".join(words),
                 "key": tuple(key.values()),
                 "n": key["n"],
-                "kappa_n": key["n"] * key["kappa"],
+                "kappa_n": _kappa_n(key),
             }
             | {"n_runs": len(own), **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED)}}
             | _share(own, study.settings.confidence)
         )
-    return sorted(found, key=lambda row: (row["n"], row["kappa_n"]))
+    return sorted(found, key=lambda row: (row["n"], row["kappa_n"] or 0.0))
 
 
 def _ended(systems: Sequence[Row], runs: Sequence[Row], is_below: bool) -> Row | None:

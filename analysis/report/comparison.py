@@ -22,7 +22,7 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Data, Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, START, SYSTEM_KEYS, Data, Group, Study
 from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain
@@ -157,7 +157,7 @@ def matched(
     """Each setting of one dataset with the one of the other that differs in the fewest keys.
 
     They must share `SHARED`. Matrices are pairs where seed and start of the random numbers are one: the same `seed`,
-    coupling, n and matrix give the same random system up to the scales kappa and rho.
+    coupling, n and matrix give the same random system up to the scales kappa and rho; starts are, of one system.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def matched(
     for i, j in sorted(found.items(), key=lambda pair: -mine[pair[0]].key["n"]):
         a, b = mine[i], theirs[j]
         differs = {name: (a.key[name], b.key[name]) for name in keys if a.key[name] != b.key[name]}
-        matches.append(Match(a, b, differs, _seeds(a) == _seeds(b)))
+        matches.append(Match(a, b, differs, _draws(a) == _draws(b)))
     return (
         matches,
         [group for i, group in enumerate(mine) if i not in found],
@@ -209,5 +209,7 @@ def _shared(group: Group) -> str:
     return ", ".join(f"{name} = {group.key[name]}" for name in SHARED)
 
 
-def _seeds(group: Group) -> set[int]:
-    return {int(seed) for seed in group.members["seed"]}
+def _draws(group: Group) -> tuple[object, ...]:
+    """What the numbers of its units belong to: the seed, and of starts the system too."""
+    of = set(group.members["matrix"]) if group.unit == START else None
+    return set(group.members["seed"]), group.unit, of

@@ -57,8 +57,12 @@ def minus(text: str) -> str:
 
 def count(n: int, noun: str) -> str:
     """A number of things: "one run", "20 matrices"."""
-    plural = {"matrix": "matrices"}.get(noun, noun + "s")
-    return f"{'one' if n == 1 else format(n, ',')} {noun if n == 1 else plural}"
+    return f"{'one' if n == 1 else format(n, ',')} {noun if n == 1 else plural(noun)}"
+
+
+def plural(noun: str) -> str:
+    """Several: "runs", "matrices"."""
+    return {"matrix": "matrices"}.get(noun, noun + "s")
 
 
 def listed(names: Sequence[Any], last: str = "and") -> str:
@@ -223,9 +227,10 @@ def environment(*packages: str) -> Environment:
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
         "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
+        "plural": plural,
     }  # fmt: skip
     found.globals |= {
         "count": count, "between": between, "table": table, "number": number, "fixed": fixed, "percent": percent,
-        "signed": signed, "signed_percent": signed_percent,
+        "signed": signed, "signed_percent": signed_percent, "unit": "matrix",
     }  # fmt: skip
     return found

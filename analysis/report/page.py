@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, Data, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, START, Data, Study
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
@@ -27,7 +27,8 @@ MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # what is wrong before what is well
 _TICK = '<li class="ok"'
 _GROUPS: Mapping[str, str] = {
-    "group": S, **dict.fromkeys(("n", "matrices", "members", "finished", "quiet"), I), "coupling": S,
+    "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
+    "file": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
     **dict.fromkeys(("leaf", "degree", "damping", "friction", "z0", "w0"), F), "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
@@ -139,6 +140,7 @@ def build(
     found = [one for one in made if one is not None]
     groups = groups_table(study)
     filled = environment()
+    filled.globals["unit"] = study.unit
     shown = [_Shown(one, filled.get_template(f"{one.key}.html").module) for one in found]
     answered = [one for one in shown if not one.answer.lack]
     primary = settings.question or _primary(study, answered)
@@ -223,6 +225,7 @@ def groups_table(study: Study) -> pd.DataFrame:
                 "group": group.label,
                 "members": len(group.members),
                 "matrices": group.members["matrix"].nunique(),
+                "starts": group.members["unit"].nunique() if group.unit == START else None,
                 "finished": len(group.finished),
                 "quiet": group.n_quiet,
             }

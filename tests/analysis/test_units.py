@@ -1,0 +1,82 @@
+"""What the independent units of a group are: matrices, starts of one system, or files; the interval is over these."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study, build
+from stickslip.analysis.ensemble import FILE, MATRIX, START
+from stickslip.analysis.report.page import plain
+from stickslip.analysis.stats import student
+
+
+def runs_of(planted, rng, systems, n_starts):
+    """A run for each start of each system (file, matrix), at levels that differ between systems and starts."""
+    rows, series = [], {}
+    for file, matrix in systems:
+        level = 300 + round(20 * rng.standard_normal())
+        for start in range(n_starts):
+            name = f"{file}-{matrix}-{start}"
+            given = {"file": file, "start_draw": start if n_starts > 1 else None}
+            rows.append(planted.member(name, matrix, **given))
+            series[name] = planted.runs(rng, 400, 0.7, level=level + rng.integers(5))
+    return Data(pd.DataFrame(rows).convert_dtypes(), series)
+
+
+@pytest.mark.parametrize(
+    ("systems", "n_starts", "unit", "n_units"),
+    [
+        ([(None, m) for m in range(6)], 1, MATRIX, 6),
+        ([(None, m) for m in range(6)], 5, MATRIX, 6),
+        ([(None, 0)], 30, START, 30),
+        ([("K.npz", 77)], 30, START, 30),
+        ([("K.npz", m) for m in (9, 4, 7)], 5, MATRIX, 3),
+        ([(f"K{m}.npz", m) for m in range(6)], 1, FILE, 6),
+    ],
+)
+def test_the_interval_is_over_the_units(planted, settings, rng, systems, n_starts, unit, n_units):
+    data = runs_of(planted, rng, systems, n_starts)
+    (group,) = Study(data, settings).groups
+    assert (group.unit, len(group.units)) == (unit, n_units)
+    of_run = pd.Series({
+        name: window.time_mean() for _, name, window in Study(data, settings).windows(group)
+    })  # fmt: skip
+    by = of_run.groupby(lambda name: name if unit == START else name.rpartition("-")[0]).mean()
+    half = student.half_width(0.95, n_units - 1) * by.std() / np.sqrt(n_units)
+    mean = group.mean(0.95)
+    assert (mean.value, mean.low, mean.high) == pytest.approx((by.mean(), by.mean() - half, by.mean() + half))
+
+
+def test_files_with_several_starts_are_kept_apart(planted, settings, rng):
+    data = runs_of(planted, rng, [("a.npz", 5), ("b.npz", 8)], 12)
+    found = Study(data, settings).groups
+    assert [(group.key["file"], group.unit, len(group.units)) for group in found] == [
+        ("a.npz", START, 12),
+        ("b.npz", START, 12),
+    ]
+    assert ["file = a.npz" in found[0].label, "file = b.npz" in found[1].label] == [True, True]
+
+
+def test_a_start_that_is_not_drawn_is_one_run_of_its_matrix(planted, settings, rng):
+    drawn = runs_of(planted, rng, [(None, 0)], 8)
+    fixed = planted.member("fixed", 0, z0=-0.7, start_draw=None)
+    members = pd.concat([drawn.members, pd.DataFrame([fixed])]).convert_dtypes()
+    data = Data(members, dict(drawn.series) | {"fixed": planted.runs(rng, 400, 0.7)})
+    assert sorted((group.unit, len(group.units)) for group in Study(data, settings).groups) == [
+        (MATRIX, 1),
+        (START, 8),
+    ]
+
+
+def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
+    from stickslip.analysis.report import page
+
+    monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+    one_system = build(runs_of(planted, rng, [(None, 0)], 20), settings, "Starts", "", {})
+    text = plain(one_system.html.partition("</style>")[2])
+    assert "over starts of this system" in text
+    assert "from leaving out one start at a time" in text
+    assert "over matrices" not in text
+    assert one_system.tables["groups"]["starts"].tolist() == [20]
+    several = build(runs_of(planted, rng, [(None, m) for m in range(5)], 4), settings, "Both", "", {})
+    assert "from leaving out one matrix at a time" in several.html
