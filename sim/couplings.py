@@ -125,6 +125,7 @@ def draw_system(
     damping: ArrayLike | None = None,
     friction: ArrayLike = 1.0,
     belt_speed: float = -0.2,
+    static: ArrayLike | None = None,
 ) -> System:
     """Draw K and R from a named ensemble (section 4 of the paper), or by a named graph (dimensionless).
 
@@ -143,7 +144,7 @@ def draw_system(
         network, at most n - 1.
     damping
         R itself, as in `System`, in the place of what rho gives; K is the same as without.
-    friction, belt_speed
+    friction, belt_speed, static
         As in `System`.
 
     Raises
@@ -166,7 +167,7 @@ def draw_system(
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
         stiffness = kind.rule(u)
-    return System(stiffness, drawn if damping is None else damping, friction, belt_speed)
+    return System(stiffness, drawn if damping is None else damping, friction, belt_speed, static)
 
 
 def perturb_system(
@@ -234,9 +235,9 @@ def perturb_system(
     if reading == "relative":
         u, r = _uniform(shape, rng, 1.0, (-1.0, 1.0))
         stiffness = system.stiffness + size * kind.relative(system.stiffness, u)
-        return System(stiffness, system.damping * (1.0 + size * r), system.friction, system.belt_speed)
+        return System(stiffness, system.damping * (1.0 + size * r), system.friction, system.belt_speed, system.static)
     du, dr = _uniform(shape, rng, size * kappa, (-size * rho, size * rho))
     stiffness, damping = system.stiffness + _on_diagonal(kind.rule(du), np.diag(du)), system.damping + dr
     if reading == "damping matrix":
         damping = _on_diagonal(rng.uniform(-size * rho, size * rho, shape), damping)
-    return System(stiffness, damping, system.friction, system.belt_speed)
+    return System(stiffness, damping, system.friction, system.belt_speed, system.static)

@@ -2,7 +2,8 @@
 
     z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
 
-A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it.
+A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. Static
+friction above kinetic: a block that sticks is held while |mu_i lambda_i| is at most its static friction.
 Everything is dimensionless: the mass of every block is scaled to one.
 """
 
@@ -45,9 +46,13 @@ class System:
         mu >= 0, kinetic friction; a block with mu = 0 slides freely.
     belt_speed : float
         v; the paper takes v < 0.
+    static : float or array_like, shape (n,), optional
+        Static friction, at least the kinetic; left out it is the kinetic.
 
     Attributes
     ----------
+    static : ndarray, shape (n,)
+        What holds a block that sticks; `friction` itself where it was left out.
     damping : ndarray, shape (n,)
         R, also of a full matrix.
     cross_damping : ndarray, shape (n, n), or None
@@ -56,7 +61,8 @@ class System:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type or shape, is not finite, or a friction is negative.
+        If an argument has the wrong type or shape, is not finite, a friction is negative, or a static friction is
+        below the kinetic.
     """
 
     stiffness: Floats | scipy.sparse.csc_array
@@ -64,6 +70,7 @@ class System:
     cross_damping: Floats | None
     friction: Floats
     belt_speed: float
+    static: Floats
 
     def __init__(
         self,
@@ -71,6 +78,7 @@ class System:
         damping: ArrayLike,
         friction: ArrayLike = 1.0,
         belt_speed: float = -0.2,
+        static: ArrayLike | None = None,
     ) -> None:
         if scipy.sparse.issparse(stiffness):
             matrix = scipy.sparse.csc_array(stiffness)
@@ -98,11 +106,17 @@ class System:
         object.__setattr__(self, "cross_damping", cross)
         object.__setattr__(self, "friction", mu)
         object.__setattr__(self, "belt_speed", number("belt_speed", belt_speed))
+        object.__setattr__(self, "static", _static(static, mu))
 
     @property
     def n(self) -> int:
         """Number of blocks."""
         return int(self.stiffness.shape[0])
+
+    @cached_property
+    def is_static_above(self) -> bool:
+        """Whether any block has a static friction above its kinetic."""
+        return bool((self.static > self.friction).any())
 
     @cached_property
     def columns(self) -> Columns:
@@ -180,7 +194,7 @@ class System:
         return np.asarray(fastest[group])
 
     def linearised(self, friction: Floats, slope: Floats) -> System:
-        """The same blocks with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""
+        """The same blocks, slipping, with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""
         damping = self.damping + self.friction * slope
         if self.cross_damping is not None:
             damping = self.cross_damping + np.diag(damping)
@@ -189,7 +203,8 @@ class System:
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
         damping = "" if self.cross_damping is None else ", C full"
-        return f"System(n={self.n}, K {kind}{damping}, belt_speed={self.belt_speed})"
+        static = f", static {show.span(self.static)}" if self.is_static_above else ""
+        return f"System(n={self.n}, K {kind}{damping}{static}, belt_speed={self.belt_speed})"
 
     def _repr_html_(self) -> str:
         sparse = "" if isinstance(self.stiffness, np.ndarray) else f", sparse with {self.stiffness.nnz} entries"
@@ -197,8 +212,10 @@ class System:
             "stiffness K": f"|K_ij| up to {abs(self.stiffness).max():.6g}{sparse}",
             "damping R": show.span(self.damping) + ("" if self.cross_damping is None else ", C full"),
             "friction mu": show.span(self.friction),
-            "belt speed v": f"{self.belt_speed:.6g}",
         }
+        if self.is_static_above:
+            rows["static friction"] = show.span(self.static)
+        rows["belt speed v"] = f"{self.belt_speed:.6g}"
         return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
 
 
@@ -211,6 +228,36 @@ def require_diagonal_damping(system: System, what: str) -> None:
             f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
             " diagonal, or use engine='sigmoid'"
         )
+
+
+def require_one_friction(system: System, what: str) -> None:
+    """ValueError if static friction is above the kinetic, naming what cannot do with it."""
+    if system.is_static_above:
+        block = int(np.argmax(system.static - system.friction))
+        raise ValueError(
+            f"static: expected the kinetic friction, the one friction that {what} takes, got"
+            f" {system.static[block]:g} above {system.friction[block]:g} at block {block}; leave it out"
+        )
+
+
+def require_plain(system: System, what: str) -> None:
+    """ValueError if the system is not that of eq. (10), with a diagonal damping and one friction."""
+    require_diagonal_damping(system, what)
+    require_one_friction(system, what)
+
+
+def _static(static: ArrayLike | None, friction: Floats) -> Floats:
+    """Static friction by block, from what was given beside the kinetic."""
+    if static is None:
+        return friction
+    held = per_block("static", static, len(friction))
+    if (held < friction).any():
+        block = int(np.argmax(friction - held))
+        raise ValueError(
+            f"static: expected at least the kinetic friction, got {held[block]:g} below {friction[block]:g} at block"
+            f" {block}; raise it, or leave it out for the same"
+        )
+    return held
 
 
 def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:

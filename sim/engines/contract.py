@@ -164,12 +164,15 @@ class Engine(ABC):
         The module beside this one whose kernels it compiles; "" if it has none.
     takes_damping_matrix : bool
         Whether it runs systems with a full damping matrix.
+    takes_static : bool
+        Whether it runs systems with static friction above the kinetic.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
     takes_damping_matrix: ClassVar[bool] = True
+    takes_static: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name, about in self.settings().items():

@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim.arguments import Floats, per_block
 from stickslip.sim.run import IntegrationError
-from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.system import System, require_plain
 from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]
@@ -309,7 +309,8 @@ def continuations(
     Raises
     ------
     ValueError
-        If an argument is of the wrong shape or size, or the damping is not diagonal.
+        If an argument is of the wrong shape or size, the damping is not diagonal, or static friction is above
+        the kinetic.
     """
     blowup = Blowup(law, system.friction, eps, sigmoid)
     z, w = per_block("z", z, system.n), per_block("w", w, system.n)
@@ -317,6 +318,6 @@ def continuations(
 
 
 def total_force(system: System, z: Floats, w: Floats) -> Floats:
-    """F_i = R_i w_i + (K z)_i; ValueError if the damping is not diagonal."""
-    require_diagonal_damping(system, "`stickslip.sim.theory.blowup`")
+    """F_i = R_i w_i + (K z)_i; ValueError if the damping is not diagonal, or static friction above."""
+    require_plain(system, "`stickslip.sim.theory.blowup`")
     return np.asarray(system.damping * w + system.stiffness @ z, dtype=np.float64)

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim.arguments import Floats, number, per_block
 from stickslip.sim.run import IntegrationError
-from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.system import System, require_plain
 from stickslip.sim.theory.blowup import TANH, Blowup, Sigmoid, total_force
 from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
@@ -130,11 +130,12 @@ def run_with_law(
     Raises
     ------
     ValueError
-        If an argument is of the wrong shape or size, or the damping is not diagonal.
+        If an argument is of the wrong shape or size, the damping is not diagonal, or static friction is above
+        the kinetic.
     IntegrationError
         If the fast system cannot decide: it cycles, or ends in an unstable mode.
     """
-    require_diagonal_damping(system, "`stickslip.sim.theory.slow_time`")
+    require_plain(system, "`stickslip.sim.theory.slow_time`")
     if system.n > 2:
         raise ValueError(
             f"system: expected one or two blocks, got {system.n}; `stickslip.sim.simulate` runs more, by Coulomb"
@@ -180,7 +181,7 @@ def follow(
     ValueError, IntegrationError
         As `run_with_law`.
     """
-    require_diagonal_damping(system, "`stickslip.sim.theory.slow_time`")
+    require_plain(system, "`stickslip.sim.theory.slow_time`")
     start, belt = per_block("z", z, system.n), np.full(system.n, system.belt_speed)
     blowup = Blowup(law, system.friction, eps, sigmoid)
     marching = _march(system, blowup, start, belt, per_block("lam", lam, system.n), number("t_end", t_end, 0.0))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats, integer, per_block
 from stickslip.sim.engines.arithmetic import ROUNDING
-from stickslip.sim.system import System, require_diagonal_damping
+from stickslip.sim.system import System, require_plain
 from stickslip.sim.theory.folds import Visibility, require_blocks, stiffness_rows, visibility_of
 
 #: Of a stratum: all its folds are visible, all invisible, some of each; or one is degenerate.
@@ -57,7 +57,7 @@ class Stratum:
     sides: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        require_diagonal_damping(self.system, "`stickslip.sim.theory.strata`")
+        require_plain(self.system, "`stickslip.sim.theory.strata`")
 
     @cached_property
     def normals(self) -> Floats:
@@ -269,7 +269,7 @@ def _rank(sizes: NDArray[np.floating[Any]], n: int) -> int:
 
 
 def _stuck(system: System, stuck: Sequence[int] | None) -> tuple[int, ...]:
-    require_diagonal_damping(system, "`stickslip.sim.theory.strata`")
+    require_plain(system, "`stickslip.sim.theory.strata`")
     if stuck is None:
         return tuple(range(system.n))
     held = sorted(integer("stuck", i, 0, system.n - 1) for i in stuck)
