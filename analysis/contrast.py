@@ -36,7 +36,6 @@ AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
 SHORT_WINDOW = "short window"  # a reason beside those of `stats.enough` and of the estimates
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2
-COMPARED = {name: one for name, one in QUANTITIES.items() if name != "band"}  # the paper's question is of changes
 #: The sigmoid certifies no collapse: runs are compared in what went quiet, certified or not.
 _ENDS = {"share gone quiet": (COLLAPSED, SILENT), "share run away": (DIVERGED,)}
 _VERDICT = {EQUIVALENT: AGREE, DIFFERENT: DIFFER, OPEN: UNKNOWN}
@@ -88,16 +87,16 @@ class Sample:
 
     def add_window(self, unit: int, win: Window, of: Collection[str]) -> dict[str, tuple[float, float]]:
         """Add some quantities of the window of a run, and return them."""
-        sums = {name: COMPARED[name].sums(win) for name in of}
+        sums = {name: QUANTITIES[name].sums(win) for name in of}
         for name, two in sums.items():
-            self.add(COMPARED[name].label, unit, two)
+            self.add(QUANTITIES[name].label, unit, two)
         return sums
 
 
-def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(COMPARED)) -> list[Statistic]:
+def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
     """Quantities of some names, where a margin is declared."""
     return [
-        Statistic(one.label, one.of, margins[name]) for name, one in COMPARED.items() if name in {*of} & {*margins}
+        Statistic(one.label, one.of, margins[name]) for name, one in QUANTITIES.items() if name in {*of} & {*margins}
     ]
 
 
@@ -120,10 +119,10 @@ def sample(study: Study, group: Group) -> Sample:
             found.add(name, unit, [end in some, 1.0])
     n_runs = n_short = 0
     for row, _, win in study.windows(group):
-        tau, is_known = found.add_window(group.units[row], win, COMPARED)["correlation_time"]
+        tau, is_known = found.add_window(group.units[row], win, QUANTITIES)["correlation_time"]
         n_runs, n_short = n_runs + 1, n_short + (not is_known or is_short(win, tau))
     if 2 * n_short > n_runs:
-        found.unjudged.add(COMPARED["correlation_time"].label)
+        found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found
 
 

@@ -30,7 +30,7 @@ class AnalysisSettings:
     smallest : int
         Least size of a cascade that the law is fitted to.
     margins : mapping of str to float
-        By name of ``LABELS`` in ``analysis.stats.quantities``: how much two runs may differ and count as equivalent.
+        By name of ``QUANTITIES`` in ``analysis.stats.quantities``: how much two runs may differ and be equivalent.
     question : tuple of str
         Primary questions, in the order in which they lead the report; by default what the data are about.
 

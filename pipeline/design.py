@@ -20,6 +20,7 @@ from stickslip.pipeline.quantity import Distribution, FromFile, Value, short, wo
 from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.systems import SystemFile, read
+from stickslip.sim.couplings import READINGS
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
 
@@ -29,8 +30,8 @@ MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = r
 #: What a file holds, by what a draw in its place would be for.
 _ARRAYS = {FRICTION: "friction", DAMPING: "damping", START_Z: "z0", START_W: "w0"}
 
-#: The readings of a perturbation in a member's name.
-_READINGS = {"scale": "p", "relative": "r", "damping matrix": "c"}
+#: The readings of a perturbation in a member's name. The data hang on it too.
+_READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 
 #: Work in a batch, in units of `Member.cost` (about a second each), and how many times as much in a scene of more
 #: than so many batches. Not chosen by the number of workers, on which the shards' names and bytes would then depend.

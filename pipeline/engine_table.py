@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, create_model, model_validator
 
 from stickslip.pipeline.toml import Count, PositiveNumbers, StrictTable, as_tuple
+from stickslip.sim.couplings import Reading
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
 
@@ -21,9 +22,6 @@ TOLERANCES: dict[Purpose, dict[str, float]] = {
     }
     for purpose in get_args(Purpose)
 }
-
-
-Reading = Literal["scale", "relative", "damping matrix"]
 
 
 def _once(values: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from stickslip.pipeline.engine_table import AnyEngine, EngineTable, Reading
+from stickslip.pipeline.engine_table import AnyEngine, EngineTable
 from stickslip.pipeline.quantity import (
     Axis,
     Distribution,
@@ -39,6 +39,7 @@ from stickslip.pipeline.tables import (
     TwinsTable,
 )
 from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, parse_toml, read_source
+from stickslip.sim.couplings import Reading
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.graphs import GRAPHS
 

@@ -92,7 +92,7 @@ class RecordTable(StrictTable):
 class MarginsTable(StrictTable):
     """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
 
-    Shares of the original's value, `distribution` of its standard deviation in time.
+    Shares of the original's value.
     """
 
     mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick", examples=[0.1])
@@ -100,8 +100,6 @@ class MarginsTable(StrictTable):
     rate: Positive = Field(default=0.1, description="margin of the rate of its changes", examples=[0.1])
     gamma: Positive = Field(default=0.05, description="margin of gamma by events", examples=[0.05])
     correlation_time: Positive = Field(default=0.5, description="margin of its correlation time", examples=[0.5])
-    band: Positive = Field(default=0.5, description="margin of its power at periods 15 to 25", examples=[0.5])
-    distribution: Positive = Field(default=0.5, description="margin of its stationary distribution", examples=[0.5])
 
 
 #: What a report can be asked first: the names of `analysis.questions`.

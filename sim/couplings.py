@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse
@@ -48,7 +49,8 @@ def _of_springs(stiffness: Floats, u: Floats) -> Floats:
 
 
 #: what "random values on the order of 1%" of the constants (section 4) may mean; see `perturb_system`
-READINGS: tuple[str, ...] = ("scale", "relative", "damping matrix")
+Reading = Literal["scale", "relative", "damping matrix"]
+READINGS: tuple[Reading, ...] = get_args(Reading)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +72,7 @@ class Coupling:
 
     rule: Callable[[Floats], Floats | scipy.sparse.sparray]
     width: int | None = None
-    readings: tuple[str, ...] = READINGS
+    readings: tuple[Reading, ...] = READINGS
     relative: Callable[[Floats, Floats], Floats] = _in_pairs
 
     def shape(self, n: int) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import adjusted
-from stickslip.analysis.stats.quantities import LABELS, QUANTITIES
+from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, PANEL, SMOOTHED, STYLE
 
@@ -155,9 +155,9 @@ class _Judged:
         change, complete = comparison.change, self._complete(comparison)
         row: Row = dict.fromkeys(_CHANGES) | {
             "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
-            "of": change, "what": f"{LABELS[quantity]}, {change}",
+            "of": change, "what": f"{QUANTITIES[quantity].label}, {change}",
             "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
-            "quantity": quantity, "label": LABELS[quantity], "n_matrices": len(complete),
+            "quantity": quantity, "label": QUANTITIES[quantity].label, "n_matrices": len(complete),
             "n_replicates": 1 + len(self.replicates), "verdict": UNKNOWN,
         }  # fmt: skip
         if len(complete) < enough.LEAST_MATRICES:
@@ -199,7 +199,7 @@ class _Judged:
             found = components.intraclass(self._values(quantity, own), self.level)
             rows.append(
                 {
-                    "setting": self.setting.label, "quantity": quantity, "label": LABELS[quantity],
+                    "setting": self.setting.label, "quantity": quantity, "label": QUANTITIES[quantity].label,
                     "n_matrices": len(own), "n_replicates": len(own[0]), "correlation": found.value,
                     "correlation_low": found.low, "correlation_high": found.high,
                 }

@@ -10,23 +10,6 @@ import numpy as np
 from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.estimates import Statistic, correlation_time, gamma, ratio
 
-BAND = (15.0, 25.0)  # periods around the paper's 20
-_SAMPLES = 4096  # samples of a window for its spectrum: dt = 0.1 for 400 units
-#: The one quantity that is no number: shares of time at each n_stick.
-DISTRIBUTION = "distribution"
-
-
-def band_share(win: Window, periods: tuple[float, float] = BAND) -> float:
-    """Share of the variance of n_stick in a band of periods: a Hann-tapered periodogram of `_SAMPLES` samples."""
-    dt = (win.t_stop - win.t_start) / _SAMPLES
-    samples = win.path()[win.grid_index(dt)][:_SAMPLES].astype(np.float64)
-    taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(len(samples)) / len(samples))
-    spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * taper)) ** 2
-    frequency = np.fft.rfftfreq(len(samples), dt)
-    total = float(spectrum[1:].sum())
-    inside = (frequency >= 1 / periods[1]) & (frequency <= 1 / periods[0])
-    return float(spectrum[inside].sum()) / total if total else 0.0
-
 
 def exit_rate(win: Window) -> float:
     """Exits a unit of time."""
@@ -57,7 +40,4 @@ QUANTITIES: Mapping[str, Quantity] = {
     "correlation_time": Quantity(
         "correlation time", lambda win: (0.0, 0.0) if (tau := correlation_time(win).value) is None else (tau, 1.0)
     ),
-    "band": Quantity("variance at periods 15–25", lambda win: (band_share(win), 1.0)),
 }
-#: Every name that a margin can be declared for, with its label.
-LABELS = {name: one.label for name, one in QUANTITIES.items()} | {DISTRIBUTION: "stationary distribution of n_stick"}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis.stats.cascades import window
 from stickslip.analysis.stats.compare import (
     equivalence_test,
     matrices_needed,
@@ -15,7 +14,6 @@ from stickslip.analysis.stats.compare import (
 )
 from stickslip.analysis.stats.estimates import ratio
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.stats.quantities import band_share
 
 
 def test_the_tests_agree_with_their_intervals():
@@ -67,15 +65,3 @@ def test_matrices_needed_is_the_first_with_the_power():
     found = matrices_needed(0.2, 0.1, 0.05)
     assert power(found, 0.2, 0.1, 0.05) >= 0.8 > power(found - 1, 0.2, 0.1, 0.05)
     assert matrices_needed(30.0, 0.01, 0.05) is None
-
-
-def test_band_share_of_a_pure_oscillation():
-    t = np.arange(0, 400, 0.1)
-
-    def share(period):
-        values = np.rint(100 + 50 * np.sin(2 * np.pi * t / period)).astype(int)
-        return band_share(window(t, values, 0.0, 400.0))
-
-    assert share(20.0) > 0.98
-    assert share(8.0) < 0.02
-    assert share(60.0) < 0.05
