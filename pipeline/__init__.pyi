@@ -5,8 +5,8 @@ from .design import Member as Member
 from .design import batches as batches
 from .design import expand as expand
 from .driver import Progress as Progress
+from .driver import run_ensemble as run_ensemble
 from .driver import run_member as run_member
-from .driver import run_scene as run_scene
 from .errors import AddressError as AddressError
 from .errors import QueryError as QueryError
 from .errors import SceneError as SceneError

@@ -239,6 +239,6 @@ def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: cont
     except (OSError, RuntimeError) as error:
         raise ScheduleError(
             f"expected {workers} workers on this machine, could not start them ({error}); see that {where} can be "
-            f"written, then rerun the scene; in a script, which every worker loads, call run_scene under "
+            f"written, then rerun the scene; in a script, which every worker loads, run it under "
             f'if __name__ == "__main__":'
         ) from error

@@ -41,7 +41,7 @@ RECORDED_BY = {
 
 
 @dataclass(frozen=True)
-class Dataset:
+class Opened:
     """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
 
     place: Place
@@ -60,7 +60,7 @@ class Dataset:
         return planned(self.place, self.scene, self.manifest)
 
 
-def open_dataset(path: Where) -> Dataset:
+def open_dataset(path: Where) -> Opened:
     """The dataset at `path`.
 
     Raises
@@ -79,7 +79,7 @@ def open_dataset(path: Where) -> Dataset:
             f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
             f"got another (hash {scene.hash[:12]}); restore the file"
         )
-    return Dataset(place, scene, manifest)
+    return Opened(place, scene, manifest)
 
 
 def dataset_scene(path: Where) -> Scene:

@@ -73,9 +73,8 @@ class Progress(Tally):
         return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[1]
 
 
-def run_scene(
+def run_ensemble(
     scene: Scene,
-    source: bytes,
     out: Where,
     workers: int = 2,
     scheduler: str | Client | None = None,
@@ -91,8 +90,7 @@ def run_scene(
     Parameters
     ----------
     scene : Scene
-    source : bytes
-        The scene file, kept beside the data.
+        Its `source` is kept beside the data.
     out : str, Path or Place
         Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
         which is resumed, or of a part of it, which is extended.
@@ -113,7 +111,7 @@ def run_scene(
     Raises
     ------
     ValueError
-        If `workers` is negative, or `source` is not the file of `scene`.
+        If `workers` is negative.
     StoreError
         If the directory cannot be used or written.
     SceneError
@@ -128,15 +126,15 @@ def run_scene(
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
     if getattr(current_process(), "_inheriting", False):  # a worker, loading the script that starts it
         raise ScheduleError(
-            'expected run_scene to be called under if __name__ == "__main__":, got a script that calls it wherever '
-            "it is loaded, and every worker loads it; write that line above the call"
+            'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
+            "loaded, and every worker loads it; write that line above the call"
         )
     start = time.monotonic()
     if isinstance(scheduler, str):
         check_address(scheduler)
     if scheduler is None:
         check_memory(scene, workers)
-    with Store(out, scene, source, retry_failed, accept_version) as store:
+    with Store(out, scene, scene.source, retry_failed, accept_version) as store:
         for file in {member.system_file for batch, _ in store.todo for member in batch.members}:
             if file is not None:
                 systems.read(file)  # as it was, or a word here and not a row for each member

@@ -99,6 +99,7 @@ class EngineTable(StrictTable):
         if len(self.tolerances) == len(picked):
             return self
         found = self.model_copy(update=picked | self.tolerances)
+        found.__pydantic_fields_set__ = self.model_fields_set  # what was picked is not what was written
         found._picked_for = purpose
         return found
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.engine_table import AnyEngine, EngineTable
 from stickslip.pipeline.quantity import (
@@ -38,7 +38,7 @@ from stickslip.pipeline.tables import (
     StartTable,
     TwinsTable,
 )
-from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, parse_toml, read_source
+from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, parse_toml, read_source, written
 from stickslip.sim.couplings import Reading
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.graphs import GRAPHS
@@ -74,6 +74,14 @@ class Scene(StrictTable):
     twins: TwinsTable | None = None
     record: RecordTable = RecordTable()
     analysis: AnalysisTable
+    _source: bytes | None = PrivateAttr(default=None)
+
+    @property
+    def source(self) -> bytes:
+        """The scene as a file: the one that it was read from, or one written from what it was made of."""
+        if self._source is not None:
+            return self._source
+        return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True)).encode()
 
     @property
     def purpose(self) -> Purpose:
@@ -302,4 +310,6 @@ def parse_scene(source: bytes, name: str = "scene") -> Scene:
     SceneError
         As `load_scene`.
     """
-    return as_scene(Scene, parse_toml(source, name), name)
+    scene = as_scene(Scene, parse_toml(source, name), name)
+    scene._source = source
+    return scene

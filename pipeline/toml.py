@@ -7,7 +7,7 @@ import itertools
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -133,6 +133,44 @@ def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
         return kind.model_validate(tables)
     except ValidationError as error:
         raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error, kind))) from None
+
+
+def written(tables: Mapping[str, Any]) -> str:
+    """Tables as TOML: what `parse_toml` reads back. What is None is left out."""
+    arrays = {key: value for key, value in tables.items() if _is_array_of_tables(value)}
+    inner = {key: value for key, value in tables.items() if isinstance(value, Mapping)}
+    lines = _pairs({key: value for key, value in tables.items() if key not in arrays | inner})
+    for key, table in inner.items():
+        lines += ["", f"[{_name(key)}]", *_pairs(table)]
+    for key, each in arrays.items():
+        for table in each:
+            lines += ["", f"[[{_name(key)}]]", *_pairs(table)]
+    return "\n".join([*lines, ""])
+
+
+def _is_array_of_tables(value: object) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, Mapping) for one in value)
+
+
+def _pairs(table: Mapping[str, Any]) -> list[str]:
+    return [f"{_name(key)} = {_value(value)}" for key, value in table.items() if value is not None]
+
+
+def _name(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
+
+
+def _value(value: object) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        case Mapping():
+            return f"{{{', '.join(_pairs(value))}}}"
+        case list() | tuple():
+            return f"[{', '.join(map(_value, value))}]"
+    return repr(value)
 
 
 class _OfToml(GenerateJsonSchema):

@@ -1,5 +1,4 @@
 from .analysis.stats.estimates import gamma as gamma
-from .pipeline.driver import run_scene as run_scene
 from .pipeline.query import members as members
 from .pipeline.query import n_stick as n_stick
 from .pipeline.query import sql as sql
@@ -17,3 +16,5 @@ from .sim.series import EventSeries as EventSeries
 from .sim.simulation import simulate as simulate
 from .sim.system import System as System
 from .version import __version__ as __version__
+from .workflows.dataset import Dataset as Dataset
+from .workflows.dataset import run_scene as run_scene

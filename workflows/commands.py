@@ -65,14 +65,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
-    from stickslip.pipeline import parse_scene, run_scene
-    from stickslip.pipeline.scene import scene_source
+    from stickslip.pipeline import load_scene, run_ensemble
     from stickslip.pipeline.signals import last_act
     from stickslip.pipeline.storage import DATA, SCENE, Directory
     from stickslip.workflows.progress import Watch, clock
 
-    source = scene_source(file)
-    scene = parse_scene(source, str(file))
+    scene = load_scene(file)
 
     def how_to_go_on() -> None:
         print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
@@ -82,9 +80,8 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
             if asking is not None:
                 # while workers compute
                 Thread(target=import_module, args=("stickslip.workflows.reporting",), daemon=True).start()
-            status = run_scene(
+            status = run_ensemble(
                 scene,
-                source,
                 out,
                 arguments.workers,
                 arguments.scheduler,
@@ -113,17 +110,15 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
 
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from stickslip.pipeline import parse_scene
+    from stickslip.pipeline import load_scene
     from stickslip.pipeline.cluster import check_memory
     from stickslip.pipeline.estimate import estimate
-    from stickslip.pipeline.scene import scene_source
     from stickslip.pipeline.writer import Store
     from stickslip.workflows.progress import in_words
 
-    source = scene_source(file)
-    scene = parse_scene(source, str(file))
+    scene = load_scene(file)
     check_memory(scene, arguments.workers)
-    store = Store(out, scene, source, arguments.retry_failed, arguments.accept_version)
+    store = Store(out, scene, scene.source, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
     print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)

@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from stickslip.pipeline import Progress, StoreError, parse_scene, query, run_scene, status, verify
+from stickslip.pipeline import Progress, StoreError, parse_scene, query, run_ensemble, status, verify
 from tests.faults.registry import fault
 from tests.faults.world import World, content
 
@@ -176,7 +176,7 @@ def swapped_shard_asked(world: World, count: int) -> int:
     other = world.directory / "other"
     source = world.source.replace(b"seed = 7", b"seed = 8")
     assert source != world.source
-    assert world.fork(lambda: run_scene(parse_scene(source), source, other, workers=0)) == 0
+    assert world.fork(lambda: run_ensemble(parse_scene(source), other, workers=0)) == 0
     shards = sorted((world.undisturbed / "data").iterdir())
     foreign = sorted((other / "data").iterdir())
     done = 0
@@ -205,7 +205,7 @@ def damaged_record_of_a_killed_run(world: World, count: int) -> int:
                 if progress.n_shards_done == n_shards:
                     os.kill(os.getpid(), signal.SIGKILL)
 
-            run_scene(world.scene, world.source, out, workers=0, on_progress=look)
+            run_ensemble(world.scene, out, workers=0, on_progress=look)
 
         assert world.fork(killed) == -signal.SIGKILL
         before = world.copy("before", out)

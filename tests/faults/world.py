@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stickslip.pipeline import design, expand, parse_scene, run_scene, verify
+from stickslip.pipeline import design, expand, parse_scene, run_ensemble, verify
 from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.worker import program
 from tests.scenes import ensemble
@@ -83,7 +83,7 @@ class World:
         assert len(self.reference) > 8
 
     def run(self, out: Path | str) -> None:
-        run_scene(self.scene, self.source, out, workers=0)
+        run_ensemble(self.scene, out, workers=0)
 
     def copy(self, name: str = "out", of: Path | None = None) -> Path:
         """A copy of a dataset, the undisturbed one if none is named, to be spoilt."""

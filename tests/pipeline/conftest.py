@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from stickslip.pipeline import design, parse_scene, run_scene
+from stickslip.pipeline import design, parse_scene, run_ensemble
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -45,7 +45,7 @@ def finished(scene, source, tmp_path_factory):
     path = tmp_path_factory.mktemp("finished") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(design, "TARGET_COST", SMALL_BATCHES)
-        run_scene(scene, source, path, workers=0)
+        run_ensemble(scene, path, workers=0)
     return path
 
 

@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from stickslip.pipeline import Progress, Scene, parse_scene, run_scene, status
+from stickslip.pipeline import Progress, Scene, parse_scene, run_ensemble, status
 from stickslip.pipeline.estimate import estimate
 from stickslip.pipeline.writer import Store
 from tests.scenes import COULOMB, SIGMOID, ensemble
@@ -60,7 +60,7 @@ def measure(workers: int) -> int:
             if found.amounts is None:
                 raise RuntimeError(f"{name}: members failed: {found.failures}")
             start = time.perf_counter()
-            size = (run_scene(scene, source, out, workers=workers).n_bytes - before) / 1e6
+            size = (run_ensemble(scene, out, workers=workers).n_bytes - before) / 1e6
             took = time.perf_counter() - start
         low, middle, high = found.amounts.seconds
         least, mean, most = (value / 1e6 for value in found.amounts.n_bytes)
@@ -87,7 +87,7 @@ def _begin(scene: Scene, source: bytes, out: Path, workers: int) -> None:
             raise KeyboardInterrupt
 
     with contextlib.suppress(KeyboardInterrupt):
-        run_scene(scene, source, out, workers=workers, on_progress=stop)
+        run_ensemble(scene, out, workers=workers, on_progress=stop)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from distributed import Security
 from distributed.core import rpc
 from distributed.utils import LoopRunner
 
-from stickslip.pipeline import AddressError, cluster, run_scene
+from stickslip.pipeline import AddressError, cluster, run_ensemble
 
 
 def listening(pids):
@@ -89,9 +89,9 @@ def test_certificates_of_dasks_configuration_open_an_address(scene, source, fini
         names = {"ca-file": "tls_ca_file", "client.cert": "tls_client_cert", "client.key": "tls_client_key"}
         tls = {f"distributed.comm.tls.{key}": getattr(client.security, name) for key, name in names.items()}
         with dask.config.set(tls):
-            run_scene(scene, source, tmp_path / "out", scheduler=client.scheduler.address)
+            run_ensemble(scene, tmp_path / "out", scheduler=client.scheduler.address)
         with pytest.raises(AddressError, match=r"certificates in dask's configuration, distributed\.comm\.tls"):
-            run_scene(scene, source, tmp_path / "other", scheduler=client.scheduler.address)
+            run_ensemble(scene, tmp_path / "other", scheduler=client.scheduler.address)
     assert content(tmp_path / "out") == content(finished)
     assert not (tmp_path / "other").exists()
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_scene, status, verify, worker
+from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_ensemble, status, verify, worker
 from stickslip.pipeline.writer import Store
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
@@ -21,7 +21,7 @@ from tests.pipeline.conftest import SOURCE
 def test_workers_give_the_bytes_of_this_process(workers, scene, source, finished, content, tmp_path):
     environment = dict(os.environ)
     seen: list[Progress] = []
-    result = run_scene(scene, source, tmp_path / "out", workers=workers, on_progress=seen.append)
+    result = run_ensemble(scene, tmp_path / "out", workers=workers, on_progress=seen.append)
     assert content(tmp_path / "out") == content(finished)
     assert verify(tmp_path / "out") == []
     assert dict(os.environ) == environment
@@ -37,7 +37,7 @@ def test_workers_give_the_bytes_of_this_process(workers, scene, source, finished
 
 def test_a_running_cluster_can_be_used(scene, source, finished, content, tmp_path):
     with cluster.local(1) as client:
-        run_scene(scene, source, tmp_path / "out", scheduler=client)
+        run_ensemble(scene, tmp_path / "out", scheduler=client)
     assert content(tmp_path / "out") == content(finished)
 
 
@@ -72,7 +72,7 @@ def test_libraries_have_one_thread_in_a_worker():
 
 def test_workers_are_counted_from_none(scene, source, tmp_path):
     with pytest.raises(ValueError, match="workers: expected a count >= 0, got -1"):
-        run_scene(scene, source, tmp_path / "out", workers=-1)
+        run_ensemble(scene, tmp_path / "out", workers=-1)
     assert not (tmp_path / "out").exists()
 
 
@@ -81,15 +81,15 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "from pathlib import Path\n"
-        "from stickslip.pipeline import load_scene, run_scene\n"
+        "from stickslip.pipeline import load_scene, run_ensemble\n"
         "file = Path('small.toml')\n"
-        "run_scene(load_scene(file), file.read_bytes(), 'out')\n"
+        "run_ensemble(load_scene(file), 'out')\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 1
-    assert 'call run_scene under if __name__ == "__main__":' in done.stderr.splitlines()[-1]
-    assert 'expected run_scene to be called under if __name__ == "__main__":, got a script' in done.stderr
+    assert 'run it under if __name__ == "__main__":' in done.stderr.splitlines()[-1]
+    assert 'expected a scene to be run under if __name__ == "__main__":, got a script' in done.stderr
 
 
 def test_batches_whose_workers_died_are_run_again(scene, source, finished, content, tmp_path, monkeypatch):
@@ -102,7 +102,7 @@ def test_batches_whose_workers_died_are_run_again(scene, source, finished, conte
 
     monkeypatch.setattr(driver, "_compute", dies)
     with cluster.local(1) as client:
-        result = run_scene(scene, source, tmp_path / "out", workers=0, scheduler=client)
+        result = run_ensemble(scene, tmp_path / "out", workers=0, scheduler=client)
     assert result.is_complete
     assert content(tmp_path / "out") == content(finished)
 
@@ -113,21 +113,21 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, source, tmp_path / "out", workers=0, on_progress=interrupt)
+        run_ensemble(scene, tmp_path / "out", workers=0, on_progress=interrupt)
     assert verify(tmp_path / "out") == []
     assert not (tmp_path / "out" / ".lock").exists()
     before = content(tmp_path / "out")
     planned, to_go = Store(tmp_path / "out", scene, source).look()
     assert to_go == planned[1:]
     assert content(tmp_path / "out") == before
-    run_scene(scene, source, tmp_path / "out", workers=0)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == content(finished)
 
 
 def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.driver.program", lambda: "9.9.9-0123")
     with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
-        run_scene(scene, source, tmp_path / "out", workers=0)
+        run_ensemble(scene, tmp_path / "out", workers=0)
     assert status(tmp_path / "out").n_done == 0
 
 

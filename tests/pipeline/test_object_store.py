@@ -10,7 +10,7 @@ import time
 import fsspec
 import pytest
 
-from stickslip.pipeline import Progress, StoreError, object_store, query, run_scene, status, storage, verify
+from stickslip.pipeline import Progress, StoreError, object_store, query, run_ensemble, status, storage, verify
 from stickslip.pipeline.monitor import running
 from stickslip.pipeline.writer import Store
 from tests.processes import until
@@ -49,7 +49,7 @@ def stored(finished, memory):
 
 
 def test_same_bytes_as_in_a_directory_and_every_question_answered_alike(scene, source, finished, content, memory):
-    assert run_scene(scene, source, OUT, workers=0).is_complete
+    assert run_ensemble(scene, OUT, workers=0).is_complete
     assert objects_of(memory) == content(finished)
     assert verify(OUT) == []
     here, there = status(finished), status(OUT)
@@ -83,34 +83,34 @@ def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished
     with pytest.raises(StoreError, match=r"shard-00001-.* expected \d+ bytes, got 1; rerun the scene"):
         query.members(stored)
     seen: list[Progress] = []
-    run_scene(scene, source, stored, workers=0, on_progress=seen.append)
+    run_ensemble(scene, stored, workers=0, on_progress=seen.append)
     assert sum(progress.last_shard is not None for progress in seen) == 2
     assert objects_of(memory) == content(finished) | {"data/notes.txt": b"mine"}
 
 
 def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, content, memory, monkeypatch):
-    run_scene(scene, source, OUT, workers=0)
+    run_ensemble(scene, OUT, workers=0)
     del memory["/bucket/out/manifest.json"]
     with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
         status(OUT)
     monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
-    run_scene(scene, source, OUT, workers=0)
+    run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
 
 def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, content, memory, tmp_path, monkeypatch):
-    run_scene(scene, source, OUT, workers=0)
+    run_ensemble(scene, OUT, workers=0)
     fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
     assert content(tmp_path) == content(finished)
     (tmp_path / "manifest.json").unlink()
     monkeypatch.setattr("stickslip.sim.simulate", None)
-    assert run_scene(scene, source, tmp_path, workers=0).is_complete
+    assert run_ensemble(scene, tmp_path, workers=0).is_complete
 
 
 def test_files_of_something_else_are_refused_and_left_alone(scene, source, memory):
     fsspec.filesystem("memory").pipe_file("/bucket/out/thesis.tex", b"all of it")
     with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
-        run_scene(scene, source, OUT, workers=0)
+        run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == {"thesis.tex": b"all of it"}
 
 
@@ -128,14 +128,14 @@ def test_a_lock_that_holds_is_a_refusal_that_says_until_when(scene, source, stor
     before = objects_of(memory)
     assert running(stored).owner == "process 1234 on elsewhere"
     with pytest.raises(StoreError, match=r"held by process 1234 on elsewhere; .*its lease ends in 42 s"):
-        run_scene(scene, source, stored, workers=0)
+        run_ensemble(scene, stored, workers=0)
     assert objects_of(memory) == before
 
 
 def test_a_lock_that_ran_out_is_taken_over(scene, source, stored, memory, impatient):
     leave_lock(-0.1)
     assert running(stored) is None
-    assert run_scene(scene, source, stored, workers=0).is_complete
+    assert run_ensemble(scene, stored, workers=0).is_complete
     assert ".lock" not in objects_of(memory)
 
 
@@ -188,11 +188,11 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
             time.sleep(0.25)
 
     with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*rerun the scene when"):
-        run_scene(scene, source, OUT, workers=0, on_progress=stopped_for_a_while)
+        run_ensemble(scene, OUT, workers=0, on_progress=stopped_for_a_while)
     assert memory["/bucket/out/.lock"].getvalue().startswith(b"process 77")
     assert status(OUT).n_shards_done == 2
     leave_lock(-0.1)
-    run_scene(scene, source, OUT, workers=0)
+    run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
 
@@ -202,7 +202,7 @@ def test_a_store_that_overwrites_where_it_is_told_to_create_is_refused(scene, so
     put = system.pipe_file
     monkeypatch.setattr(system, "pipe_file", lambda self, path, value, mode="overwrite": put(self, path, value))
     with pytest.raises(StoreError, match=r"expected a store that refuses to create .* got one that overwrites"):
-        run_scene(scene, source, OUT, workers=0)
+        run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == {}
 
 
@@ -261,7 +261,7 @@ def requests(monkeypatch):
 @pytest.mark.parametrize("is_late", [False, True])
 def test_what_fails_in_passing_is_tried_again(is_late, scene, source, finished, content, memory, impatient, requests):
     requests |= {k: (OSError(5, "busy"), is_late) for k in range(1, 60, 2)}
-    assert run_scene(scene, source, OUT, workers=0).is_complete
+    assert run_ensemble(scene, OUT, workers=0).is_complete
     assert objects_of(memory) == content(finished)
 
 
@@ -273,10 +273,10 @@ def test_what_goes_on_failing_is_one_clear_error_and_resumes(
             requests["from now on"] = (TimeoutError("no answer"), False)
 
     with pytest.raises(StoreError, match=r"shard-00003-.* cannot be written \(no answer\).*rerun the scene"):
-        run_scene(scene, source, OUT, workers=0, on_progress=lost)
+        run_ensemble(scene, OUT, workers=0, on_progress=lost)
     requests.clear()
     assert status(OUT).n_shards_done == 3
-    run_scene(scene, source, OUT, workers=0)
+    run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
 
@@ -284,7 +284,7 @@ def test_what_goes_on_failing_is_one_clear_error_and_resumes(
 def test_what_is_refused_is_not_asked_again(error, scene, source, memory, requests):
     requests["from now on"] = (error, False)
     with pytest.raises(StoreError, match=rf"memory://bucket/out/\.lock: cannot be written \({error}\)"):
-        run_scene(scene, source, OUT, workers=0)
+        run_ensemble(scene, OUT, workers=0)
     assert requests.calls == ["/bucket/out/.lock"]
 
 
@@ -313,4 +313,4 @@ def test_a_copy_of_a_directory_with_its_lock_is_no_obstacle(scene, source, finis
     out = shutil.copytree(finished, tmp_path / "out")
     (out / ".lock").write_text("process 1 on elsewhere\n")
     fsspec.filesystem("memory").put(f"{out}/", "/bucket/out/", recursive=True)
-    assert run_scene(scene, source, OUT, workers=0).is_complete
+    assert run_ensemble(scene, OUT, workers=0).is_complete

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_scene
+from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble
 from stickslip.pipeline.schema import SCHEMA, scalars
 
 
@@ -113,7 +113,7 @@ def test_unknown_member_and_no_dataset(finished, tmp_path):
 
 def test_what_was_not_recorded_is_named_with_the_key_that_records_it(source, tmp_path):
     bare = source.replace(b"events = true", b"events = false").replace(b"n = [5, 3]", b"n = 3")
-    run_scene(parse_scene(bare), bare, tmp_path, workers=0)
+    run_ensemble(parse_scene(bare), tmp_path, workers=0)
     words = "events: expected a dataset with events, got one without; set `events = true` under [record]"
     asked = [
         lambda: query.events(tmp_path, "n3-m000-coulomb-1e-10"),

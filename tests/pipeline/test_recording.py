@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_scene, verify, worker
+from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify, worker
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
 from stickslip.pipeline.schema import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
@@ -39,7 +39,7 @@ def scene():
 @pytest.fixture(scope="module")
 def kept(scene, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "out"
-    run_scene(scene, SOURCE, path, workers=0)
+    run_ensemble(scene, path, workers=0)
     return path
 
 
@@ -104,14 +104,14 @@ def test_the_last_time_is_not_lost_by_rounding(tmp_path):
     """0.3 / 0.1 < 3 in floating point, and 3 * 0.1 > 0.3."""
     text = SOURCE.replace(b"t_end = 11.0", b"t_end = 0.3").replace(b"separation = 2.5", b"separation = 0.1")
     text = text.replace(b"t_burn = 1.0", b"t_burn = 0.0")
-    run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
+    run_ensemble(parse_scene(text), tmp_path / "out", workers=0)
     assert {len(distance) for _, distance in separations(tmp_path / "out").values()} == {4}
 
 
 def test_a_scene_that_grows_keeps_its_step(kept):
     text = SOURCE.replace(b"matrices = 2", b"matrices = 3").replace(b"separation = 2.5", b"separation = 5.0")
     with pytest.raises(StoreError, match=r"record\.separation: 5\.0 here, 2\.5 there"):
-        run_scene(parse_scene(text), text, kept, workers=0)
+        run_ensemble(parse_scene(text), kept, workers=0)
 
 
 def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
@@ -157,7 +157,7 @@ def test_the_members_table_names_the_change(kept):
 def test_what_is_not_asked_for_is_not_there(tmp_path):
     text = SOURCE.decode().replace("events = true\nseparation = 2.5", "").replace("thresholds = [2.0, 0.5]", "")
     scene = parse_scene(text.encode())
-    run_scene(scene, text.encode(), tmp_path / "out", workers=0)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     assert [list(read(tmp_path / "out")) for read in (all_events, separations, by_threshold)] == [[], [], []]
 
 
@@ -176,7 +176,7 @@ def test_the_purpose_can_be_said(scene):
 
 def test_the_growth_rate_is_that_of_the_member_s_own_system(tmp_path):
     text = SOURCE.replace(b"events = true", b"growth_rate = true")
-    run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
+    run_ensemble(parse_scene(text), tmp_path / "out", workers=0)
     rates = members(tmp_path / "out").set_index("member_id")["growth_rate"]
     for member in expand(parse_scene(text))[::3]:
         system = member.system()

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import scipy.sparse
 
-from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_scene, verify
+from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.cluster import check_memory
 
 GRID = """\
@@ -136,13 +136,13 @@ def test_lists_that_are_zipped_go_together():
 
 def test_a_grid_gives_the_same_bytes_wherever_it_runs_and_grows(content, tmp_path):
     source = GRID.encode()
-    run_scene(parse_scene(source), source, tmp_path / "whole", workers=0)
+    run_ensemble(parse_scene(source), tmp_path / "whole", workers=0)
     small = GRID.replace("kappa = [0.2, 0.1]", "kappa = [0.2]").encode()
     for workers in (0, 2):
         out = tmp_path / f"grown-{workers}"
-        run_scene(parse_scene(small), small, out, workers=workers)
+        run_ensemble(parse_scene(small), out, workers=workers)
         before = content(out / "data")
-        run_scene(parse_scene(source), source, out, workers=workers)
+        run_ensemble(parse_scene(source), out, workers=workers)
         assert before.items() <= content(out / "data").items()
         assert verify(out) == []
     assert content(tmp_path / "grown-0") == content(tmp_path / "grown-2")
@@ -155,7 +155,7 @@ def test_a_grid_gives_the_same_bytes_wherever_it_runs_and_grows(content, tmp_pat
     assert len(shards) > 4
     for shard in shards[1::2]:
         shard.unlink()
-    run_scene(parse_scene(source), source, half, workers=0)
+    run_ensemble(parse_scene(source), half, workers=0)
     assert content(half / "data") == content(tmp_path / "whole" / "data")
 
 
@@ -186,7 +186,7 @@ def test_each_draw_is_numpys_own_under_its_key(seed):
 
 def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
     source = DRAWN.replace("SEED", str(seed)).encode()
-    run_scene(parse_scene(source), source, tmp_path / "out", workers=0)
+    run_ensemble(parse_scene(source), tmp_path / "out", workers=0)
     assert verify(tmp_path / "out") == []
     table = query.members(tmp_path / "out")
     assert set(table.outcome) <= {"finished", "collapsed"}
@@ -196,7 +196,7 @@ def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
     assert (table.drawn.str.contains("friction = uniform(0.8, 1.2)", regex=False) == table.friction.isna()).all()
     assert sorted(table.start_draw.unique()) == [0, 1, 2]
     more = DRAWN.replace("SEED", str(seed)).replace("draws = 3", "draws = 4").encode()
-    run_scene(parse_scene(more), more, tmp_path / "out", workers=0)
+    run_ensemble(parse_scene(more), tmp_path / "out", workers=0)
     grown = query.members(tmp_path / "out")
     assert len(grown) == 4 * len(table) / 3
     assert grown[grown.start_draw < 3].sort_values("member_id").equals(table.sort_values("member_id")) or (
@@ -263,7 +263,7 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
     check_memory(scene, workers=2)
     with pytest.raises(SceneError, match=r"record\.growth_rate.*set it to false"):
         check_memory(parse_scene(f"{source}[record]\ngrowth_rate = true\n".encode()), workers=2)
-    run_scene(scene, source.encode(), tmp_path / "out", workers=0)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     (row,) = query.members(tmp_path / "out").to_dict(orient="records")
     assert (row["outcome"], row["n"], row["kappa"], row["leaf"]) == ("finished", 10000, 0.5, 0.1)
     assert row["n_events"] > 100

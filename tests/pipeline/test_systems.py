@@ -8,8 +8,7 @@ import scipy.io
 import scipy.sparse
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_scene, systems, verify
-from stickslip.pipeline.scene import scene_source
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
 from stickslip.workflows.commands import main
 
 SCENE = """\
@@ -72,7 +71,7 @@ def test_a_file_is_the_system_and_its_digest_is_in_the_name(tmp_path, arrays):
 
 def test_the_run_of_a_member_is_that_of_simulate(tmp_path, arrays):
     file = written(tmp_path, arrays)
-    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     table = query.members(tmp_path / "out")
     assert set(table.file) == {"K.npz"}
     assert table.kappa.unique() == pytest.approx([np.abs(arrays["stiffness"]).max()])
@@ -106,12 +105,12 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
 def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)
-    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
-    run_scene(load_scene(file), scene_source(file), tmp_path / "two", workers=2)
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    run_ensemble(load_scene(file), tmp_path / "two", workers=2)
     assert content(tmp_path / "two") == content(tmp_path / "out")
     before = content(tmp_path / "out" / "data")
     np.savez(tmp_path / "K-new.npz", **arrays | {"stiffness": arrays["stiffness"] + np.eye(4)})
-    run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert before.items() <= content(tmp_path / "out" / "data").items()
     for one in tmp_path.glob("K*.npz"):
         one.unlink()
@@ -121,16 +120,16 @@ def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_p
 
 def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, content, capsys):
     file = written(tmp_path, arrays)
-    source, scene = scene_source(file), load_scene(file)
-    run_scene(scene, source, tmp_path / "out", workers=0)
+    scene = load_scene(file)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     before = content(tmp_path / "out")
     written(tmp_path, arrays | {"friction": arrays["friction"] * 1.5})
     with pytest.raises(StoreError, match=r"system\.files\.K\.npz: '[0-9a-f]{64}' here, '[0-9a-f]{64}' there"):
-        run_scene(load_scene(file), scene_source(file), tmp_path / "out", workers=0)
+        run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == before
     systems._read.cache_clear()
     with pytest.raises(SceneError, match=r"K\.npz as it was when the scene was read .* got another"):
-        run_scene(scene, source, tmp_path / "new", workers=0)  # changed between the reading and the run
+        run_ensemble(scene, tmp_path / "new", workers=0)  # changed between the reading and the run
 
 
 BAD = {

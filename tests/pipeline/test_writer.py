@@ -24,8 +24,8 @@ from stickslip.pipeline import (
     object_store,
     parse_scene,
     query,
+    run_ensemble,
     run_member,
-    run_scene,
     status,
     storage,
     verify,
@@ -93,7 +93,7 @@ def test_every_column_is_described_and_holds_no_nan(finished):
 
 def test_without_recording_there_are_no_event_columns(source, tmp_path):
     text = source.replace(b"events = true", b"events = false").replace(b"matrices = 3", b"matrices = 1")
-    run_scene(parse_scene(text), text, tmp_path / "out", workers=0)
+    run_ensemble(parse_scene(text), tmp_path / "out", workers=0)
     assert all(table.schema.names == SCHEMA.names for table in tables(tmp_path / "out"))
 
 
@@ -112,7 +112,7 @@ def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
         return simulate(system, *args, **settings)
 
     monkeypatch.setattr("stickslip.sim.simulate", fragile)
-    result = run_scene(scene, source, tmp_path / "out", workers=0)
+    result = run_ensemble(scene, tmp_path / "out", workers=0)
     assert result.is_complete
     assert result.outcomes["failed"] == 9
     assert result.failures == {"ZeroDivisionError: one two": 9}
@@ -150,12 +150,12 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StoreError, match=r"No space left on device.*rerun the scene"):
-        run_scene(scene, source, out, workers=0)
+        run_ensemble(scene, out, workers=0)
     monkeypatch.undo()
     monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 3.5e-3)
     assert list(out.rglob(".tmp-*")) == []
     assert not (out / ".lock").exists()
-    run_scene(scene, source, out, workers=0)
+    run_ensemble(scene, out, workers=0)
     assert content(out) == content(finished)
 
 
@@ -183,7 +183,7 @@ def test_a_shard_is_there_before_the_manifest_says_so(scene, source, tmp_path, m
             looks.append(status(out).n_damaged)
 
     monkeypatch.setattr(os, "fsync", look)
-    run_scene(scene, source, out, workers=0)
+    run_ensemble(scene, out, workers=0)
     assert len(looks) > len(shards(out))
     assert set(looks) == {0}
 
@@ -248,7 +248,7 @@ def test_damage_is_found_and_only_that_is_computed_again(name, copy, scene, sour
     assert problems[0].startswith(str(victim))
     assert words in problems[0]
     kept = {file: file.stat().st_mtime_ns for file in shards(copy) if file.name != victim.name}
-    run_scene(scene, source, copy, workers=0)
+    run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert victim.name in caplog.text
@@ -312,7 +312,7 @@ def test_another_scene_is_refused_with_the_difference(copy, source):
     before = listing(copy)
     scene = parse_scene(changed)
     with pytest.raises(StoreError) as caught:
-        run_scene(scene, changed, copy, workers=0)
+        run_ensemble(scene, copy, workers=0)
     for words in (
         scene.hash[:12],
         parse_scene(source).hash[:12],
@@ -328,26 +328,17 @@ def test_the_key_that_was_changed_comes_before_what_follows_from_it(copy, source
     changed = source.replace(b"events = true", b"events = false")
     changed = changed.replace(b"[perturbation]\nsizes = [0.05, 0.01]", b"")
     with pytest.raises(StoreError) as caught:
-        run_scene(parse_scene(changed), changed, copy, workers=0)
+        run_ensemble(parse_scene(changed), copy, workers=0)
     keys = [part.partition(":")[0] for part in str(caught.value).split("; ")[1:]]
     written = ["perturbation.sizes", "record.events"]
     picked = ["engine[0].picked_for", "engine[0].tol", "engine[1].atol"]
     assert keys == [*written, *picked, "and 4 keys more", "choose another directory, or restore the scene"]
 
 
-def test_a_source_of_another_scene_is_refused_before_anything_is_made(scene, source, tmp_path):
-    changed = source.replace(b"seed = 7", b"seed = 8")
-    with pytest.raises(ValueError, match=rf"source: expected the file of the scene \(hash {scene.hash[:12]}\), got"):
-        run_scene(scene, changed, tmp_path / "out", workers=0)
-    with pytest.raises(ValueError, match="source: expected TOML"):
-        run_scene(scene, b"[", tmp_path / "out", workers=0)
-    assert not (tmp_path / "out").exists()
-
-
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):
     monkeypatch.setattr("stickslip.sim.simulate", None)
     changed = source.replace(b'title = "small"', b'title = "new"').replace(b"t_burn = 1.0", b"t_burn = 2.0")
-    assert run_scene(parse_scene(changed), changed, copy, workers=0).is_complete
+    assert run_ensemble(parse_scene(changed), copy, workers=0).is_complete
     assert (copy / "scene.toml").read_bytes() == changed
     assert verify(copy) == []
 
@@ -355,7 +346,7 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
 def test_a_dataset_keeps_the_packing_that_it_began_with(copy, scene, source, content, finished, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 7e-3)
     shards(copy)[2].unlink()
-    run_scene(scene, source, copy, workers=0)
+    run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
 
 
@@ -366,7 +357,7 @@ def test_shards_of_other_members_are_refused_and_kept(copy, scene, source):
     (copy / "manifest.json").write_bytes(manifest.to_bytes())
     kept = {file: file.read_bytes() for file in shards(copy)}
     with pytest.raises(StoreError, match=r"got shard-00099.*use the version of stickslip that began it"):
-        run_scene(scene, source, copy, workers=0)
+        run_ensemble(scene, copy, workers=0)
     assert {file: file.read_bytes() for file in shards(copy)} == kept
     assert "not a shard of this scene" in "".join(verify(copy))
 
@@ -374,10 +365,10 @@ def test_shards_of_other_members_are_refused_and_kept(copy, scene, source):
 def test_a_directory_of_something_else_is_refused_and_left_alone(scene, source, tmp_path):
     (tmp_path / "thesis.tex").write_text("all of it")
     with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
-        run_scene(scene, source, tmp_path, workers=0)
+        run_ensemble(scene, tmp_path, workers=0)
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(StoreError, match="expected a directory, got a file"):
-        run_scene(scene, source, tmp_path / "thesis.tex", workers=0)
+        run_ensemble(scene, tmp_path / "thesis.tex", workers=0)
     with pytest.raises(StoreError, match=r"expected a dataset, found no manifest\.json"):
         status(tmp_path)
 
@@ -413,10 +404,10 @@ def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
     changed = source.replace(b"seed = 7", b"seed = 8")
     other = parse_scene(changed)
     with pytest.raises(StoreError):  # of another scene, it is left alone
-        run_scene(other, changed, copy, workers=0)
+        run_ensemble(other, copy, workers=0)
     assert listing(copy) == before
     monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
-    run_scene(scene, source, copy, workers=0)
+    run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert verify(copy) == []
 
@@ -428,7 +419,7 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
     timings = copy / "timings.jsonl"
     timings.write_bytes(b"\n".join(timings.read_bytes().splitlines()[:3]) + b"\n{")
     kept = {file: file.stat().st_mtime_ns for file in shards(copy)}
-    run_scene(scene, source, copy, workers=0)
+    run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert sum(file.stat().st_mtime_ns == kept[file] for file in kept) == 3
 
@@ -453,7 +444,7 @@ def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, 
     for matrices in (3, 6, 12):
         written.clear()
         grown = source.replace(b"matrices = 3", f"matrices = {matrices}".encode())
-        found = run_scene(parse_scene(grown), grown, f"{where.format(tmp_path=tmp_path)}{matrices}", workers=0)
+        found = run_ensemble(parse_scene(grown), f"{where.format(tmp_path=tmp_path)}{matrices}", workers=0)
         overhead[found.n_shards_done] = sum(written) - found.n_bytes
     print(overhead)  # bytes by number of shards
     few, more, many = overhead.values()
@@ -474,7 +465,7 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
             with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):
                 look(copy)
     (copy / "timings.jsonl").write_bytes(record.replace(b'"rows"', b'"rowz"', 2))
-    run_scene(scene, source, copy, workers=0)
+    run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert read_manifest(copy).recorded_from is None
 
@@ -484,7 +475,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
     del manifest["check"]  # which version 2 had not
     (copy / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 2}))
     before = listing(copy)
-    for look in (status, verify, query.members, lambda path: run_scene(scene, source, path, workers=0)):
+    for look in (status, verify, query.members, lambda path: run_ensemble(scene, path, workers=0)):
         with pytest.raises(StoreError, match=r"expected a dataset of schema version 3, got one of version 2; use"):
             look(copy)
     assert listing(copy) == before
@@ -494,14 +485,14 @@ def test_another_version_of_the_program_is_refused_unless_told(copy, scene, sour
     for room in ("writer", "worker", "driver"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
-    assert run_scene(scene, source, copy, workers=0).is_complete  # nothing to compute: nothing to mix
+    assert run_ensemble(scene, copy, workers=0).is_complete  # nothing to compute: nothing to mix
     assert content(copy) == complete
     shards(copy)[1].unlink()
     before = listing(copy)
     with pytest.raises(StoreError, match=r"this version of the program \(9\.9\.9-0123\), got.*--accept-version"):
-        run_scene(scene, source, copy, workers=0)
+        run_ensemble(scene, copy, workers=0)
     assert listing(copy) == before
-    assert run_scene(scene, source, copy, workers=0, accept_version=True).is_complete
+    assert run_ensemble(scene, copy, workers=0, accept_version=True).is_complete
     assert read_manifest(copy).programs[-1] == "9.9.9-0123"
     assert {name: text for name, text in content(copy).items() if name != "manifest.json"} == {
         name: text for name, text in complete.items() if name != "manifest.json"
@@ -533,17 +524,17 @@ def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_p
     grown = parse_scene(text)
     kept = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in shards(copy)}
     seen: list[Progress] = []
-    assert run_scene(grown, text, copy, workers=0, on_progress=seen.append).is_complete
+    assert run_ensemble(grown, copy, workers=0, on_progress=seen.append).is_complete
     assert seen[0].n_done == scene.n_members < grown.n_members == seen[-1].n_done
     assert {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in kept} == kept
     assert verify(copy) == []
-    run_scene(grown, text, tmp_path / "anew", workers=0)
+    run_ensemble(grown, tmp_path / "anew", workers=0)
     assert rows(copy) == rows(tmp_path / "anew")
     with pytest.raises(StoreError, match="or restore the scene"):  # it does not shrink
-        run_scene(scene, source, copy, workers=0)
+        run_ensemble(scene, copy, workers=0)
     shards(copy)[-1].unlink()
     shards(copy)[0].unlink()
-    assert run_scene(grown, text, copy, workers=0).is_complete
+    assert run_ensemble(grown, copy, workers=0).is_complete
     assert rows(copy) == rows(tmp_path / "anew")
 
 
@@ -560,7 +551,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
 
     monkeypatch.setattr("stickslip.sim.simulate", fragile)
     out = tmp_path / "out"
-    run_scene(scene, source, out, workers=0)
+    run_ensemble(scene, out, workers=0)
     failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
     for row in failed:
         assert row["reproduce"] == f"stickslip run scene.toml --only {row['member_id']}"
@@ -568,15 +559,13 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     with pytest.raises(ValueError, match="expected a member of the scene, such as 'n3-m000"):
         run_member(scene, "n9")
     calls.clear()
-    run_scene(scene, source, out, workers=0)
+    run_ensemble(scene, out, workers=0)
     assert calls == []  # a failed member is done
     monkeypatch.setattr("stickslip.sim.simulate", simulate)
     touched = {file: file.stat().st_mtime_ns for file in shards(out)}
     with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
     seen: list[Progress] = []
-    assert (
-        "failed" not in run_scene(scene, source, out, workers=0, retry_failed=True, on_progress=seen.append).outcomes
-    )
+    assert "failed" not in run_ensemble(scene, out, workers=0, retry_failed=True, on_progress=seen.append).outcomes
     assert seen[0].n_done < seen[-1].n_done == scene.n_members
     assert content(out) == content(finished)
     assert {file.name for file in touched if file.stat().st_mtime_ns != touched[file]} == with_failed
@@ -589,7 +578,7 @@ def test_one_writer_at_a_time(copy, scene, source):
         lock.flush()
         fcntl.flock(lock, fcntl.LOCK_EX)
         with pytest.raises(StoreError, match=r"lock held by process 1234 on elsewhere; wait for it to end"):
-            run_scene(scene, source, copy, workers=0)
+            run_ensemble(scene, copy, workers=0)
     assert {name: text for name, text in listing(copy).items() if not name.endswith(".lock")} == before
-    assert run_scene(scene, source, copy, workers=0).is_complete  # what a crash leaves is no obstacle
+    assert run_ensemble(scene, copy, workers=0).is_complete  # what a crash leaves is no obstacle
     assert not (copy / ".lock").exists()

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from stickslip.pipeline import parse_scene, run_scene, status, verify
+from stickslip.pipeline import parse_scene, run_ensemble, status, verify
 from stickslip.workflows.commands import main
 from tests.processes import dask_by_hand
 from tests.scenes import COULOMB, ensemble
@@ -42,7 +42,7 @@ def scene_file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     path = tmp_path_factory.mktemp("reference") / "out"
-    run_scene(parse_scene(SOURCE), SOURCE, path, workers=0)
+    run_ensemble(parse_scene(SOURCE), path, workers=0)
     return shards(path)
 
 
@@ -116,7 +116,7 @@ def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, 
     monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 0.005)
     source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 60", b"matrices = 6")
     (tmp_path / "mine.toml").write_bytes(source)
-    run_scene(parse_scene(source), source, tmp_path / "reference", workers=0)
+    run_ensemble(parse_scene(source), tmp_path / "reference", workers=0)
     with dask_by_hand(tmp_path, *worker) as (address, _):
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=30)

@@ -25,7 +25,7 @@ from stickslip.analysis.ensemble import OUTCOMES
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
-from stickslip.pipeline import SceneError, engine_table, expand, parse_scene, query, run_scene
+from stickslip.pipeline import SceneError, engine_table, expand, parse_scene, query, run_ensemble
 from stickslip.sim import couplings, draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.workflows.charts import CHARTS
@@ -160,7 +160,7 @@ def test_first_scene_counts_the_members(first):
 def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
     """With its six matrices: the table of outcomes, and who still moves at the end."""
     source = (first / "six.toml").read_bytes()
-    run_scene(parse_scene(source), source, tmp_path / "mine", workers=0)
+    run_ensemble(parse_scene(source), tmp_path / "mine", workers=0)
     (command,) = (words for words in commands("first-scene") if words[0] == "query")
     rows = [tuple(map(str, row)) for row in query.sql(tmp_path / "mine", command[2]).itertuples(index=False)]
     assert rows == [tuple(line.split()) for line in blocks(page("first-scene"), "text")[0].splitlines()[1:]]

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.stats.cascades import spans, window
-from stickslip.pipeline import parse_scene, query, run_scene
+from stickslip.pipeline import parse_scene, query, run_ensemble
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()
@@ -30,7 +30,7 @@ SOURCE = ensemble(
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     path = tmp_path_factory.mktemp("guide") / "out"
-    run_scene(parse_scene(SOURCE), SOURCE, path, workers=0)
+    run_ensemble(parse_scene(SOURCE), path, workers=0)
     return path
 
 

@@ -21,10 +21,10 @@ def users_own(tmp_path, monkeypatch):
 def test_a_users_files_break_nothing(how, users_own, small_scene):
     code = (
         "if __name__ == '__main__':\n"
-        "    from stickslip import load_scene, members, run_scene, simulate, System\n"
+        "    from stickslip import members, run_scene, simulate, System\n"
         "    print(simulate(System([[1.0]], 0.5), -3.0, 0.0, 5.0).outcome)\n"
         f"    file = {str(small_scene)!r}\n"
-        "    run_scene(load_scene(file), open(file, 'rb').read(), 'out', workers=2)\n"
+        "    run_scene(file, 'out', workers=2)\n"
         "    print(len(members('out')))\n"
     )
     (users_own / "mine.py").write_text(code)

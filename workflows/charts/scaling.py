@@ -28,7 +28,7 @@ from scipy.stats import linregress, t
 
 from stickslip import sim
 from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
-from stickslip.pipeline import parse_scene, run_scene
+from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import MATRIX
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
@@ -471,7 +471,7 @@ def _pipeline(scene: ScalingScene, engine: Engine, settings: Settings, **where: 
     source = ensemble_source(scene, engine, settings)
     with TemporaryDirectory() as directory:
         start = time.perf_counter()
-        status = run_scene(parse_scene(source), source, Path(directory) / "ensemble", **where)
+        status = run_ensemble(parse_scene(source), Path(directory) / "ensemble", **where)
         return time.perf_counter() - start, status.outcomes.get("failed", 0)
 
 

@@ -24,10 +24,9 @@ from stickslip.pipeline import (
     StoreError,
     interruptible,
     load_scene,
-    run_scene,
+    run_ensemble,
 )
 from stickslip.pipeline.cluster import QuietScheduler, local
-from stickslip.pipeline.scene import scene_source
 from stickslip.pipeline.signals import unbroken
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find
@@ -114,14 +113,14 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     try:
         file = find(arguments.scene)
-        scene, source = load_scene(file), scene_source(file)
+        scene = load_scene(file)
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
         with interruptible(), start(arguments) as client:
             print(f"dask    waiting for the first of {arguments.workers} workers")
             client.wait_for_workers(1)
             with Watch(arguments.out) as watch:
-                status = run_scene(scene, source, arguments.out, scheduler=client, on_progress=watch)
+                status = run_ensemble(scene, arguments.out, scheduler=client, on_progress=watch)
     except Interrupted as interrupt:
         print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
         return interrupt.exit_code

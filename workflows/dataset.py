@@ -1,0 +1,115 @@
+"""Ensembles from Python: a scene is run in sight, and what it made can be looked at."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stickslip.pipeline import Scene, Status, load_scene, query, run_ensemble, status
+from stickslip.pipeline.dataset import dataset_scene, open_dataset
+from stickslip.pipeline.storage import Where, place_of
+from stickslip.workflows.progress import Watch
+from stickslip.workflows.scenes import find
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+    from distributed import Client
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """The dataset at a directory or an address, as it is each time that it is asked.
+
+    Raises
+    ------
+    StoreError
+        If there is no readable dataset.
+    """
+
+    path: Where
+
+    def __post_init__(self) -> None:
+        open_dataset(self.path)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that made it."""
+        return dataset_scene(self.path)
+
+    @property
+    def status(self) -> Status:
+        """How far it is: counts, outcomes, failures."""
+        return status(self.path)
+
+    @property
+    def members(self) -> pd.DataFrame:
+        """One row a member: parameters, outcome, counts; see `stickslip.members`."""
+        return query.members(self.path)
+
+    def n_stick(self, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Times, and how many blocks of a member stick from each to the next; see `stickslip.n_stick`."""
+        return query.n_stick(self.path, member_id)
+
+    def query(self, sql: str) -> pd.DataFrame:
+        """The answer to a question in SQL; see `stickslip.sql`."""
+        return query.sql(self.path, sql)
+
+    def report(self) -> str:
+        """Write the report, unless the one that is there is of these data; returns the name of its page."""
+        from stickslip.analysis.report import PAGE
+        from stickslip.workflows import reporting
+        from stickslip.workflows.asking import Asking
+        from stickslip.workflows.fresh import is_current
+        from stickslip.workflows.progress import answers
+
+        if is_current(self.path):
+            return place_of(self.path).named(PAGE)
+        with Asking() as asking, answers() as on_answer:
+            return reporting.write(reporting.report(self.path, asking, on_answer), self.path)
+
+
+def run_scene(
+    scene: Scene | str | Path,
+    out: Where,
+    workers: int = 2,
+    scheduler: str | Client | None = None,
+    *,
+    retry_failed: bool = False,
+    accept_version: bool = False,
+    quiet: bool = False,
+) -> Dataset:
+    """Run a scene into the dataset at `out`, or what is missing of it, with its progress on the standard error.
+
+    In a script call it under ``if __name__ == "__main__":``, for workers of this machine load the script too.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        A scene, a scene file, or the name of one that ships.
+    out : str, Path or Place
+        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
+        which is resumed, or of a part of it, which is extended.
+    workers : int
+        Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
+    scheduler : str or distributed.Client, optional
+        Address of a running dask cluster, or a client of one, used instead of local workers.
+    retry_failed, accept_version : bool
+        As of `stickslip.pipeline.run_ensemble`.
+    quiet : bool
+        Whether to show nothing.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot be used; one line a problem.
+    StoreError, AddressError, ScheduleError
+        As `stickslip.pipeline.run_ensemble`.
+    """
+    found = scene if isinstance(scene, Scene) else load_scene(find(str(scene)))
+    with nullcontext() if quiet else Watch(out) as watch:
+        run_ensemble(found, out, workers, scheduler, watch, retry_failed, accept_version)
+    return Dataset(out)
