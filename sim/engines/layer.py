@@ -36,7 +36,7 @@ from stickslip.sim.engines.radau import (
     TO_BERNSTEIN,
     WEIGHTS,
 )
-from stickslip.sim.engines.roots import horner, insert_roots
+from stickslip.sim.engines.roots import horner, insert, insert_roots, refine
 from stickslip.sim.engines.sticking import mode_of
 
 #: A piece: where it starts and how long it is, as shares of the macro step; z and u at its start; u at its nodes.
@@ -61,19 +61,31 @@ def _hull(values, bernstein):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _marks(values, bernstein, bound, marks, n_marks, poly, found):  # type: ignore[no-untyped-def]
-    """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
-    above, below = False, False
-    for b in bernstein:
-        above, below = above or b >= bound, below or b <= bound
-    if not (above and below):
-        return n_marks
+def _powers(values, poly):  # type: ignore[no-untyped-def]
+    """Coefficients of powers from values at the start and the nodes."""
     for p in range(STAGES + 1):
         poly[p] = 0.0
         for k in range(STAGES + 1):
             poly[p] += ALL_TO_POWERS[p, k] * values[k]
+
+
+@inner
+def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-untyped-def]
+    """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
+    above, below, changes = False, False, 0
+    for j in range(STAGES + 1):
+        above, below = above or bernstein[j] >= bound, below or bernstein[j] <= bound
+        changes += j > 0 and (bernstein[j] > bound) != (bernstein[j - 1] > bound)
+    if not (above and below):
+        return n_marks
+    at_start = poly[0]
     poly[0] -= bound
-    return insert_roots(poly, STAGES, marks, n_marks, found)
+    if changes == 1 and bernstein[0] != bound and bernstein[STAGES] != bound:
+        n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound), marks, n_marks)
+    else:
+        n_marks = insert_roots(poly, STAGES, marks, n_marks, found)
+    poly[0] = at_start
+    return n_marks
 
 
 @inner
@@ -107,7 +119,7 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
     Only a force above what friction and damping bear at the edge of the band drives a block out of it: what seems to
     leave it with less, and no farther than a step may err by, is an overshoot of the polynomial.
     """
-    of_u, of_force, poly, found = work[0], work[1], work[2], work[3]
+    of_u, of_force, poly_u, poly_force, marks, found = work[0], work[1], work[2], work[3], work[4], work[5]
     mu, strays = table[FRICTION, i], table[TOLERANCE, i]
     low, high = _hull(u, of_u)
     low_force, high_force = _hull(force, of_force)
@@ -115,22 +127,23 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
         return mode, n_recorded
     t, h, t_next = span
     at, block, to = events
-    marks = np.empty(PASSES + 1)
-    n_marks = _marks(u, of_u, 0.0, marks, np.int64(0), poly, found)
+    _powers(u, poly_u)
+    _powers(force, poly_force)
+    n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
     bears = mu * law_of_number(band * table[STEEP, i])[0] + table[DAMPING, i] * band
     if mu > 0.0:
         for sign in (-1.0, 1.0):
-            n_marks = _marks(u, of_u, sign * band, marks, n_marks, poly, found)
-            n_marks = _marks(force, of_force, sign * bears, marks, n_marks, poly, found)
+            n_marks = _marks(poly_u, of_u, sign * band, marks, n_marks, found)
+            n_marks = _marks(poly_force, of_force, sign * bears, marks, n_marks, found)
             if by_force:
-                n_marks = _marks(force, of_force, sign * mu, marks, n_marks, poly, found)
+                n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, found)
     for k in range(n_marks + 1):
         left = marks[k - 1] if k > 0 else 0.0
         right = marks[k] if k < n_marks else 1.0
         if right <= left:
             continue
         middle = 0.5 * (left + right)
-        gap, pull = _at(u, middle), _at(force, middle)
+        gap, pull = horner(poly_u, STAGES, middle), horner(poly_force, STAGES, middle)
         new = mode_of(gap, pull, mu, band, by_force)
         is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not by_force or abs(pull) < mu)
         if new != mode and not (is_borne and abs(gap) < band + strays):
@@ -150,8 +163,8 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
     """
     bands, by_force, modes = definitions
     t, macro, t_next = span
-    work = np.empty((7, STAGES + 1))
-    u, force, of_piece = work[4], work[5], work[6]
+    work = np.empty((6, PASSES + 1))
+    u, force, of_piece = np.empty(STAGES + 1), np.empty(STAGES + 1), np.empty(STAGES + 1)
     for d in range(len(bands)):
         mode, band = modes[d], bands[d]
         for i in range(n):
@@ -169,6 +182,11 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
         last = -1
         for k in range(n_pieces):
             i, piece = piece_block[k], pieces[k]
+            low, high = _hull(piece[PIECE_U:], work[0])
+            if _stays(
+                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i], by_force[d], mode[i]
+            ):
+                continue
             if i != last:
                 last = i
                 force[0] = table[FORCE0, i]

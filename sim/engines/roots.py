@@ -49,7 +49,7 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _refine(coefficients, degree, low, high, rises):  # type: ignore[no-untyped-def]
+def refine(coefficients, degree, low, high, rises):  # type: ignore[no-untyped-def]
     """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket.
 
     Whether the polynomial rises through it is said by the caller: at an end that is a root too, its value does not.
@@ -107,7 +107,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             root = low + width
         elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
             top -= 1
-            root = _refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
+            root = refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
         elif depth >= _MAX_DEPTH:
             top -= 1
             root = low
@@ -134,6 +134,17 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
 
 
 @inner
+def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
+    """Put a place among `n_marks` others in rising order; returns how many there are."""
+    k = n_marks
+    while k > 0 and marks[k - 1] > place:
+        marks[k] = marks[k - 1]
+        k -= 1
+    marks[k] = place
+    return n_marks + 1
+
+
+@inner
 def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untyped-def]
     """Put the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
 
@@ -143,10 +154,5 @@ def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untype
     while skip < degree and poly[skip] == 0.0:
         skip += 1
     for k in range(roots(poly[skip:], degree - skip, found)):
-        place = n_marks
-        while place > 0 and marks[place - 1] > found[k]:
-            marks[place] = marks[place - 1]
-            place -= 1
-        marks[place] = found[k]
-        n_marks += 1
+        n_marks = insert(found[k], marks, n_marks)
     return n_marks
