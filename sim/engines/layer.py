@@ -184,8 +184,9 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
             i, piece = piece_block[k], pieces[k]
             low, high = _hull(piece[PIECE_U:], work[0])
             if _stays(
-                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i], by_force[d], mode[i]
-            ):
+                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i],
+                by_force[d], mode[i],
+            ):  # fmt: skip
                 continue
             if i != last:
                 last = i
