@@ -74,15 +74,15 @@ class Data:
         Empty if the scene does not record them.
     separations : mapping to Separation
         Of members that are a changed copy of another; empty if the scene does not record them.
-    thresholds : mapping of (member_id, threshold) to ChangePoints
-        n_stick of a sigmoid run under further definitions |w - v| < threshold r_i eps.
+    thresholds : mapping to mapping of float to ChangePoints
+        n_stick of a sigmoid run by threshold, under further definitions |w - v| < threshold r_i eps.
     """
 
     members: pd.DataFrame
     series: Series
     events: Mapping[str, Events] = field(default_factory=dict)
     separations: Mapping[str, Separation] = field(default_factory=dict)
-    thresholds: Mapping[tuple[str, float], ChangePoints] = field(default_factory=dict)
+    thresholds: Mapping[str, Mapping[float, ChangePoints]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         absent = [name for name in OPTIONAL if name not in self.members]
@@ -204,7 +204,12 @@ class Study:
         ValueError
             If its series is not one, naming the member.
         """
-        return _window(self.data.series, member_id, self.settings.t_burn, t_end)
+        return _window(self.data.series[member_id], member_id, self.settings.t_burn, t_end)
+
+    def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
+        """The same under each further threshold; raises as `window`."""
+        found = self.data.thresholds.get(member_id, {})
+        return {c: _window(points, member_id, self.settings.t_burn, t_end) for c, points in found.items()}
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.
@@ -219,18 +224,15 @@ class Study:
         best = max((one.basis(self.settings.confidence) for one in self.groups), key=lambda one: one.n_cascades)
         return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
-    def windows(self, group: Group, series: Series | None = None) -> Iterator[tuple[int, str, Window]]:
+    def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
         """Row (unit), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
-
-        Of another `series`, those of its members that are there.
 
         Raises
         ------
         ValueError
             If a series is not one, naming the member.
         """
-        source = self.data.series if series is None else series
-        return _windows(group, source, self.settings.t_burn, may_lack=series is not None)
+        return _windows(group, self.data.series, self.settings.t_burn)
 
     def generator(self, member_id: str) -> np.random.Generator:
         """Random numbers of a member depend on its name alone, not on its place in the table."""
@@ -360,19 +362,15 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     group.effective /= group.means[:, 4:]
 
 
-def _windows(
-    group: Group, series: Series, t_burn: float, may_lack: bool = False
-) -> Iterator[tuple[int, str, Window]]:
+def _windows(group: Group, series: Series, t_burn: float) -> Iterator[tuple[int, str, Window]]:
     row_of = {unit: row for row, unit in enumerate(group.units)}
     table = group.finished
     for unit, member_id, t_end in zip(table["unit"], table["member_id"], table["t_end"], strict=True):
-        if may_lack and member_id not in series:
-            continue
-        yield row_of[int(unit)], str(member_id), _window(series, member_id, t_burn, float(t_end))
+        yield row_of[int(unit)], str(member_id), _window(series[member_id], str(member_id), t_burn, float(t_end))
 
 
-def _window(series: Series, member_id: str, t_burn: float, t_end: float) -> Window:
+def _window(points: ChangePoints, member_id: str, t_burn: float, t_end: float) -> Window:
     try:
-        return window(*series[member_id], t_burn, t_end)
+        return window(*points, t_burn, t_end)
     except ValueError as error:
         raise ValueError(f"series of member {member_id!r}: {error}") from error

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, ItemsView, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache
+from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -53,10 +53,11 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
 
-#: Shards whose series are in memory at once.
+#: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
+_KEPT = 100_000_000
+#: Shards of them at least: a run and the one that it is compared with.
 _SHARDS_KEPT = 2
 
-_Key = TypeVar("_Key")
 _Value = TypeVar("_Value", covariant=True)
 
 #: What an event series is made of.
@@ -232,104 +233,98 @@ def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[s
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: Where) -> Recorded[str, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+def series(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Recorded(path, "t", ["t", "n_stick"], lambda row: [(_id(row), (_array(row["t"]), _array(row["n_stick"])))])
+    return Recorded(path, "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
 
 
-def all_events(path: Where) -> Recorded[str, sim.EventSeries]:
+def all_events(path: Where) -> Recorded[sim.EventSeries]:
     """Events by member_id; empty if they are not recorded."""
-    return Recorded(path, "event_t", _EVENT_COLUMNS, lambda row: [(_id(row), _event_series(row))])
+    return Recorded(path, "event_t", _EVENT_COLUMNS, _event_series)
 
 
-def separations(path: Where) -> Recorded[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def separations(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Times and distance from the unchanged run by member_id of changed ones; empty if they are not recorded.
 
     The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
     step = dataset_scene(path).record.separation
 
-    def entries(row: _Row) -> list[tuple[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]:
+    def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         assert step is not None  # there would be no such column
         distance: NDArray[np.float64] = _array(row["separation"])
-        return [(_id(row), (step * np.arange(len(distance), dtype=np.float64), distance))]
+        return step * np.arange(len(distance), dtype=np.float64), distance
 
-    return Recorded(path, "separation", ["separation"], entries)
+    return Recorded(path, "separation", ["separation"], entry)
 
 
-def by_threshold(path: Where) -> Recorded[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """t and n_stick by member_id and threshold of further definitions of sticking; empty without `thresholds`."""
+def by_threshold(path: Where) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
+    """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
 
-    def entries(row: _Row) -> list[tuple[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.int32]]]]:
-        return [
-            ((_id(row), entry["threshold"].as_py()), (_array(entry["t"]), _array(entry["n_stick"])))
-            for entry in row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
-        ]
+    def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+        found = row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
+        return {one["threshold"].as_py(): (_array(one["t"]), _array(one["n_stick"])) for one in found}
 
-    return Recorded(path, "by_threshold", ["by_threshold"], entries)
+    return Recorded(path, "by_threshold", ["by_threshold"], entry)
 
 
 _Row = dict[str, pa.Scalar]
 
 
-class Recorded(Mapping[_Key, _Value]):
-    """What a dataset recorded of its members, in order; a shard is read when one of its members is asked for.
+class Recorded(Mapping[str, _Value]):
+    """What a dataset recorded of its members, by member_id, in order; a shard is read when one of them is asked for.
 
-    The last `_SHARDS_KEPT` shards stay in memory: ask in the order of the members.
+    The last shards stay in memory, `_KEPT` bytes of them: ask in the order of the members.
     """
 
-    def __init__(
-        self, path: Where, recorded: str, columns: list[str], entries: Callable[[_Row], list[tuple[_Key, _Value]]]
-    ) -> None:
+    def __init__(self, path: Where, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
         source = dataset(path)
-        self._path, self._recorded, self._columns, self._entries = path, recorded, columns, entries
+        self._path, self._recorded, self._columns, self._entry = path, recorded, columns, entry
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
-        self._shard = lru_cache(maxsize=_SHARDS_KEPT)(self._read)
+        self._kept: dict[int, tuple[dict[str, _Value], int]] = {}  # with its bytes, the last one that was read last
 
-    def _read(self, k: int) -> dict[_Key, _Value]:
+    def _table(self, k: int, columns: list[str]) -> pa.Table:
         with reading(self._path):
-            table = self._fragments[k].to_table(
-                columns=["member_id", *self._columns], filter=pc.field(self._recorded).is_valid()
+            return self._fragments[k].to_table(
+                columns=["member_id", *columns], filter=pc.field(self._recorded).is_valid()
             )
-        rows = ({name: table[name][j] for name in table.column_names} for j in range(table.num_rows))
-        return dict(entry for row in rows for entry in self._entries(row))
+
+    def _shard(self, k: int) -> dict[str, _Value]:
+        if k not in self._kept:
+            table = self._table(k, self._columns)
+            while len(self._kept) >= _SHARDS_KEPT and sum(n for _, n in self._kept.values()) + table.nbytes > _KEPT:
+                del self._kept[next(iter(self._kept))]
+            rows = zip(*(table[name] for name in self._columns), strict=True)
+            found = (self._entry(dict(zip(self._columns, row, strict=True))) for row in rows)
+            self._kept[k] = dict(zip(table["member_id"].to_pylist(), found, strict=True)), table.nbytes
+        return self._kept[k][0]
 
     @cached_property
-    def _shard_of(self) -> dict[_Key, int]:
-        return {key: k for k in range(len(self._fragments)) for key in self._keys(k)}
+    def _shard_of(self) -> dict[str, int]:
+        """The names alone are quickly read."""
+        return {key: k for k in range(len(self._fragments)) for key in self._table(k, [])["member_id"].to_pylist()}
 
-    def _keys(self, k: int) -> Iterable[Any]:
-        if self._recorded == "by_threshold":
-            return self._shard(k)
-        with reading(self._path):  # the names alone are quickly read
-            rows = self._fragments[k].to_table(columns=["member_id"], filter=pc.field(self._recorded).is_valid())
-        return rows["member_id"].to_pylist()
-
-    def __getitem__(self, key: _Key) -> _Value:
+    def __getitem__(self, key: str) -> _Value:
         return self._shard(self._shard_of[key])[key]
 
-    def __iter__(self) -> Iterator[_Key]:
+    def __iter__(self) -> Iterator[str]:
         return iter(self._shard_of)
 
     def __len__(self) -> int:
         return len(self._shard_of)
 
-    def items(self) -> ItemsView[_Key, _Value]:
+    def items(self) -> ItemsView[str, _Value]:
         return _Items(self)
 
 
-class _Items(ItemsView[_Key, _Value]):
+class _Items(ItemsView[str, _Value]):
     """Items in one pass."""
 
-    _mapping: Recorded[_Key, _Value]
+    _mapping: Recorded[_Value]
 
-    def __iter__(self) -> Iterator[tuple[_Key, _Value]]:
+    def __iter__(self) -> Iterator[tuple[str, _Value]]:
         for k in range(len(self._mapping._fragments)):
             yield from self._mapping._shard(k).items()
-
-
-def _id(row: _Row) -> str:
-    return str(row["member_id"].as_py())
 
 
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:

@@ -83,10 +83,10 @@ def _few(dts: Sequence[float]) -> list[float]:
     return some if len(some) <= 3 else [some[0], some[len(some) // 2], some[-1]]
 
 
-def _sheets(study: Study, group: Group) -> Iterable[_Sheet]:
-    """What a group's runs give, and then what they give under each further threshold."""
+def _sheets(study: Study, group: Group) -> list[_Sheet]:
+    """What a group's runs give, and then what they give under each further threshold; all in one pass."""
     settings, events = study.settings, study.data.events
-    own = _Sheet(group)
+    own, further = _Sheet(group), dict[float, _Sheet]()
     dts = sorted({*settings.dt, *settings.map_dt})
     for row, member_id, win in study.windows(group):
         own.add(own.observed, row, _observed(win, dts))
@@ -95,22 +95,17 @@ def _sheets(study: Study, group: Group) -> Iterable[_Sheet]:
             steps = block_steps(*events[member_id], win.t_start, win.t_stop)
             draws, rng = min(settings.resamples, DRAWS), study.generator(member_id)
             own.add(own.nulls[BLOCKS], row, rotations(steps, dts, draws, rng))
-    yield own
-    known = study.data.thresholds
-    members = set(group.members["member_id"])
-    for threshold in sorted({c for member_id, c in known if member_id in members}):
-        sheet = _Sheet(group, threshold)
-        series = {member_id: known[member_id, c] for member_id, c in known if c == threshold}
-        for row, _, win in study.windows(group, series):
-            sheet.add(sheet.observed, row, _observed(win, settings.dt))
-            sheet.add(sheet.nulls[ORDER], row, random_order(win, settings.dt))
-        yield sheet
+        for threshold, other in study.by_threshold(member_id, win.t_stop).items():
+            sheet = further.setdefault(threshold, _Sheet(group, threshold))
+            sheet.add(sheet.observed, row, _observed(other, settings.dt))
+            sheet.add(sheet.nulls[ORDER], row, random_order(other, settings.dt))
+    return [own, *(further[threshold] for threshold in sorted(further))]
 
 
 def _observed(win: Window, dts: Iterable[float]) -> Sums:
-    found, path = cascades.sums(win.step), win.path()
+    found = cascades.sums(win.step)
     for dt in dts:
-        found |= cascades.sums(np.diff(path[win.grid_index(dt)]), dt)
+        found |= cascades.sums(win.sampled(dt), dt)
     return found
 
 

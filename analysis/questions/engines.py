@@ -30,7 +30,6 @@ from stickslip.analysis.contrast import (
     weight,
 )
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study
-from stickslip.analysis.stats.cascades import window
 from stickslip.analysis.style import BLUE, GREY, ORANGE, PANEL, STYLE
 
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
@@ -100,11 +99,12 @@ def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
                                             strict=True)
     }  # fmt: skip
     found: dict[str, dict[float, Sample]] = {}
-    for (member_id, threshold), points in study.data.thresholds.items():
+    for member_id in study.data.thresholds:
         if member_id in runs:
             label, unit, t_end = runs[member_id]
-            held = found.setdefault(label, {}).setdefault(threshold, Sample())
-            held.add_window(unit, window(*points, study.settings.t_burn, t_end), _BY_THRESHOLD)
+            for threshold, win in study.by_threshold(member_id, t_end).items():
+                held = found.setdefault(label, {}).setdefault(threshold, Sample())
+                held.add_window(unit, win, _BY_THRESHOLD)
     return found
 
 

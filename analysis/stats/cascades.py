@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -77,17 +78,41 @@ class Window:
 
     def path(self) -> np.ndarray:
         """n_stick before the first change and after each, shape (m + 1,)."""
-        return self.level + np.concatenate(([0], np.cumsum(self.step)))
+        return self._path
+
+    @cached_property
+    def _path(self) -> np.ndarray:
+        found = np.empty(len(self.step) + 1, dtype=np.int64)
+        found[0] = self.level
+        np.cumsum(self.step, out=found[1:])
+        found[1:] += self.level
+        return found
+
+    def n_steps(self, dt: float) -> int:
+        """Steps of dt in the window: samples are taken at t_start + k dt, k = 0, ..., n_steps."""
+        # The relative slack keeps a last sample that rounding of (t_stop - t_start) / dt would lose.
+        return int(np.floor((self.t_stop - self.t_start) / dt * (1 + 1e-12)))
 
     def grid(self, dt: float) -> np.ndarray:
-        """Sample times t_start + k dt up to t_stop."""
-        # The relative slack keeps a last sample that rounding of (t_stop - t_start) / dt would lose.
-        n_steps = int(np.floor((self.t_stop - self.t_start) / dt * (1 + 1e-12)))
-        return self.t_start + dt * np.arange(n_steps + 1)
+        """Sample times."""
+        return self.t_start + dt * np.arange(self.n_steps(dt) + 1)
+
+    def places(self, dt: float) -> np.ndarray:
+        """The first sample, by its number, at or after each change; it may lie beyond the last."""
+        found = np.ceil((self.t - self.t_start) / dt)
+        found -= self.t_start + dt * (found - 1) >= self.t  # what rounding of the quotient has moved
+        found += self.t_start + dt * found < self.t
+        return found.astype(np.int64)
 
     def grid_index(self, dt: float) -> np.ndarray:
         """For each sample time, the number of changes up to and at that time: an index into `path()`."""
-        return np.searchsorted(self.t, self.grid(dt), side="right")
+        n_samples = self.n_steps(dt) + 1
+        return np.cumsum(np.bincount(self.places(dt), minlength=n_samples)[:n_samples])
+
+    def sampled(self, dt: float, weights: np.ndarray | None = None) -> np.ndarray:
+        """Change of n_stick in each step of dt, or what other weights of the changes add up to."""
+        n_samples = self.n_steps(dt) + 1
+        return np.bincount(self.places(dt), self.step if weights is None else weights, n_samples)[1:n_samples]
 
     def time_mean(self) -> float:
         """Exact time mean of n_stick over the window."""
@@ -102,12 +127,6 @@ class Window:
         inside = (self.t > t_start) & (self.t <= t_stop)
         level = int(self.path()[np.searchsorted(self.t, t_start, side="right")])
         return Window(t_start, t_stop, level, self.t[inside], self.step[inside])
-
-    def unit_steps(self) -> Window:
-        """The same window with a change by k written as k changes by one at the same time."""
-        repeats = np.abs(self.step)
-        signs = np.repeat(np.sign(self.step), repeats)
-        return Window(self.t_start, self.t_stop, self.level, np.repeat(self.t, repeats), signs)
 
     def exits(self) -> np.ndarray:
         """Times at which blocks are let go, one each: a change by -k is k of them."""
@@ -242,23 +261,31 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
         Change of n_stick in each step of dt; without dt each change, and the one law is `events`.
     dt : float, optional
     """
-    moved = steps[steps != 0]
+    at = np.flatnonzero(steps != 0)  # of truth values, which is faster than of numbers
+    moved = steps[at]
+    rises = np.flatnonzero(moved > 0)
+    pausing = _sums(moved[rises[0] : rises[-1] + 1]) if len(rises) else np.zeros(3)
     if dt is None:
-        return {Law("events"): _sums(moved)[[0, 2]]}
-    fall, pausing = _sums(steps), _sums(moved)
+        return {Law("events"): pausing[[0, 2]]}
+    falling, fall = steps < 0, np.zeros(3)
+    if not falling.all():
+        first, last = np.searchsorted(at, (np.argmin(falling), len(steps) - np.argmin(falling[::-1])))
+        fall = _sums(moved[first:last], at[first:last])
     return {
         Law("drop", dt): fall[[0, 2]], Law("length", dt): fall[[1, 2]],
         Law("descent", dt): pausing[[0, 2]], Law("decreases", dt): pausing[[1, 2]],
     }  # fmt: skip
 
 
-def _sums(steps: np.ndarray) -> np.ndarray:
-    """Of the complete falls: their depths and their numbers of steps, added up, and how many there are."""
-    falling = steps < 0
-    bounds = np.flatnonzero(~falling)
-    if not len(bounds):
-        return np.zeros(3)
-    inside = slice(bounds[0], bounds[-1] + 1)
-    falling, steps = falling[inside], steps[inside]
-    ends = np.count_nonzero(falling[:-1] & ~falling[1:])
-    return np.array([-np.minimum(steps, 0).sum(), np.count_nonzero(falling), ends], dtype=np.float64)
+def _sums(moved: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
+    """Of the falls in a series of changes: their depths and their numbers of steps, added up, and how many there are.
+
+    They pause where `at`, the number of each change's step, is not the one before plus one.
+    """
+    falling = moved < 0
+    goes_on = falling[1:] & falling[:-1]
+    if at is not None:
+        goes_on &= at[1:] == at[:-1] + 1
+    n_steps = np.count_nonzero(falling)
+    depth = -np.minimum(moved, 0).sum()
+    return np.array([depth, n_steps, n_steps - np.count_nonzero(goes_on)], dtype=np.float64)

@@ -49,12 +49,12 @@ def random_order(win: Window, dts: Sequence[float]) -> Sums:
     win : Window
     dts : sequence of float
     """
-    unit = win.unit_steps()
-    n_changes, n_exits = len(unit.t), int(np.count_nonzero(unit.step < 0))
+    times = np.abs(win.step)  # a change by k counts as k changes
+    n_changes, n_exits = int(times.sum()), int(np.maximum(-win.step, 0).sum())
     p = n_exits / max(n_changes, 1)
     found: Sums = {Law("events"): np.array([n_exits, n_exits * (1 - p)])}
     for dt in dts:
-        changes = np.diff(unit.grid_index(dt))
+        changes = win.sampled(dt, times).astype(np.int64)
         falls, rises, depths = _binomial_step(np.arange(changes.max(initial=0) + 1), p)
         fall = falls[changes]
         last = np.sum(fall[:-1] * (1 - fall[1:]))
@@ -180,10 +180,11 @@ def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.rando
     for _ in range(draws):
         turned = rotated(steps, rng)
         drawn = cascades.sums(turned.step)
+        t, weights = turned.t - steps.t_start, turned.step.astype(np.float64)
         for dt in dts:
             n_steps = int(steps.span / dt * (1 + 1e-12))
-            place = ((turned.t - steps.t_start) / dt).astype(np.int64)
-            net = np.bincount(place, turned.step, n_steps)[:n_steps]
+            place = (t / dt).astype(np.int64)
+            net = np.bincount(place, weights, n_steps)[:n_steps]
             drawn |= cascades.sums(net, dt)
         for law, one in drawn.items():
             found[law] += one

@@ -352,7 +352,7 @@ def definitions_study(rng, ensembles):
         win = steps.window()
         observed = sums(win.step)
         for dt in dts:
-            observed |= sums(np.diff(win.path()[win.grid_index(dt)]), dt)
+            observed |= sums(win.sampled(dt), dt)
         chance = rotations(steps, dts, DRAWS, rng)
         for law, rows in runs.items():
             rows.append(np.concatenate([observed[law], chance[law]]))

@@ -73,7 +73,7 @@ def study_of(planted, runs, with_events=True, thresholds=()):
             mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
             events[member_id] = (steps.t, steps.block, mode, np.where(sticks, 0, 1).astype(np.int8))
         for c in thresholds:
-            by_threshold[member_id, c] = (t, n_stick)
+            by_threshold.setdefault(member_id, {})[c] = (t, n_stick)
     settings = AnalysisSettings(20.0, (0.5, 2.0), 5, 0.95, 0)
     return Study(Data(pd.DataFrame(rows), series, events, {}, by_threshold), settings)
 
