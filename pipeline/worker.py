@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,10 @@ _PATIENCE = 180.0
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
 
-#: What a row takes over from its member.
+#: What a row takes over from its member, and from the settings of its engine.
 _PARAMETERS = tuple(name for name in COLUMNS if hasattr(Member, name))
+_SETTINGS = frozenset(SCHEMA.names)
+_of_member = attrgetter(*_PARAMETERS)
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,9 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 
 
 def _parameters(member: Member) -> dict[str, Any]:
-    settings = {name: value for name, value in member.settings if name in SCHEMA.names}
-    own = {name: getattr(member, name) for name in _PARAMETERS}
-    return {name: None if isinstance(one, Distribution | FromFile) else one for name, one in own.items()} | settings
+    own = zip(_PARAMETERS, _of_member(member), strict=True)
+    settings = {name: value for name, value in member.settings if name in _SETTINGS}
+    return {name: None if isinstance(one, (Distribution, FromFile)) else one for name, one in own} | settings
 
 
 def _results(member: Member, recording: Recording) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from typing import Any, TypeAlias
 
@@ -26,14 +27,17 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
 
 def per_block(name: str, value: ArrayLike, n: int) -> Floats:
     """A read-only float64 array of shape (n,) from one finite number or one a block."""
-    array = floats(name, value, f"a number or {n} numbers")
-    if array.ndim == 0:
-        array = np.full(n, array)
-    if array.shape != (n,):
-        raise ValueError(f"{name}: expected a number or an array of shape ({n},), got shape {array.shape}")
-    if not np.isfinite(array).all():
-        block = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
+    if type(value) is float and math.isfinite(value):  # at once, see `number`
+        array = np.full(n, value)
+    else:
+        array = floats(name, value, f"a number or {n} numbers")
+        if array.ndim == 0:
+            array = np.full(n, array)
+        if array.shape != (n,):
+            raise ValueError(f"{name}: expected a number or an array of shape ({n},), got shape {array.shape}")
+        if not np.isfinite(array).all():
+            block = int(np.flatnonzero(~np.isfinite(array))[0])
+            raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
     array.flags.writeable = False
     return array
 

@@ -50,7 +50,8 @@ class Samples:
     @classmethod
     def blank(cls, t: Floats, n: int) -> Samples:
         """Room for the state at times `t`; NaN until it is known."""
-        return cls(t, np.full((len(t), n), np.nan), np.full((len(t), n), np.nan))
+        z, w = np.full((2, len(t), n), np.nan)
+        return cls(t, z, w)
 
     def first(self, m: int) -> Samples:
         """The first m of them."""

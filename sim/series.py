@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,16 +51,18 @@ class EventSeries:
     def __len__(self) -> int:
         return len(self.t)
 
-    @property
+    @cached_property
+    def by_block(self) -> NDArray[np.intp]:
+        """The order of the events by block; those of one block as they stand."""
+        return np.argsort(self.block, kind="stable")
+
+    @cached_property
     def previous_mode(self) -> NDArray[np.int8]:
         """The mode that each event ended, int8, shape (m,)."""
-        order = np.argsort(self.block, kind="stable")
+        order = self.by_block
         block, mode = self.block[order], self.mode[order]
-        before = np.empty_like(mode)
-        before[1:] = mode[:-1]
-        first = np.ones(len(block), dtype=bool)
-        first[1:] = block[1:] != block[:-1]
-        before[first] = self.initial_mode[block[first]]
+        before = self.initial_mode[block]
+        np.copyto(before[1:], mode[:-1], where=block[1:] == block[:-1])
         previous = np.empty_like(before)
         previous[order] = before
         return previous
@@ -81,13 +84,17 @@ class EventSeries:
         t[0] is `t_start`; what happens at one instant is merged, and an instant that leaves n_stick as it
         was is no change point.
         """
-        step = (self.mode == 0).astype(np.int32) - (self.previous_mode == 0).astype(np.int32)
-        t = np.concatenate(([self.t_start], self.t))
-        n_stick = np.cumsum(np.concatenate(([np.count_nonzero(self.initial_mode == 0)], step)), dtype=np.int32)
-        last = np.append(t[1:] != t[:-1], True)  # the last event of an instant holds
-        t, n_stick = t[last], n_stick[last]
-        changed = np.append(True, n_stick[1:] != n_stick[:-1])
-        return t[changed], n_stick[changed]
+        t, n_stick = np.empty(len(self) + 1), np.empty(len(self) + 1, dtype=np.int32)
+        t[0], t[1:] = self.t_start, self.t
+        n_stick[0], n_stick[1:] = np.count_nonzero(self.initial_mode == 0), self.mode == 0
+        n_stick[1:] -= self.previous_mode == 0
+        n_stick = np.cumsum(n_stick, dtype=np.int32)
+        kept = np.ones(len(t), dtype=bool)
+        np.not_equal(t[1:], t[:-1], out=kept[:-1])  # the last event of an instant holds
+        t, n_stick = t[kept], n_stick[kept]
+        kept = np.ones(len(t), dtype=bool)
+        np.not_equal(n_stick[1:], n_stick[:-1], out=kept[1:])
+        return t[kept], n_stick[kept]
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times (the sticking codimension), right-continuous.
@@ -148,16 +155,17 @@ def without_returns(series: EventSeries, shortest: Floats) -> EventSeries:
     whether that is two events or none is decided by rounding. So two events of a block that undo each other count
     only if more than `shortest` lies between them.
     """
-    while True:
-        order = np.lexsort((series.t, series.block))  # by block; at one time, as they stand
+    while (series.t[1:] - series.t[:-1] <= shortest.max()).any():  # else no two are that close, whose ever they are
+        order = series.by_block
         t, block, mode = series.t[order], series.block[order], series.mode[order]
-        undone = (block[1:] == block[:-1]) & (np.diff(t) <= shortest[block[1:]])
+        undone = (block[1:] == block[:-1]) & (t[1:] - t[:-1] <= shortest[block[1:]])
         undone &= mode[1:] == series.previous_mode[order][:-1]
         if not undone.any():
-            return series
+            break
         kept = np.ones(len(t), dtype=bool)
         for first in np.flatnonzero(undone):
             if kept[first]:  # not itself an undoing
                 kept[first : first + 2] = False
         kept = np.isin(np.arange(len(t)), order[kept])
         series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])
+    return series

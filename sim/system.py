@@ -108,7 +108,7 @@ class System:
         object.__setattr__(self, "belt_speed", number("belt_speed", belt_speed))
         object.__setattr__(self, "static", _static(static, mu))
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of blocks."""
         return int(self.stiffness.shape[0])
@@ -116,7 +116,7 @@ class System:
     @cached_property
     def is_static_above(self) -> bool:
         """Whether any block has a static friction above its kinetic."""
-        return bool((self.static > self.friction).any())
+        return self.static is not self.friction and bool((self.static > self.friction).any())
 
     @cached_property
     def columns(self) -> Columns:

@@ -122,15 +122,23 @@ class _Modes:
     """The all-slip system A T = T Lambda.
 
     `rounding` is what each Lambda_j may err by. It and T^-1 are infinite if A is defective, or too nearly so.
-    `response` bounds the |z_i| and |w_i| that unit forces on the blocks cause,
-    sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j| (2n, n).
     """
 
     eigenvalues: NDArray[np.complex128]
     vectors: NDArray[np.complex128]
     inverse: NDArray[np.complex128]
     rounding: Floats
-    response: Floats
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """|T_ij|."""
+        return np.abs(self.vectors)
+
+    @cached_property
+    def response(self) -> Floats:
+        """Bounds the |z_i|, |w_i| that unit forces cause: sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j|, (2n, n)."""
+        n = len(self.eigenvalues) // 2
+        return np.asarray((self.sizes / np.abs(self.eigenvalues.real)) @ np.abs(self.inverse[:, n:]))
 
     @cached_property
     def growth(self) -> float:
@@ -147,7 +155,8 @@ _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
 
 
 def _modes(system: System) -> _Modes:
-    if system not in _MODES:
+    modes = _MODES.get(system)
+    if modes is None:
         matrix = system.slip_matrix()
         eigenvalues, vectors = np.linalg.eig(matrix)
         eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
@@ -155,13 +164,12 @@ def _modes(system: System) -> _Modes:
             inverse = np.linalg.inv(vectors)
         except np.linalg.LinAlgError:
             inverse = np.full_like(vectors, np.inf)
-        if not np.abs(inverse).max() < _DEFECTIVE:  # no certificate by these bounds
-            inverse = np.full_like(vectors, np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):  # looked at only when every mode decays
-            response = (np.abs(vectors) / np.abs(eigenvalues.real)) @ np.abs(inverse[:, system.n :])
-        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.linalg.norm(np.abs(inverse), axis=1)
-        _MODES[system] = _Modes(eigenvalues, vectors, inverse, rounding, response)
-    return _MODES[system]
+        sizes = np.abs(inverse)
+        if not sizes.max() < _DEFECTIVE:  # no certificate by these bounds
+            inverse, sizes = np.full_like(vectors, np.inf), np.full_like(matrix, np.inf)
+        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.linalg.norm(sizes, axis=1)
+        modes = _MODES[system] = _Modes(eigenvalues, vectors, inverse, rounding)
+    return modes
 
 
 class Collapse:
@@ -212,7 +220,7 @@ class Collapse:
         if rest is None:
             return Certificate(False)
         coefficients = modes.inverse @ np.concatenate((z - rest, w))
-        reach = float((np.abs(modes.vectors[system.n :]) @ np.abs(coefficients)).max())
+        reach = float((modes.sizes[system.n :] @ np.abs(coefficients)).max())
         limit, limit_of_flow = self._limits
         reason = ""
         if reach < limit:
@@ -222,7 +230,7 @@ class Collapse:
         flow = None
         if reach < limit_of_flow:
             at_rest = np.concatenate((np.abs(z) + np.abs(rest), np.abs(w)))
-            rounding = (np.abs(modes.vectors) @ (np.abs(modes.inverse) @ at_rest)).max() * _MODE_ROUNDING
+            rounding = (modes.sizes @ (np.abs(modes.inverse) @ at_rest)).max() * _MODE_ROUNDING
             if rounding <= self._allowed:
                 flow = Flow(rest, modes.vectors, modes.eigenvalues, coefficients)
         wanted = limit_of_flow if reach < limit else limit
@@ -249,7 +257,7 @@ class Collapse:
         """Where all blocks rest that slip one way; None if K is singular."""
         if slip not in self._rests:
             try:
-                self._rests[slip] = self._linear.rest_state(np.full(self._system.n, slip))
+                self._rests[slip] = self._linear.rest_state(float(slip))
             except np.linalg.LinAlgError:
                 self._rests[slip] = None
         return self._rests[slip]

@@ -145,9 +145,11 @@ def complete(
             speed = float(np.abs(w).max())
             size = max(float(np.abs(z).max()), speed)
             is_past_doubt = task.stop_early and speed > diverged_beyond
-            if not np.isfinite(size):
-                pass  # said below
-            elif task.stop_early and (reason := certificates.escape(system, z, w)):
+            if not np.isfinite((size, speed)).all():
+                raise IntegrationError(
+                    f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
+                )
+            if task.stop_early and (reason := certificates.escape(system, z, w)):
                 outcome = "diverged"
                 break
             elif size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
@@ -157,10 +159,6 @@ def complete(
                 bound = 2.0 * size
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
-        if not (np.isfinite(z).all() and np.isfinite(w).all()):
-            raise IntegrationError(
-                f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
-            )
     event_t, event_block, event_mode = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
