@@ -72,8 +72,10 @@ def simulate(
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
     times = floats("t_eval", t_eval, "an array of times")
-    is_within = times.size == 0 or (times.min() >= t_start and times.max() <= t_end and (np.diff(times) >= 0).all())
-    if times.ndim != 1 or not is_within:
+    is_within = times.shape == (0,) or (
+        times.ndim == 1 and times.min() >= t_start and times.max() <= t_end and (np.diff(times) >= 0).all()
+    )
+    if not is_within:
         raise ValueError(
             f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
             " and leave out what lies outside"
