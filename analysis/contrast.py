@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Group
 from stickslip.analysis.stats import estimates, student
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import (
@@ -28,7 +28,7 @@ from stickslip.analysis.stats.compare import (
     wilson,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, is_short, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -85,12 +85,10 @@ class Sample:
         held = self.sums.setdefault(name, {})
         held[unit] = held.get(unit, np.zeros(2)) + np.array(row, dtype=np.float64)
 
-    def add_window(self, unit: int, win: Window, of: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Add some quantities of the window of a run, and return them."""
-        sums = {name: QUANTITIES[name].sums(win) for name in of}
-        for name, two in sums.items():
-            self.add(QUANTITIES[name].label, unit, two)
-        return sums
+    def add_window(self, unit: int, win: Window, of: Collection[str]) -> None:
+        """Add some quantities of the window of a run."""
+        for name in of:
+            self.add(QUANTITIES[name].label, unit, QUANTITIES[name].sums(win))
 
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
@@ -105,23 +103,19 @@ def shares() -> list[Statistic]:
     return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in _ENDS]
 
 
-def sample(study: Study, group: Group) -> Sample:
-    """Read each run of a group once."""
-    found = Sample()
+def sample(group: Group) -> Sample:
+    """What the runs of a filled group give."""
     ends: dict[int, str] = {}
-    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end"))
-    for unit, member_id, outcome, t_end in zip(*columns, strict=True):
+    columns = (group.members[name] for name in ("unit", "outcome", "t_end"))
+    for unit, outcome, t_end, last in zip(*columns, group.last, strict=True):
         if outcome != "failed" and int(unit) not in ends:
-            own = study.data.series[member_id] if outcome == "finished" else None
-            ends[int(unit)] = fate(str(outcome), own, float(t_end))
+            ends[int(unit)] = fate(str(outcome), (last[:1], last[1:]), float(t_end))
+    found = Sample({
+        QUANTITIES[name].label: dict(zip(group.units, rows, strict=True)) for name, rows in group.quantities.items()
+    })  # fmt: skip
     for name, some in _ENDS.items():
-        for unit, end in ends.items():
-            found.add(name, unit, [end in some, 1.0])
-    n_runs = n_short = 0
-    for row, _, win in study.windows(group):
-        tau, is_known = found.add_window(group.units[row], win, QUANTITIES)["correlation_time"]
-        n_runs, n_short = n_runs + 1, n_short + (not is_known or is_short(win, tau))
-    if 2 * n_short > n_runs:
+        found.sums[name] = {unit: np.array([end in some, 1.0]) for unit, end in ends.items()}
+    if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found
 

@@ -24,7 +24,8 @@ import pandas as pd
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes, window
-from stickslip.analysis.stats.estimates import Estimate, add_histograms, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
+from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
 
@@ -104,12 +105,18 @@ class Group:
         Of the finished members, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
         Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
+    quantities : dict of str to ndarray, shape (G, 2)
+        Sums over runs of `QUANTITIES`, by name.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 5)
         `effective.row`, of several runs of one unit their mean.
+    last : ndarray, shape (len(members), 2)
+        Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     n_quiet : int
         Finished, but nothing sticks or slips anew after t_burn.
+    n_short : int
+        Finished, but too soon for a correlation time.
     """
 
     label: str
@@ -117,9 +124,12 @@ class Group:
     members: pd.DataFrame
     units: list[int] = field(default_factory=list)
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    quantities: dict[str, np.ndarray] = field(default_factory=dict)
     histograms: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     n_quiet: int = 0
+    n_short: int = 0
 
     @property
     def unit(self) -> str:
@@ -137,8 +147,7 @@ class Group:
     @property
     def sums(self) -> np.ndarray:
         """Total size and number of cascades by `events`, shape (G, 2)."""
-        rows = [[np.arange(len(h)) @ h, h.sum()] for h in self.histograms]
-        return np.array(rows, dtype=np.float64).reshape(-1, 2)
+        return self.quantities["gamma"]
 
     @property
     def counts(self) -> np.ndarray:
@@ -232,7 +241,10 @@ class Study:
         ValueError
             If a series is not one, naming the member.
         """
-        return _windows(group, self.data.series, self.settings.t_burn)
+        row_of = {unit: row for row, unit in enumerate(group.units)}
+        columns = (group.finished[name] for name in ("unit", "member_id", "t_end"))
+        for unit, member_id, t_end in zip(*columns, strict=True):
+            yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
     def generator(self, member_id: str) -> np.random.Generator:
         """Random numbers of a member depend on its name alone, not on its place in the table."""
@@ -347,26 +359,35 @@ def _plain(value: object) -> str:
 
 
 def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
-    """Read each finished run of a group once and keep the sums."""
+    """Read each run of a group once and keep the sums of the finished ones."""
     group.units = [int(unit) for unit in group.finished["unit"].unique()]
     n_rows = len(group.units)
     group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
+    group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
     group.histograms = [np.zeros(1, np.int64)] * n_rows
-    for row, _, win in _windows(group, series, settings.t_burn):
+    group.last = np.full((len(group.members), 2), np.nan)
+    row_of = {unit: row for row, unit in enumerate(group.units)}
+    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end"))
+    for k, (unit, member_id, outcome, t_end) in enumerate(zip(*columns, strict=True)):
+        if outcome == "failed":
+            continue
+        points = series[member_id]
+        group.last[k] = points[0][-1], points[1][-1]
+        if outcome != "finished":
+            continue
+        row, win = row_of[int(unit)], _window(points, str(member_id), settings.t_burn, float(t_end))
+        given = {name: quantity.sums(win) for name, quantity in QUANTITIES.items()}
+        for name, two in given.items():
+            group.quantities[name][row] += two
         first, second, variance = enough.halves(win)
         group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
-        group.effective[row] += effective.row(win)
+        tau, is_known = given["correlation_time"]
+        group.effective[row] += effective.row(win, tau)
         group.n_quiet += not win.step.size
+        group.n_short += not is_known or is_short(win, tau)
         found = sizes(win, EVENTS)
         group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
     group.effective /= group.means[:, 4:]
-
-
-def _windows(group: Group, series: Series, t_burn: float) -> Iterator[tuple[int, str, Window]]:
-    row_of = {unit: row for row, unit in enumerate(group.units)}
-    table = group.finished
-    for unit, member_id, t_end in zip(table["unit"], table["member_id"], table["t_end"], strict=True):
-        yield row_of[int(unit)], str(member_id), _window(series[member_id], str(member_id), t_burn, float(t_end))
 
 
 def _window(points: ChangePoints, member_id: str, t_burn: float, t_end: float) -> Window:

@@ -63,7 +63,7 @@ def answer(study: Study) -> Answer | None:
         return None
     level, margins = study.settings.confidence, study.settings.margins
     compared = {group.label: group for pair in pairs for group in (pair.reference, pair.other)}
-    whole = {label: sample(study, group) for label, group in compared.items()}
+    whole = {label: sample(group) for label, group in compared.items()}
     families: dict[tuple[str, str], list[Row]] = {}
     for pair in pairs:
         theirs, asked = whole[pair.other.label], statistics(margins) + shares()

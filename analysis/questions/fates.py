@@ -54,7 +54,7 @@ _RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "unit": I, "member_id": S
 def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
-    runs = [row for group in study.groups for row in _runs(study, group)]
+    runs = [row for group in study.groups for row in _runs(group)]
     curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
     groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
     moving = sorted((row for row in groups if row[f"n_{SUSTAINED}"]), key=lambda row: -row["n"])
@@ -114,15 +114,14 @@ def _figures(
     return shown
 
 
-def _runs(study: Study, group: Group) -> Iterator[Row]:
+def _runs(group: Group) -> Iterator[Row]:
     """Fate of each run, and when its motion ended; for a runaway, when it left every bound."""
     table = group.members
     rates = table["growth_rate"] if "growth_rate" in table else [pd.NA] * len(table)
     columns = (table[name] for name in ("member_id", "matrix", "unit", "outcome", "t_end", "t_stop"))
-    for member_id, matrix, unit, outcome, t_end, t_stop, rate in zip(*columns, rates, strict=True):
-        own = None if outcome == "failed" else study.data.series[member_id]
-        how = fate(str(outcome), own if outcome == "finished" else None, float(t_end))
-        t = None if own is None else float(own[0][-1])
+    for member_id, matrix, unit, outcome, t_end, t_stop, rate, last in zip(*columns, rates, group.last, strict=True):
+        how = fate(str(outcome), (last[:1], last[1:]), float(t_end))
+        t = None if how == FAILED else float(last[0])
         yield {
             "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
@@ -254,10 +253,7 @@ def _curve_rows(curves: Mapping[str, Curve]) -> list[Row]:
 def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
     """Means of n_stick over blocks of `BLOCK` units, and the middles of the blocks."""
     n_blocks = max(int((win.t_stop - win.t_start) // BLOCK), 1)
-    edges = np.linspace(win.t_start, win.t_stop, n_blocks + 1)
-    t = np.concatenate(([win.t_start], win.t, [win.t_stop]))
-    area = np.concatenate(([0.0], np.cumsum(win.path() * np.diff(t))))
-    return 0.5 * (edges[1:] + edges[:-1]), np.diff(np.interp(edges, t, area)) / np.diff(edges)
+    return win.t_start + (np.arange(n_blocks) + 0.5) * (win.t_stop - win.t_start) / n_blocks, win.means(n_blocks)
 
 
 def shares(systems: Sequence[Row]) -> Figure:

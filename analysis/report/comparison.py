@@ -89,7 +89,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     matches, *left = matched(first.name, one.groups, second.name, other.groups)
     found: list[tuple[Match, list[Row]]] = []
     for match in matches:
-        pair = sample(one, match.first), sample(other, match.second)
+        pair = sample(match.first), sample(match.second)
         asked = statistics(settings.margins) + shares()
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
     rows = [

@@ -116,25 +116,39 @@ class Window:
 
     def time_mean(self) -> float:
         """Exact time mean of n_stick over the window."""
-        return float(np.dot(self._weights(), self.path()))
+        return self._moments[0]
 
     def time_variance(self) -> float:
         """Exact variance over time of n_stick in the window."""
-        return float(np.dot(self._weights(), (self.path() - self.time_mean()) ** 2))
-
-    def part(self, t_start: float, t_stop: float) -> Window:
-        """The same series on a shorter window."""
-        inside = (self.t > t_start) & (self.t <= t_stop)
-        level = int(self.path()[np.searchsorted(self.t, t_start, side="right")])
-        return Window(t_start, t_stop, level, self.t[inside], self.step[inside])
+        return self._moments[1]
 
     def exits(self) -> np.ndarray:
         """Times at which blocks are let go, one each: a change by -k is k of them."""
         return np.repeat(self.t, np.maximum(-self.step, 0))
 
-    def _weights(self) -> np.ndarray:
-        edges = np.concatenate(([self.t_start], self.t, [self.t_stop]))
-        return np.diff(edges) / (self.t_stop - self.t_start)
+    def means(self, count: int) -> np.ndarray:
+        """Exact time means of n_stick over so many equal parts of the window."""
+        length = (self.t_stop - self.t_start) / count
+        area = np.interp(self.t_start + length * np.arange(count + 1), self._edges, self._area)
+        return (area[1:] - area[:-1]) / length
+
+    @cached_property
+    def _edges(self) -> np.ndarray:
+        """The ends of the stretches on which `path()` holds, shape (m + 2,)."""
+        return np.concatenate(([self.t_start], self.t, [self.t_stop]))
+
+    @cached_property
+    def _area(self) -> np.ndarray:
+        """The integral of n_stick from t_start to each edge."""
+        found = np.zeros(len(self._edges))
+        np.cumsum(self._path * (self._edges[1:] - self._edges[:-1]), out=found[1:])
+        return found
+
+    @cached_property
+    def _moments(self) -> tuple[float, float]:
+        weights = (self._edges[1:] - self._edges[:-1]) / (self.t_stop - self.t_start)
+        mean = float(weights @ self._path)
+        return mean, float(weights @ (self._path - mean) ** 2)
 
 
 def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> Window:

@@ -24,7 +24,6 @@ from stickslip.analysis.stats.estimates import (
     SHORT_WINDOW,
     Estimate,
     Undefined,
-    correlation_time,
     jackknife,
     over_matrices,
     ratio,
@@ -36,19 +35,18 @@ _COUNTS = (BATCHES // 2, BATCHES, 2 * BATCHES)
 _GROWTH_SHOWN = 0.95  # one-sided level at which longer batches count as giving more
 
 
-def row(win: Window) -> np.ndarray:
-    """What one run adds, shape (5,).
+def row(win: Window, tau: float) -> np.ndarray:
+    """What one run adds, shape (5,), `tau` its correlation time, 0 if it has none.
 
     The variance in time; length times variance of the means of 5, 10, 20 batches; Sokal's 2 tau times the variance.
     """
-    edges = np.concatenate(([win.t_start], win.t, [win.t_stop]))
-    area = np.concatenate(([0.0], np.cumsum(win.path() * np.diff(edges))))
-    span, variance = win.t_stop - win.t_start, win.time_variance()
+    span, variance, finest = win.t_stop - win.t_start, win.time_variance(), win.means(_COUNTS[-1])
     spread = []
     for count in _COUNTS:
-        at = np.interp(np.linspace(win.t_start, win.t_stop, count + 1), edges, area)
-        spread.append(span / count * (np.diff(at) / (span / count)).var(ddof=1))
-    return np.array([variance, *spread, 2 * (correlation_time(win).value or 0.0) * variance])
+        means = finest.reshape(count, -1).mean(axis=1)
+        means -= means.mean()
+        spread.append(span / count * (means @ means) / (count - 1))
+    return np.array([variance, *spread, 2 * tau * variance])
 
 
 @dataclass(frozen=True)

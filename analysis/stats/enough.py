@@ -42,9 +42,7 @@ class Basis:
 
 def halves(win: Window) -> np.ndarray:
     """Time mean of n_stick in the first and in the second half, and its variance in time: shape (3,)."""
-    middle = 0.5 * (win.t_start + win.t_stop)
-    parts = (win.part(win.t_start, middle), win.part(middle, win.t_stop))
-    return np.array([*(part.time_mean() for part in parts), win.time_variance()])
+    return np.array([*win.means(2), win.time_variance()])
 
 
 def _drift(sums: np.ndarray) -> np.ndarray:

@@ -69,12 +69,12 @@ def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve
     at, how = np.asarray(times, dtype=np.float64), np.asarray(ends, dtype=object)
     if at.ndim != 1 or at.shape != how.shape or not len(at):
         raise ValueError(f"times, ends: expected two non-empty arrays of one length, got {at.shape} and {how.shape}")
+    by_end = {end: at[how == end] for end in ENDS}
     ended = np.isin(how, ENDS)
     t, alive, low, high = kaplan_meier(at, ended, confidence)
-    n_at_risk = np.array([(at >= s).sum() for s in t])
-    n_ended = {end: np.array([((at == s) & (how == end)).sum() for s in t]) for end in ENDS}
     before = np.concatenate(([1.0], alive[:-1]))
-    incidence = {end: np.cumsum(before * n / np.maximum(n_at_risk, 1)) for end, n in n_ended.items()}
+    hazard = before / np.maximum(_at_risk(at, t), 1)
+    incidence = {end: np.cumsum(hazard * _at(some, t)) for end, some in by_end.items()}
     return Curve(t, alive, low, high, incidence, len(at), int(ended.sum()))
 
 
@@ -97,8 +97,8 @@ def kaplan_meier(
         in its place.
     """
     t = np.concatenate(([0.0], np.unique(times[ended])))
-    n_at_risk = np.array([(times >= s).sum() for s in t], dtype=np.float64)
-    n_stay = n_at_risk - np.array([((times == s) & ended).sum() for s in t])
+    n_at_risk = _at_risk(times, t)
+    n_stay = n_at_risk - _at(times[ended], t)
     share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
     with np.errstate(divide="ignore", invalid="ignore"):  # where there is no width
         variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
@@ -107,6 +107,17 @@ def kaplan_meier(
     for k in np.flatnonzero((share == 0) | (share == 1)):
         low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
     return t, share, low, high
+
+
+def _at_risk(times: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """How many of the times are not before each t."""
+    return (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
+
+
+def _at(times: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """How many of the times are each t."""
+    listed = np.sort(times)
+    return np.searchsorted(listed, t, side="right") - np.searchsorted(listed, t, side="left")
 
 
 def median(curve: Curve) -> Estimate:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.stats.cascades import Law, Window, sizes
+from stickslip.analysis.stats.cascades import Law, Window, sums
 from stickslip.analysis.stats.estimates import Statistic, correlation_time, gamma, ratio
 
 
@@ -17,8 +17,8 @@ def exit_rate(win: Window) -> float:
 
 
 def _cascades(win: Window) -> tuple[float, float]:
-    found = sizes(win, Law("events"))
-    return float(found.sum()), float(len(found))
+    total, count = sums(win.step)[Law("events")]
+    return float(total), float(count)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from stickslip.analysis.stats import (
 )
 from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import (
     EXPONENTIAL,
     LOGNORMAL,
@@ -426,7 +426,8 @@ def effective_study(rng, ensembles, t_end=2400.0):
     for name, (shares, _) in WANDERS.items():
         runs = 4 * ensembles  # of few, all ensembles would be alike
         x = np.rint(100 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
-        rows = np.array([effective.row(window(np.arange(t_end), one, 0.0, t_end)) for one in x])
+        windows = [window(np.arange(t_end), one, 0.0, t_end) for one in x]
+        rows = np.array([effective.row(win, correlation_time(win).value or 0.0) for win in windows])
         means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)
         taus, held, short = [], [], []
         for some in rng.integers(runs, size=(ensembles, MATRICES)):

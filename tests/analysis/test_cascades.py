@@ -60,19 +60,29 @@ def test_grid_keeps_its_last_sample_where_rounding_would_lose_it():
     np.testing.assert_allclose(win.grid(0.1), [0.0, 0.1, 0.2, 0.3])
 
 
+def test_samples_see_the_changes_up_to_and_at_their_time(rng):
+    for dt in (0.1, 0.3, 0.7):
+        at = np.sort(np.concatenate((rng.uniform(0, 9, 40), dt * rng.integers(1, 9 // dt, 20))))  # some on the grid
+        win = window(np.concatenate(([0.0], at)), np.arange(61), 0.0, 9.0)
+        index = np.searchsorted(at, win.grid(dt), side="right")
+        np.testing.assert_array_equal(win.grid_index(dt), index)
+        np.testing.assert_array_equal(win.sampled(dt), np.diff(win.path()[index]))
+
+
 def test_windows_that_meet_share_no_change_and_lose_none():
     whole = window(T, N, 0.0, 10.0)
     assert whole.t.tolist() == [1, 2, 3, 4, 6, 7, 8, 9, 10]  # (0, 10], and at 5 nothing changes
-    for cut in (window(T, N, 0.0, 4.0), window(T, N, 4.0, 10.0)), (whole.part(0.0, 4.0), whole.part(4.0, 10.0)):
-        assert [one.t.tolist() for one in cut] == [[1, 2, 3, 4], [6, 7, 8, 9, 10]]
-        assert [one.path()[[0, -1]].tolist() for one in cut] == [[9, 7], [7, 5]]
+    cut = window(T, N, 0.0, 4.0), window(T, N, 4.0, 10.0)
+    assert [one.t.tolist() for one in cut] == [[1, 2, 3, 4], [6, 7, 8, 9, 10]]
+    assert [one.path()[[0, -1]].tolist() for one in cut] == [[9, 7], [7, 5]]
+    assert whole.means(5)[:2].mean() == pytest.approx(cut[0].time_mean())
 
 
 def test_mean_and_variance_in_time_are_exact():
     win = window(np.array([0.0, 2.0, 3.0]), np.array([7, 4, 10]), 1.0, 5.0)  # 7 for 1, 4 for 1, 10 for 2
     assert win.time_mean() == pytest.approx(31 / 4)
     assert win.time_variance() == pytest.approx((49 + 16 + 200) / 4 - (31 / 4) ** 2)
-    assert win.part(3.0, 5.0).time_mean() == 10
+    assert win.means(2).tolist() == pytest.approx([11 / 2, 10])
 
 
 @st.composite

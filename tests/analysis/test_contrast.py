@@ -153,7 +153,7 @@ def test_a_sample_is_the_planted_one(planted):
     )
     series = {f"m{k}": (t, a + 2 * wave) for k, a in enumerate((10, 12, 20))} | {f"m{k}": quiet for k in (3, 4, 5)}
     study = Study(Data(members, series), SETTINGS)
-    found = sample(study, study.groups[0])
+    found = sample(study.groups[0])
     matrices, rows = found.rows("mean n_stick")
     assert matrices.tolist() == [0, 1, 2, 4]
     assert rows[:, 0] == pytest.approx([11, 13, 21, 200 / 900 * 5])
@@ -181,7 +181,7 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     series = {f"m{k}": (t, np.rint(60 + k - t / 20).astype(int)) for k in range(4)}
     steeper = {name: (t, n_stick - t.astype(int) // 99) for name, (t, n_stick) in series.items()}
     studies = [Study(Data(members, some), SETTINGS) for some in (series, steeper)]
-    found, other = (sample(study, study.groups[0]) for study in studies)
+    found, other = (sample(study.groups[0]) for study in studies)
     one = next(one for one in statistics(MARGINS) if one.name == "correlation time")
     assert contrast(one, found, other, True, 0.95)["reason"] == SHORT_WINDOW
     assert not contrast(one, found, found, True, 0.95)["reason"]

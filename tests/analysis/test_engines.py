@@ -25,7 +25,7 @@ def asked(planted, shifts, thresholds=(), n_matrices=8):
             t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
             series[name] = t, n_stick - n_stick.min() + 40 + 2 * matrix + shift
             for c, lower in dict(thresholds).items():
-                by_threshold[name, c] = t, series[name][1] - lower
+                by_threshold.setdefault(name, {})[c] = t, series[name][1] - lower
     return answer(Study(Data(pd.DataFrame(rows), series, thresholds=by_threshold), SETTINGS))
 
 

@@ -154,7 +154,7 @@ def test_effects_are_ratios_judged_together(rng):
 
 
 def test_n_stick_that_does_not_change_has_no_effective_samples():
-    still = effective.row(window(np.zeros(1), np.array([3]), 0.0, 10.0))
+    still = effective.row(window(np.zeros(1), np.array([3]), 0.0, 10.0), 0.0)
     found = effective.effective(np.array([still, still]), 10.0, 0.95)
     assert found.samples is None
     assert found.tau.reason
