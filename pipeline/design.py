@@ -19,7 +19,7 @@ from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.quantity import Distribution, FromFile, Value, short, word
 from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
-from stickslip.pipeline.systems import SystemFile, read
+from stickslip.pipeline.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.couplings import READINGS
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
@@ -50,15 +50,17 @@ class Member:
     member_id: str
     n: int
     coupling: str
-    kappa: float
+    kappa: float | None
     leaf: Value | None
     degree: float | None
     rho: float | None
     damping: Value | None
-    friction: Value
-    belt_speed: float
+    friction: Value | None
+    belt_speed: float | None
+    parameters: tuple[tuple[str, float], ...]
     matrix: int
-    system_file: SystemFile | None
+    #: The file or the function of the user's that its system comes from, if one does.
+    origin: SystemFile | SystemFunction | None
     perturbation_reading: str | None
     perturbation_size: float
     perturbation_draw: int | None
@@ -90,14 +92,14 @@ class Member:
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
         """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
         if isinstance(value, FromFile):
-            assert self.system_file is not None
-            return np.asarray(read(self.system_file)[_ARRAYS[purpose]], dtype=np.float64)
+            assert isinstance(self.origin, SystemFile)
+            return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
         return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
 
     @property
     def file(self) -> str | None:
         """The name of the file that its system is read from."""
-        return None if self.system_file is None else self.system_file.name
+        return self.origin.name if isinstance(self.origin, SystemFile) else None
 
     @property
     def drawn(self) -> str | None:
@@ -161,7 +163,7 @@ class Member:
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
         sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
         """
-        is_sparse = self.coupling not in sim.COUPLINGS if self.system_file is None else self.system_file.is_sparse
+        is_sparse = self.coupling not in sim.COUPLINGS if self.origin is None else self.origin.is_sparse
         a_row = min(self.n, 50) if is_sparse else self.n
         rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**2 * a_row, dict(self.settings))
         certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
@@ -177,22 +179,33 @@ _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0
 # Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
 @lru_cache(maxsize=1)
 def _own_system(member: Member) -> sim.System:
-    if member.system_file is not None:
-        damping = np.empty(0)
-        if member.damping is not None:
-            damping = np.asarray(member._by_block(member.damping, DAMPING))
-        elif member.rho is not None:
-            damping = np.random.default_rng(member._seed(MATRIX)).uniform(member.rho, 2 * member.rho, member.n)
-        friction = member._by_block(member.friction, FRICTION)
-        return sim.System(read(member.system_file)["stiffness"], damping, friction, member.belt_speed)
+    rng = np.random.default_rng(member._seed(MATRIX))
+    damping = None if member.damping is None else member._by_block(member.damping, DAMPING)
+    friction = None if member.friction is None else member._by_block(member.friction, FRICTION)
+    if isinstance(member.origin, SystemFunction):
+        made = make(member.origin, member.n, rng, dict(member.parameters))
+        if damping is None:
+            damping = made.damping if made.cross_damping is None else made.cross_damping + np.diag(made.damping)
+        static = made.static if friction is None else None
+        friction = made.friction if friction is None else friction
+        belt_speed = made.belt_speed if member.belt_speed is None else member.belt_speed
+        return sim.System(made.stiffness, damping, friction, belt_speed, static)
+    assert friction is not None
+    assert member.belt_speed is not None
+    if member.origin is not None:
+        if damping is None and member.rho is not None:
+            damping = rng.uniform(member.rho, 2 * member.rho, member.n)
+        assert damping is not None
+        return sim.System(read(member.origin)["stiffness"], damping, friction, member.belt_speed)
+    assert member.kappa is not None
     return sim.draw_system(
         member.coupling,
         member.n,
         member._seed(MATRIX),
         **member.scales,
         rho=member.rho,
-        damping=None if member.damping is None else member._by_block(member.damping, DAMPING),
-        friction=member._by_block(member.friction, FRICTION),
+        damping=damping,
+        friction=friction,
         belt_speed=member.belt_speed,
     )
 
@@ -231,7 +244,7 @@ def _expand(scene: Scene) -> Iterator[Member]:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
     words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
     places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
-    for (n, file), matrix, place, change, engine in product(
+    for (n, origin), matrix, place, change, engine in product(
         scene.sources, range(scene.run.matrices), places, changes, scene.engines
     ):
         if change.reading is not None and change.reading not in scene.readings_of(engine):
@@ -239,7 +252,7 @@ def _expand(scene: Scene) -> Iterator[Member]:
         if change.twin_size is not None and not engine.twins:
             continue
         for draw, of_engine in words[engine].items():
-            member = _member(scene, n, file, matrix, place, change, of_engine, engine, draw)
+            member = _member(scene, n, origin, matrix, place, change, of_engine, engine, draw)
             yield _with_shared_cost(scene, member, engine)
 
 
@@ -301,7 +314,7 @@ def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
 def _member(
     scene: Scene,
     n: int,
-    file: SystemFile | None,
+    origin: SystemFile | SystemFunction | None,
     matrix: int,
     place: _Place,
     change: _Change,
@@ -309,18 +322,21 @@ def _member(
     engine: EngineTable,
     draw: int | None,
 ) -> Member:
-    at, of_file = place.at, []
-    if file is not None:
-        own: dict[str, Any] = {"friction": FromFile()} if "friction" in file.arrays else {}
-        own |= {"damping": FromFile(), "rho": None} if "damping" in file.arrays else {}
-        at, of_file = at | own | {"kappa": file.scale}, [f"K{file.sha256[:12]}"]
+    at = place.at
+    if isinstance(origin, SystemFile):
+        own: dict[str, Any] = {"friction": FromFile()} if "friction" in origin.arrays else {}
+        own |= {"damping": FromFile(), "rho": None} if "damping" in origin.arrays else {}
+        at = at | own | {"kappa": origin.scale}
+    parameters = scene.system.parameters or {}
+    named = [] if origin is None else [origin.word]
     return Member(
-        member_id="-".join([f"n{n}", *of_file, f"m{matrix:03d}", *place.words, *change.words, *words]),
+        member_id="-".join([f"n{n}", *named, f"m{matrix:03d}", *place.words, *change.words, *words]),
         n=n,
         coupling=scene.system.coupling,
-        **{name: value for name, value in at.items() if name not in ("z", "w")},
-        matrix=matrix if file is None else file.matrix(matrix),
-        system_file=file,
+        **{name: value for name, value in at.items() if name not in ("z", "w") and name not in parameters},
+        parameters=tuple((name, at[name]) for name in parameters),
+        matrix=matrix if origin is None else origin.matrix(matrix),
+        origin=origin,
         perturbation_reading=change.reading,
         perturbation_size=change.size,
         perturbation_draw=change.draw,
@@ -400,7 +416,7 @@ def tasks(scene: Scene, earlier: Sequence[str], packing: Sequence[Sequence[int]]
         If the numbers are not those of the scenes' members, or an earlier scene cannot be read.
     """
     try:
-        scenes = [*(parse_scene(source.encode()) for source in earlier), scene]
+        scenes = [*(parse_scene(source.encode(), folder=scene.folder) for source in earlier), scene]
     except SceneError as error:
         raise PlanError(str(error)) from error
     planned: list[Task] = []
@@ -430,7 +446,7 @@ def pack(scene: Scene, known: set[str]) -> tuple[int, ...]:
 def grows(stored: Scene, wanted: Scene) -> bool:
     """Whether all that the stored scene says holds for the wanted one too, which adds members and changes none."""
     one, other = Recording.of(stored), Recording.of(wanted)
-    if (one.parts, one.separation) != (other.parts, other.separation) or wanted.n_members <= stored.n_members:
+    if one != replace(other, scene_hash=one.scene_hash) or wanted.n_members <= stored.n_members:
         return False
     members = {member.member_id: member for member in expand(wanted)}
     return all(members.get(member.member_id) == member for member in expand(stored))

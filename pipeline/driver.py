@@ -135,9 +135,9 @@ def run_ensemble(
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, scene.source, retry_failed, accept_version) as store:
-        for file in {member.system_file for batch, _ in store.todo for member in batch.members}:
-            if file is not None:
-                systems.read(file)  # as it was, or a word here and not a row for each member
+        for origin in {member.origin for batch, _ in store.todo for member in batch.members}:
+            if isinstance(origin, systems.SystemFile):
+                systems.read(origin)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}
         tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
         firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)

@@ -13,9 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.engine_table import AnyEngine, EngineTable
+from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.quantity import (
     Axis,
     Distribution,
@@ -28,8 +30,15 @@ from stickslip.pipeline.quantity import (
     size,
     values,
 )
-from stickslip.pipeline.system_table import OF_FILE, SystemTable
-from stickslip.pipeline.systems import SystemFile, with_files
+from stickslip.pipeline.system_table import OF_FILE, SystemTable, is_function
+from stickslip.pipeline.systems import (
+    SystemFile,
+    SystemFunction,
+    located,
+    look_at_files,
+    look_at_module,
+    tried,
+)
 from stickslip.pipeline.tables import (
     AnalysisTable,
     PerturbationTable,
@@ -38,7 +47,17 @@ from stickslip.pipeline.tables import (
     StartTable,
     TwinsTable,
 )
-from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, parse_toml, read_source, written
+from stickslip.pipeline.toml import (
+    Positive,
+    StrictTable,
+    as_scene,
+    as_tuple,
+    explained,
+    parse_toml,
+    plain,
+    read_source,
+    written,
+)
 from stickslip.sim.couplings import Reading
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.graphs import GRAPHS
@@ -75,6 +94,22 @@ class Scene(StrictTable):
     record: RecordTable = RecordTable()
     analysis: AnalysisTable
     _source: bytes | None = PrivateAttr(default=None)
+    _folder: Path = PrivateAttr(default=Path())
+
+    def __init__(self, **tables: Any) -> None:
+        """A scene from its tables, as a file has them; files that it names are looked for in the working directory.
+
+        Raises
+        ------
+        SceneError
+            If they are no scene; one line a problem.
+        """
+        tables = plain(tables)
+        tables.get("system", {}).update(_look(tables, Path(), ""))
+        with explained(type(self), ""):
+            super().__init__(**tables)
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # `as_scene` goes another way
 
     @property
     def source(self) -> bytes:
@@ -98,6 +133,7 @@ class Scene(StrictTable):
         in_files = any(file.arrays for file in self.system.known_files.values())
         asked = {
             "file": self.system.coupling == OF_FILE,
+            "function": self.system.is_own,
             "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None or in_files,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
@@ -156,10 +192,11 @@ class Scene(StrictTable):
 
     @property
     def quantities(self) -> dict[str, Quantity | None]:
-        """The keys that may hold lists and distributions: those of [system], then those of [start]."""
+        """The keys that may hold lists and distributions: those of [system], its parameters, those of [start]."""
         one, other = self.system, self.start
         keys = ("kappa", "leaf", "degree", "rho", "damping", "friction", "belt_speed")
-        return {name: getattr(one, name) for name in keys} | {"z": other.z, "w": other.w}
+        own = {name: getattr(one, name) for name in keys}
+        return own | (one.parameters or {}) | {"z": other.z, "w": other.w}
 
     @property
     def axes(self) -> tuple[Axis, ...]:
@@ -237,13 +274,29 @@ class Scene(StrictTable):
         return len(self.sources) * self.run.matrices * starts * runs
 
     @property
-    def sources(self) -> list[tuple[int, SystemFile | None]]:
-        """The numbers of blocks that systems are drawn for; or the files that they are read from, with theirs."""
-        if self.system.coupling != OF_FILE:
-            return [(n, None) for n in self.system.n]
-        files = self.system.known_files
-        named = sorted(files, key=lambda name: (files[name].n, name))
-        return [(files[name].n, SystemFile(name=name, **files[name].model_dump(exclude={"n"}))) for name in named]
+    def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:
+        """The numbers of blocks that systems are drawn or made for; or those of the files that they are read from."""
+        system = self.system
+        if system.coupling == OF_FILE:
+            files = system.known_files
+            named = sorted(files, key=lambda name: (files[name].n, name))
+            at = {name: str(located(name, self._folder)) for name in named}
+            facts = {name: files[name].model_dump(exclude={"n"}) for name in named}
+            return [(files[name].n, SystemFile(name=name, at=at[name], **facts[name])) for name in named]
+        return [(n, self._function) for n in system.n]
+
+    @property
+    def _function(self) -> SystemFunction | None:
+        """The function that makes the systems, if one does."""
+        module = self.system.module
+        if module is None:
+            return None
+        return SystemFunction(self.system.coupling, module.sha256, str(self._folder.resolve()), module.is_sparse)
+
+    @property
+    def folder(self) -> Path:
+        """Where the files are looked for that it names."""
+        return self._folder
 
     def n_changes(self, engine: EngineTable) -> int:
         """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
@@ -267,9 +320,13 @@ class Scene(StrictTable):
         if self.system.files is not None:
             keys["system"]["files"] = {name: file.sha256 for name, file in self.system.files.items()}
             del keys["system"]["path"]
+        if self.system.module is not None:
+            keys["system"]["module"] = self.system.module.sha256
         for axis in self.axes:  # the order in the file means nothing
             for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
-                keys["start" if key in ("z", "w") else "system"][key] = as_written(column)
+                table = keys["start" if key in ("z", "w") else "system"]
+                table = table["parameters"] if key in (self.system.parameters or ()) else table
+                table[key] = as_written(column)
         return keys
 
     @property
@@ -280,36 +337,61 @@ class Scene(StrictTable):
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Read a scene file.
+    """Read a scene file, and look at the files that it names; a function that makes systems is tried once.
 
     Raises
     ------
     SceneError
-        If the file cannot be read, is not TOML, or is not a scene; one line a problem.
+        If the file cannot be read, is not TOML, or is not a scene, or what it names is not what it should be; one
+        line a problem.
     """
-    return parse_scene(scene_source(path), str(path))
+    path = Path(path)
+    source, name = read_source(path), str(path)
+    tables = parse_toml(source, name)
+    found = _look(tables, path.parent, name)
+    if found:
+        seen = written(found, "system.")
+        source = (
+            source.rstrip() + f"\n\n# What was there when this scene was read; written by stickslip.{seen}".encode()
+        )
+    return parse_scene(source, name, path.parent)
 
 
-def scene_source(path: str | Path) -> bytes:
-    """The bytes of a scene file, with what the files that it names are: all that a scene is known by.
+def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
+    """What a scene keeps of the files that it names, by the keys in [system] that hold it."""
+    system = tables.get("system")
+    if not isinstance(system, dict) or "files" in system or "module" in system:
+        return {}
+    coupling, path = system.get("coupling"), system.get("path")
+    if coupling == OF_FILE and isinstance(path, str):
+        return {"files": look_at_files(path, folder)}
+    if not isinstance(coupling, str) or not is_function(coupling):
+        return {}
+    seen: dict[str, Any] = {"sha256": look_at_module(coupling, folder), "is_sparse": False, "entries_by_block": 0.0}
+    scene = as_scene(Scene, {**tables, "system": system | {"module": seen}}, name)
+    scene._folder = folder
+    from stickslip.pipeline.schema import COLUMNS  # it loads Arrow
+
+    own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
+    taken = next((key for key in own if key in (*COLUMNS, "rng")), None)
+    if taken is not None:
+        raise SceneError(f"{name}: system.parameters: expected names that no column of the data has, got {taken!r}; "
+                         f"choose another")  # fmt: skip
+    n, function = min(scene.system.n), scene._function
+    assert function is not None
+    stiffness = tried(function, n, own).stiffness
+    is_sparse = not isinstance(stiffness, np.ndarray)
+    return {"module": seen | {"is_sparse": is_sparse, "entries_by_block": stiffness.size / n}}
+
+
+def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Scene:
+    """A scene from the bytes of a scene file; `name` is what errors call it, `folder` where files that it names lie.
 
     Raises
     ------
     SceneError
-        If the file, or one that it names, cannot be read or holds something else.
-    """
-    source = read_source(path)
-    return with_files(parse_toml(source, str(path)), source, Path(path).parent)
-
-
-def parse_scene(source: bytes, name: str = "scene") -> Scene:
-    """A scene from the bytes of a scene file; `name` is what errors call it.
-
-    Raises
-    ------
-    SceneError
-        As `load_scene`.
+        If it is not TOML, or not a scene.
     """
     scene = as_scene(Scene, parse_toml(source, name), name)
-    scene._source = source
+    scene._source, scene._folder = source, folder
     return scene

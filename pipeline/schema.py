@@ -46,6 +46,7 @@ def _of_engines() -> Iterator[pa.Field]:
 #: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
 _RECORDED = {
     "file": [_column("file", pa.string(), "file that K is read from, as named beside the scene", False)],
+    "function": [],  # its parameters, which each scene names itself
     "graph": [
         _column("leaf", pa.float64(), "stiffness of every block's leaf spring; null if drawn"),
         _column("degree", pa.float64(), "mean number of neighbours; null if not a network"),
@@ -85,8 +86,12 @@ _RECORDED = {
     ],
 }
 
-#: What is null where a scene gives `damping`, or a distribution.
-_MAY_BE_NULL = ("rho", "friction", "z0", "w0")
+#: What is null where a scene gives `damping`, or a distribution, and where a function makes the systems.
+_MAY_BE_NULL = {
+    "damping": {"rho", "friction", "z0", "w0"},
+    "drawn": {"rho", "friction", "z0", "w0"},
+    "function": {"kappa", "rho", "friction", "belt_speed"},
+}
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
 SCHEMA = pa.schema(
@@ -166,22 +171,28 @@ def scalars(schema: pa.Schema) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a scene keeps of its members: `parts` beside n_stick, and every how long the distance from a twin."""
+    """What a scene keeps of its members.
+
+    `parts` beside n_stick; `separation`, every how long the distance from a twin; `parameters` of a function.
+    """
 
     scene_hash: str
     parts: tuple[str, ...]
     separation: float | None
+    parameters: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> Recording:
-        return cls(scene.hash, scene.records, scene.record.separation)
+        return cls(scene.hash, scene.records, scene.record.separation, tuple(scene.system.parameters or ()))
 
     @property
     def schema(self) -> pa.Schema:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
-        own = {"damping", "drawn"}.intersection(self.parts)
-        fixed = [field.with_nullable(True) if own and field.name in _MAY_BE_NULL else field for field in SCHEMA]
-        schema = pa.schema([*fixed, *(column for name in self.parts for column in _RECORDED[name])])
+        null = set().union(*(_MAY_BE_NULL.get(name, set()) for name in self.parts))
+        fixed = [field.with_nullable(True) if field.name in null else field for field in SCHEMA]
+        own = [_column(name, pa.float64(), "parameter of the function that makes the systems", False)
+               for name in self.parameters]  # fmt: skip
+        schema = pa.schema([*fixed, *own, *(column for name in self.parts for column in _RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
 
 

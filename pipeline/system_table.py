@@ -1,8 +1,9 @@
-"""[system]: the systems of a scene, drawn from an ensemble, tied along a graph, or read from files."""
+"""[system]: the systems of a scene: drawn from an ensemble, tied along a graph, from files or by a function."""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
@@ -17,17 +18,35 @@ from stickslip.sim.graphs import GRAPHS
 OF_FILE = "file"
 
 
+#: What the coupling looks like whose systems a function makes.
+_FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
+
+
+def is_function(coupling: str) -> bool:
+    """Whether a coupling names a function that makes the systems."""
+    return re.match(_FUNCTION, coupling) is not None
+
+
 def _coupling(name: str) -> str:
     known = (*COUPLINGS, *GRAPHS, OF_FILE)
-    if name not in known:
+    if name not in known and not is_function(name):
+        if ":" in name:
+            raise ValueError(f"expected module:function, as in own:draw, got {name!r}; name a file own.py so")
         raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
     return name
+
+
+class ModuleTable(StrictTable):
+    """The module whose function makes the systems, as it was when the scene was read; see `pipeline.systems`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    is_sparse: bool
+    entries_by_block: Natural
 
 
 class FileTable(StrictTable):
     """A file that a system is read from, as it was when the scene was read; see `pipeline.systems`."""
 
-    at: str
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     n: Blocks
     scale: Natural
@@ -40,9 +59,10 @@ class SystemTable(StrictTable):
     """[system]: what the systems are drawn from."""
 
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
-        description="name of the ensemble, or of the graph that springs lie along; or that K is read from a file",
+        description="name of the ensemble, or of the graph that springs lie along; that K is read from a file; or the"
+        " function that makes the systems, as module:function",
         examples=["antisymmetric"],
-        json_schema_extra={"enum": [*COUPLINGS, *GRAPHS, OF_FILE]},
+        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": _FUNCTION}]},
     )
     n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
     path: str | None = Field(
@@ -63,6 +83,12 @@ class SystemTable(StrictTable):
     )
     friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
     belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+    parameters: dict[str, AnyNumber] | None = Field(
+        default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
+    )
+    module: Annotated[ModuleTable | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the module was when the scene was read: written by stickslip"
+    )
     files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
         default=None, description="what the files were when the scene was read: written by stickslip"
     )
@@ -81,7 +107,14 @@ class SystemTable(StrictTable):
             return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
         if self.coupling == OF_FILE:
             return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
+        if self.module is not None:
+            return 100.0 * n * self.module.entries_by_block if self.module.is_sparse else 24.0 * n**2
         return 100.0 * n * (1.0 + size(self.degree or 4.0))
+
+    @property
+    def is_own(self) -> bool:
+        """Whether a function of the user's makes the systems."""
+        return is_function(self.coupling)
 
     @property
     def known_files(self) -> dict[str, FileTable]:
@@ -117,9 +150,34 @@ class SystemTable(StrictTable):
         if alone:
             raise ValueError(f"n: expected the numbers of blocks of the files, got {min(alone)} of none; remove it")
 
+    def _function_applies(self) -> None:
+        if not self.is_own:
+            if self.parameters is not None or self.module is not None:
+                raise ValueError(
+                    f'parameters: expected none with coupling = "{self.coupling}", no module:function; remove it'
+                )
+            return
+        if self.module is None:
+            raise ValueError(
+                "module: expected what `load_scene` and the command write here, found nothing; use these"
+            )
+        for key in ("kappa", "rho"):
+            if key in self.model_fields_set and getattr(self, key) is not None:
+                raise ValueError(
+                    f'{key}: expected none with coupling = "{self.coupling}", which makes the whole system; give it'
+                    f" to the function, by [system.parameters]"
+                )
+        for key in self.parameters or ():
+            if not key.isidentifier():
+                raise ValueError(f"parameters: expected names of arguments, got {key!r}; choose another")
+        left_to_it = {"friction", "belt_speed"} - self.model_fields_set
+        for key in {"kappa", "rho"} | left_to_it:
+            object.__setattr__(self, key, None)
+
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
         """What is not used is refused, and no part of the data."""
+        self._function_applies()
         for key, has_it in (("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network")):
             if not has_it:
                 if key in self.model_fields_set and getattr(self, key) is not None:

@@ -1,12 +1,15 @@
-"""Systems from files: K, and what else a file holds, read once, checked, and known by a digest from then on."""
+"""Systems of the user's own: read from files, or made by a function. Checked once, known by a digest from then on."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib.util
 import io
-import json
+import sys
+import types
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +20,7 @@ import scipy.io
 import scipy.sparse
 
 from stickslip.pipeline.errors import SceneError
-from stickslip.sim.arguments import per_block
+from stickslip.sim.arguments import did_you_mean, per_block
 from stickslip.sim.system import System
 
 #: What a file may hold beside `stiffness`, one number a block each.
@@ -41,9 +44,39 @@ class SystemFile:
     is_sparse: bool
     arrays: tuple[str, ...]
 
+    @property
+    def word(self) -> str:
+        """What stands for it in a member's name."""
+        return f"K{self.sha256[:12]}"
+
     def matrix(self, draw: int) -> int:
         """The number of a draw of what the file leaves open: of its content, so that other files move nothing."""
         return int(hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()[:7], 16)
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFunction:
+    """A function that makes systems: `module:function`, the sha256 of its file, and the folder that it lies in."""
+
+    name: str
+    sha256: str
+    at: str = field(compare=False)
+    is_sparse: bool = field(compare=False)
+
+    @property
+    def word(self) -> str:
+        """What stands for it in a member's name."""
+        return f"{self.name}-{self.sha256[:12]}"
+
+    def matrix(self, draw: int) -> int:
+        """The number of a draw."""
+        return draw
+
+
+def located(name: str, folder: Path) -> Path:
+    """Where a file lies that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+    places = (folder, *folder.resolve().parents)
+    return next((place / name for place in places if (place / name).is_file()), folder / name)
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:
@@ -60,13 +93,17 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 @lru_cache(maxsize=2)
 def _read(at: str, sha256: str) -> Mapping[str, Any]:
     content = _content(Path(at))
-    digest = hashlib.sha256(content).hexdigest()
+    digest = _digest(content)
     if digest != sha256:
         raise SceneError(
             f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
             f"(sha256 {digest[:12]}); restore the file, or run the scene with it into another directory"
         )
     return _arrays(at, content)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _content(path: Path) -> bytes:
@@ -116,7 +153,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         why = " ".join(str(error).split())  # it may show an array
         raise SceneError(f"system.path: {name}: {why if len(why) < 300 else f'{why[:297]}...'}") from None
     return {
-        "sha256": hashlib.sha256(content).hexdigest(),
+        "sha256": _digest(content),
         "n": system.n,
         "scale": float(abs(system.stiffness).max()),
         "entries": system.stiffness.size,
@@ -125,38 +162,135 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
     }
 
 
-def with_files(tables: Mapping[str, Any], source: bytes, folder: Path) -> bytes:
-    """The source of a scene with a table of the files that its systems are read from, as they are now.
+def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
+    """What the files that a pattern names are now, by their names beside the scene, as plain values.
 
-    From then on the scene is known from its source alone, and a file that changes is another scene.
+    From then on the scene is known without them, and a file that changes is another scene.
 
     Raises
     ------
     SceneError
         If there is no such file, or it holds no system.
     """
-    system = tables.get("system")
-    if not isinstance(system, dict) or system.get("coupling") != "file" or "files" in system:
-        return source
-    pattern = system.get("path")
-    if not isinstance(pattern, str):
-        return source  # which is refused when it is read
-    base = Path(pattern)
-    found = [folder / base] if (folder / base).is_file() else _glob(folder, pattern)
+    found = [folder / pattern] if (folder / pattern).is_file() else _glob(folder, pattern)
     if not found:
         raise SceneError(f"system.path: expected a file, or several by a pattern such as K*.npz, got {pattern!r}, "
                          f"which names none in {folder.resolve()}; correct the path")  # fmt: skip
-    lines = ["", "# What the files were when this scene was read; written by stickslip.", "[system.files]"]
-    for file in found:
-        at = file.resolve()
-        name = at.relative_to(folder.resolve()).as_posix() if at.is_relative_to(folder.resolve()) else at.name
-        about = {"at": str(at), **_checked(str(file), _content(file))}
-        written = ", ".join(f"{key} = {json.dumps(value)}" for key, value in about.items())
-        lines.append(f"{json.dumps(name)} = {{{written}}}")
-    return source.rstrip() + ("\n".join(lines) + "\n").encode()
+    is_beside = not Path(pattern).is_absolute()
+    names = [file.relative_to(folder).as_posix() if is_beside else file.as_posix() for file in found]
+    return {name: _checked(str(file), _content(file)) for name, file in zip(names, found, strict=True)}
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:
     base = Path(pattern)
     root, rest = (Path(base.anchor), pattern[len(base.anchor) :]) if base.is_absolute() else (folder, pattern)
     return sorted(file for file in root.glob(rest) if file.is_file()) if rest else []
+
+
+# ---------------------------------------------------------------------------------------------- functions
+
+
+def look_at_module(name: str, folder: Path) -> str:
+    """The sha256 of the file of the module in `module:function`, beside the scene or installed.
+
+    Raises
+    ------
+    SceneError
+        If there is none.
+    """
+    module = name.partition(":")[0]
+    file = _file_of(module, folder)
+    if file is None:
+        raise SceneError(
+            f"system.coupling: expected the module {module!r} beside the scene, in {folder.resolve()}, or installed, "
+            f"found none; write it there as {module.replace('.', '/')}.py, or correct the name"
+        )
+    return _digest(_content(file))
+
+
+def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters: Mapping[str, float]) -> System:
+    """A system of n blocks by a function of the user's.
+
+    Raises
+    ------
+    SceneError
+        If the module or the function is gone, or not what it was; or what it returned is no such system.
+    """
+    with _found_first(function.at):
+        found = _function(function.name, function.at, function.sha256)(n, rng, **parameters)
+    if not isinstance(found, System) or found.n != n:
+        got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__
+        raise SceneError(
+            f"system.coupling: {function.name}: expected it to return a stickslip.System of {n} blocks, got {got}"
+        )
+    return found
+
+
+def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> System:
+    """A system as `make`, for a look; whatever goes wrong in the function is told in a line.
+
+    Raises
+    ------
+    SceneError
+        Then.
+    """
+    try:
+        return make(function, n, np.random.default_rng(0), parameters)
+    except SceneError:
+        raise
+    except (Exception, SystemExit) as error:
+        given = "".join(f", {key}={value!r}" for key, value in parameters.items())
+        why = " ".join(str(error).split()) or "nothing said"
+        raise SceneError(
+            f"system.coupling: {function.name}({n}, rng{given}): expected a stickslip.System, got "
+            f"{type(error).__name__}: {why}; correct the function"
+        ) from error
+
+
+@lru_cache(maxsize=8)
+def _function(name: str, at: str, sha256: str) -> Callable[..., object]:
+    """The function, of a module that is loaded under a name of its own, so that what is on disk is what is called."""
+    module, _, attribute = name.partition(":")
+    for folder in dict.fromkeys((Path(at), *Path(at).parents, Path())):
+        file = _file_of(module, folder)
+        if file is not None and _digest(_content(file)) == sha256:
+            break
+    else:
+        raise SceneError(
+            f"system.coupling: expected the module {module!r} as it was when the scene was read (sha256 "
+            f"{sha256[:12]}), in {at} or installed, found {'none' if file is None else 'another'}; on a cluster, "
+            f"let the workers have it there; if it was changed, run the scene into another directory"
+        )
+    loaded = types.ModuleType(f"_own_{module}_{sha256[:12]}")
+    loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
+    sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own
+    exec(compile(_content(file), str(file), "exec"), loaded.__dict__)
+    found = getattr(loaded, attribute, None)
+    if not callable(found):
+        known = [key for key, value in vars(loaded).items() if isinstance(value, types.FunctionType)]
+        near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
+        raise SceneError(f"system.coupling: expected a function {attribute!r} in {file}, found none{near}")
+    return found
+
+
+def _file_of(module: str, folder: Path) -> Path | None:
+    """The file of a module in a folder, or where Python finds it."""
+    path = folder / module.replace(".", "/")
+    beside = next((one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()), None)
+    if beside is not None:
+        return beside
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):  # of a package that is not there, or by a name that is none
+        return None
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
+@contextlib.contextmanager
+def _found_first(folder: str) -> Iterator[None]:
+    """Within: what a module imports is looked for beside it first."""
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)

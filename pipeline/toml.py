@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import itertools
 import json
 import re
@@ -11,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
@@ -129,22 +131,40 @@ def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
     SceneError
         If it is none; one line a problem.
     """
-    try:
+    with explained(kind, f"{name}: "):
         return kind.model_validate(tables)
+
+
+@contextlib.contextmanager
+def explained(kind: type[BaseModel], head: str) -> Iterator[None]:
+    """Turn what pydantic finds wrong with a scene into a `SceneError`, whose lines begin with `head`."""
+    try:
+        yield
     except ValidationError as error:
-        raise SceneError("\n".join(f"{name}: {line}" for line in _problems(error, kind))) from None
+        raise SceneError("\n".join(f"{head}{line}" for line in _problems(error, kind))) from None
 
 
-def written(tables: Mapping[str, Any]) -> str:
-    """Tables as TOML: what `parse_toml` reads back. What is None is left out."""
+def plain(value: Any) -> Any:
+    """Tables from Python as a file has them: lists and numbers of NumPy, and tables that are objects, written out."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, BaseModel):
+        return plain(value.model_dump(mode="json", by_alias=True, exclude_unset=True))
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items() if one is not None}
+    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def written(tables: Mapping[str, Any], above: str = "") -> str:
+    """Tables as TOML: what `parse_toml` reads back, without None. `above`: "system." for tables in it."""
     arrays = {key: value for key, value in tables.items() if _is_array_of_tables(value)}
     inner = {key: value for key, value in tables.items() if isinstance(value, Mapping)}
     lines = _pairs({key: value for key, value in tables.items() if key not in arrays | inner})
     for key, table in inner.items():
-        lines += ["", f"[{_name(key)}]", *_pairs(table)]
+        lines += ["", f"[{above}{_name(key)}]", *_pairs(table)]
     for key, each in arrays.items():
         for table in each:
-            lines += ["", f"[[{_name(key)}]]", *_pairs(table)]
+            lines += ["", f"[[{above}{_name(key)}]]", *_pairs(table)]
     return "\n".join([*lines, ""])
 
 

@@ -103,7 +103,8 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 def _parameters(member: Member) -> dict[str, Any]:
     own = zip(_PARAMETERS, _of_member(member), strict=True)
     settings = {name: value for name, value in member.settings if name in _SETTINGS}
-    return {name: None if isinstance(one, (Distribution, FromFile)) else one for name, one in own} | settings
+    found = {name: None if isinstance(one, (Distribution, FromFile)) else one for name, one in own}
+    return found | settings | dict(member.parameters)
 
 
 def _results(member: Member, recording: Recording) -> dict[str, Any]:
@@ -224,8 +225,9 @@ def load_kernels(members: Iterable[Member]) -> None:
         if engine not in _loaded:
             with _alone(engine) if is_cold(engine) else contextlib.nullcontext():
                 tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
-                if member.system_file is not None:
-                    tiny = replace(tiny, system_file=None, coupling="chain", leaf=0.1, damping=1.0, friction=1.0)
+                if member.origin is not None:
+                    tiny = replace(tiny, origin=None, coupling="chain", kappa=0.1, leaf=0.1, belt_speed=-0.2)
+                    tiny = replace(tiny, damping=1.0, friction=1.0)
                     tiny = replace(tiny, z0=0.0, w0=0.0)
                 row(tiny, Recording("", (), None))
             _loaded.add(engine)

@@ -43,8 +43,11 @@ class _Events(Mapping[str, Events]):
 
 def _data(path: Where) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
+    table = members(path)
+    for name in dataset_scene(path).system.parameters or ():  # another value is another law of systems
+        table["coupling"] += f", {name} = " + table[name].map("{:g}".format)
     return Data(
-        members(path),
+        table,
         series=series(path),
         events=_Events(all_events(path)),
         separations=separations(path),

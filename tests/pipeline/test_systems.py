@@ -57,7 +57,7 @@ def test_a_file_is_the_system_and_its_digest_is_in_the_name(tmp_path, arrays):
     members = expand(load_scene(written(tmp_path, arrays)))
     assert len(members) == 2 * 2 * 2
     assert len({member.member_id for member in members}) == len(members)
-    sha256 = members[0].system_file.sha256
+    sha256 = members[0].origin.sha256
     assert all(member.member_id.startswith(f"n4-K{sha256[:12]}-m00") for member in members)
     for member in members:
         system = member.system()
@@ -94,7 +94,7 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
     scipy.io.mmwrite(tmp_path / "f.mtx", sparse)
     file = tmp_path / "mine.toml"
     file.write_text(SCENE.replace("K.npz", "[a-f].*").replace('"file"\nw', "0.0\nw"))
-    found = {member.system_file.name: member.system() for member in expand(load_scene(file))}
+    found = {member.origin.name: member.system() for member in expand(load_scene(file))}
     assert len(found) == 6
     for name, system in found.items():
         assert scipy.sparse.issparse(system.stiffness) == (name in ("d.npz", "e.npz", "f.mtx")), name
