@@ -42,6 +42,9 @@ _MODE_ROUNDING = 16 * np.finfo(np.float64).eps
 #: Shares of the belt's speed that are tried as a bound of |w|.
 _SHARES = np.geomspace(1.0, 1e-6, 256)[:, None]
 
+#: Where tanh'' is largest: 1 / cosh^2 is concave below.
+_INFLECTION = 0.66
+
 _NEVER = float("inf")
 
 
@@ -54,7 +57,8 @@ def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
 def escape(system: System, z: Floats, w: Floats) -> str:
     """Why a run grows for ever from this state, under either law; empty if that is not certain.
 
-    With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k:
+    With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k,
+    the static friction:
 
         c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} mu_k lambda_k,    |lambda_k| <= 1,
 
@@ -66,7 +70,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     if np.isinf(modes.inverse).any():
         return ""
     size = np.abs(modes.inverse @ np.concatenate((z, w)))
-    held = np.abs(modes.inverse[:, system.n :]) @ system.friction
+    held = np.abs(modes.inverse[:, system.n :]) @ system.static
     rates = np.where(modes.eigenvalues.real > modes.rounding, modes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))
@@ -172,6 +176,11 @@ def _modes(system: System) -> _Modes:
     return modes
 
 
+def _rise(x: Floats) -> Floats:
+    """sech^2 x, the slope of tanh."""
+    return np.asarray(1.0 / np.cosh(np.minimum(x, 300.0)) ** 2)
+
+
 class Collapse:
     """Certifies that no block of a system sticks again when all slip one way, and follows it from there.
 
@@ -189,6 +198,9 @@ class Collapse:
     some r, at least the band in which a block sticks below |v|, the sum stays below r. The motion to the end is that
     of the modes once z and w stray from it by no more than `allowed`.
 
+    A law with a peak, s(l) = l + c l (1 - l^2) of l = tanh x, bends down or up, but no more than the concave
+    |1 - 2 c| l + c (3 l - l^3) does, whose part it is to stray from its tangent there.
+
     Parameters
     ----------
     system : System
@@ -199,12 +211,21 @@ class Collapse:
         definition, and by any whose events are wanted.
     delta : ndarray, shape (n,), optional
         Widths of the smoothed law; None for the Coulomb law.
+    hidden : ndarray, shape (n,), optional
+        c of the smoothed law s(tanh x) with s = l + c l (1 - l^2); None for tanh x.
     """
 
     def __init__(
-        self, system: System, allowed: float, band: float = 0.0, widest: float = 0.0, delta: Floats | None = None
+        self,
+        system: System,
+        allowed: float,
+        band: float = 0.0,
+        widest: float = 0.0,
+        delta: Floats | None = None,
+        hidden: Floats | None = None,
     ) -> None:
         self._system, self._allowed, self._delta = system, allowed, delta
+        self._hidden = np.zeros(system.n) if hidden is None else hidden
         self._band, self._widest = band, max(band, widest)
         self._rests: dict[int, Floats | None] = {}
 
@@ -251,7 +272,9 @@ class Collapse:
         """The smoothed law of friction at rest, and its slope, both over mu."""
         assert self._delta is not None
         far = abs(self._system.belt_speed) / self._delta
-        return np.tanh(far), 1.0 / np.cosh(np.minimum(far, 300.0)) ** 2 / self._delta
+        lam, rise = np.tanh(far), _rise(far)
+        c = self._hidden
+        return lam + c * lam * rise, rise * (1.0 + c * (3.0 * rise - 2.0)) / self._delta
 
     def _rest(self, slip: int) -> Floats | None:
         """Where all blocks rest that slip one way; None if K is singular."""
@@ -269,12 +292,22 @@ class Collapse:
         if delta is None:
             return speed, speed
         n, response = self._system.n, _modes(self._linear).response
-        at_rest, slope = self._tangent
+        c, rise = self._hidden, _rise(speed / delta)
+        steepness = np.abs(1.0 - 2.0 * c)
+        slope = (steepness * rise + 3.0 * c * rise**2) / delta
+
+        def concave(u: Floats | float) -> Floats:
+            lam = np.tanh(u / delta)
+            return steepness * lam + c * (3.0 * lam - lam * lam * lam) if c.any() else lam
+
+        at_rest = concave(speed)
 
         def tried(band: float) -> tuple[Floats, Floats]:
             """How far the modes may reach, and how far the motion then strays from theirs, by each bound r."""
             r = (speed - band) * _SHARES
-            bend = np.abs(at_rest - np.tanh((speed - r) / delta) - slope * r)
+            bend = np.abs(at_rest - concave(speed - r) - slope * r)
+            if (band < _INFLECTION * delta).any():  # then it may stray more on the other side
+                bend = np.maximum(bend, np.abs(concave(speed + r) - at_rest - slope * r))
             strayed = self._system.friction * bend @ response.T
             return r[:, 0] - strayed[:, n:].max(axis=1), strayed.max(axis=1)
 

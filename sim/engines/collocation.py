@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stickslip.sim.engines.friction import LAW
+from stickslip.sim.engines.friction import Peaked, Plain, peaked_sign, smooth_sign
 from stickslip.sim.engines.lanes import (
     Lane,
     Numbers,
@@ -45,16 +45,21 @@ from stickslip.sim.engines.radau import (
 )
 
 #: What a formula reads and writes, by rows of a table: a column is a block, on the step that it is taking. First one
-#: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by.
+#: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by;
+#: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
-    LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH,
-) = range(24)  # fmt: skip
-F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(24, 24 + 11 * STAGES, STAGES)
-N_ROWS = 24 + 11 * STAGES
+    LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
+) = range(28)  # fmt: skip
+F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(28, 28 + 11 * STAGES, STAGES)
+N_ROWS = 28 + 11 * STAGES
 #: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
 STEP_H, SPEED, ATOL, RTOL, TO_TOLERANCE = range(5)
 
+#: A block nearer to the belt's speed than so many times its peak may be about to leave stick. At the peak F, which
+#: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
+#: the time of leaving errs by delta^(-2/3) times as much, and what F errs by, by 1 / a times.
+NEAR_PEAK = 3.0
 #: The share of a step's tolerance that Newton's method may leave.
 _SOLVED = 0.05
 #: The next to last coefficient counts by this: by parity the last may vanish.
@@ -63,18 +68,45 @@ _LAST_BUT_ONE = 0.05
 _AT_START = 0.3
 
 
-def _newton(rows: Rows, _: Numbers) -> Lane:
+#: A friction law: `Plain` or `Peaked`.
+Law = type[Plain] | type[Peaked]
+
+
+def _friction(rows: Rows, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
+    """The law of these blocks."""
+    if law is Plain:
+        return smooth_sign
+    c = rows[HIDDEN]
+    return lambda x: peaked_sign(x, c)
+
+
+def _stiff(slope: Lane, law: Law) -> Lane:
+    """What of a slope of friction holds a block back: nothing beyond a peak."""
+    return slope if law is Plain else greater(slope, 0.0)
+
+
+def _is_near_peak(rows: Rows) -> Lane:
+    return absolute(rows[U0]) < rows[PEAK] * NEAR_PEAK
+
+
+def _allowed(rows: Rows, law: Law) -> Lane:
+    """What a step may err by."""
+    tolerance = rows[TOLERANCE]
+    return tolerance if law is Plain else tolerance * where(_is_near_peak(rows), rows[FINE], 1.0)
+
+
+def _newton(rows: Rows, law: Law) -> Lane:
     """One iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0. Gives who is done."""
     h, u0, steep, mu, done = rows[H], rows[U0], rows[STEEP], rows[FRICTION], rows[DONE]
     stages = range(STAGES)
     u, f = [rows[U + k] for k in stages], [rows[F + k] for k in stages]
     moved = [x - u0 for x in u]
-    damping = rows[DAMPING]
+    damping, friction = rows[DAMPING], _friction(rows, law)
     residual: list[Lane] = []
     matrix: list[list[Lane | float]] = []
     nearest = absolute(u[0])
     for k in stages:
-        phi, slope = LAW(u[k] * steep)
+        phi, slope = friction(u[k] * steep)
         force = damping * u[k] + f[k] + mu * phi
         residual.append(-(dot(INVERSE[k], moved) + h * force))
         row: list[Lane | float] = [float(a) for a in INVERSE[k]]
@@ -82,7 +114,7 @@ def _newton(rows: Rows, _: Numbers) -> Lane:
         matrix.append(row)
         nearest = less(nearest, absolute(u[k]))
     pivots: list[Lane] = []
-    for k in stages:  # no pivoting: the diagonal only grows
+    for k in stages:  # no pivoting: the diagonal only grows; beyond a peak a step that this fails is too long anyway
         pivots.append(1.0 / matrix[k][k])  # type: ignore[arg-type]
         for i in range(k + 1, STAGES):
             factor = pivots[k] * matrix[i][k]
@@ -103,7 +135,7 @@ def _newton(rows: Rows, _: Numbers) -> Lane:
     for k in stages:
         rows[U + k] = where(still, u[k] + residual[k], u[k])
     x = change * steep
-    inside = (x * change < rows[TOLERANCE] * _SOLVED) & ((x < 0.1) | (nearest * steep - x > 20.0))
+    inside = (x * change < _allowed(rows, law) * _SOLVED) & ((x < 0.1) | (nearest * steep - x > 20.0))
     rounding = change < (size + absolute(u0) + h * scale) * 1e-15
     solved = (inside | rounding) & (absolute(finite) < 1e300) | (done > 0.5)
     rows[DONE] = where(solved, h * 0.0 + 1.0, 0.0)
@@ -115,7 +147,7 @@ def _error(rate: list[Lane]) -> Lane:
     return greater(absolute(dot(TO_LEGENDRE[-1], rate)), absolute(dot(TO_LEGENDRE[-2], rate)) * _LAST_BUT_ONE)
 
 
-def _finish(rows: Rows, _: Numbers) -> Lane:
+def _finish(rows: Rows, law: Law) -> Lane:
     """From u at the nodes: z there, and the error by the nodes. Gives who is done within it."""
     h, u0, z0, belt = rows[H], rows[U0], rows[Z0], rows[BELT]
     stages = range(STAGES)
@@ -126,10 +158,10 @@ def _finish(rows: Rows, _: Numbers) -> Lane:
         rows[Z + k] = z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k]))
     error = _error(rate)
     rows[ERROR] = error
-    return (rows[DONE] > 0.5) & (error < rows[TOLERANCE])
+    return (rows[DONE] > 0.5) & (error < _allowed(rows, law))
 
 
-def _probe(rows: Rows, _: Numbers) -> Lane:
+def _probe(rows: Rows, law: Law) -> Lane:
     """The error off the nodes, and whether u may have strayed unseen. Gives who is well.
 
     Off the nodes the friction is not what the nodes make of it: the error is this defect divided by the stiffness
@@ -144,13 +176,13 @@ def _probe(rows: Rows, _: Numbers) -> Lane:
     low, high = u0, u0
     for x in u:
         low, high = less(low, x), greater(high, x)
-    error = rows[ERROR]
+    error, friction = rows[ERROR], _friction(rows, law)
     for m in range(len(PLACES)):
         there = dot(ALL_AT_PLACES[m], values) if m > 0 else u0
-        phi, slope = LAW(there * steep)
+        phi, slope = friction(there * steep)
         bent = damping * (there - dot(AT_PLACES[m], u)) + mu * phi
         defect = absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else _AT_START)
-        error = greater(error, defect / (1.0 + h * (damping + mu * steep * slope)))
+        error = greater(error, defect / (1.0 + h * (damping + mu * steep * _stiff(slope, law))))
         low, high = less(low, there), greater(high, there)
     hull_low, hull_high = _bounds(values)
     rows[ERROR] = error
@@ -159,13 +191,13 @@ def _probe(rows: Rows, _: Numbers) -> Lane:
     over = (hull_high * steep - high * steep > 1.0) & (hull_high * steep > -reach) & (high * steep < reach)
     suspect = under | over
     rows[SUSPECT] = where(suspect, h * 0.0 + 1.0, 0.0)
-    return (error < rows[TOLERANCE]) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
+    return (error < _allowed(rows, law)) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
 
 
-def _force(is_change: bool) -> Callable[[Rows, Numbers], None]:
+def _force(is_change: bool) -> Callable[[Rows, Law], None]:
     """F from the products of K, of all of z or of what it changed by; what w may change by, and the tail of F."""
 
-    def formula(rows: Rows, _: Numbers) -> None:
+    def formula(rows: Rows, law: Law) -> None:
         drag = rows[DRAG]
         before = [rows[F + k] for k in range(STAGES)]
         after = [rows[PRODUCT + k] + (before[k] if is_change else drag) for k in range(STAGES)]
@@ -175,6 +207,8 @@ def _force(is_change: bool) -> Callable[[Rows, Numbers], None]:
         for k in range(STAGES):
             rows[F + k] = after[k]
         scale = rows[H] / rows[TOLERANCE]
+        if law is not Plain:
+            scale = scale * where(_is_near_peak(rows) & (rows[FINE] < 1.0), greater(1.0 / rows[H], 1.0), 1.0)
         rows[MOVED], rows[TAIL] = most * scale, _error(after) * scale
 
     return formula
@@ -211,7 +245,7 @@ def _predict(rows: Rows, numbers: Numbers) -> None:
         rows[U + k] = where(leads_nowhere, u0, total([w * x for w, x in zip(weights, u, strict=True)]))
 
 
-def _prepare(rows: Rows, _: Numbers) -> None:
+def _prepare(rows: Rows, law: Law) -> None:
     """F at the nodes of a step of a block's own, and a first guess of u there."""
     start, length, h, u0 = rows[START], rows[LENGTH], rows[H], rows[U0]
     powers = [rows[G + p] for p in range(STAGES)]
@@ -222,9 +256,9 @@ def _prepare(rows: Rows, _: Numbers) -> None:
             value = value * x + powers[p]
         return value
 
-    phi, slope = LAW(u0 * rows[STEEP])
+    phi, slope = _friction(rows, law)(u0 * rows[STEEP])
     rate = -(rows[DAMPING] * u0 + force(start) + rows[FRICTION] * phi)
-    stiffness = rows[DAMPING] + rows[FRICTION] * rows[STEEP] * slope
+    stiffness = rows[DAMPING] + rows[FRICTION] * rows[STEEP] * _stiff(slope, law)
     for k in range(STAGES):
         rows[F + k] = force(start + length * float(NODES[k]))
         after = h * float(NODES[k])

@@ -194,25 +194,28 @@ class Numbers:
         return Lane(builder, builder.shuffle_vector(one, undefined, zeros))
 
 
-def on_rows(formula: Callable[[Rows, Numbers], Lane | None]) -> Any:
+def on_rows(formula: Callable[[Rows, Any], Lane | None]) -> Any:
     """A formula on rows of a table, for kernels.
 
-    ``f(table, column, numbers)`` works on `WIDTH` columns from this one on. If the formula gives a condition, this
-    returns the number in which bit k says whether that holds in column k, `ALL` if in all of them.
+    ``f(table, column, given)`` works on `WIDTH` columns from this one on. What is given is an array of numbers, or an
+    empty named tuple: the formula then gets its class, and can emit code for it alone. If the formula gives a
+    condition, this returns the number in which bit k says whether that holds in column k, `ALL` if in all of them.
     """
 
     @intrinsic
-    def apply(typing_context, table, column, numbers):  # type: ignore[no-untyped-def]
+    def apply(typing_context, table, column, given):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            kind = signature.args[2]
+            is_array = isinstance(kind, types.Array)
             condition = formula(
                 Rows(context, builder, signature.args[0], *arguments[:2]),
-                Numbers(context, builder, signature.args[2], arguments[2]),
+                Numbers(context, builder, kind, arguments[2]) if is_array else kind.instance_class,
             )
             if condition is None:
                 return _INTEGER(0)
             return builder.zext(builder.bitcast(condition.value, ir.IntType(WIDTH)), _INTEGER)
 
-        return types.int64(table, types.intp, numbers), codegen
+        return types.int64(table, types.intp, given), codegen
 
     return apply
 

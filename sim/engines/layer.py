@@ -13,10 +13,13 @@ from stickslip.sim.engines.collocation import (
     DAMPING,
     FORCE0,
     FRICTION,
+    HIDDEN,
     HIGH,
     HIGH_FORCE,
     LOW,
     LOW_FORCE,
+    PEAK,
+    STATIC,
     STEEP,
     TOLERANCE,
     U0,
@@ -26,7 +29,7 @@ from stickslip.sim.engines.collocation import (
     Z,
 )
 from stickslip.sim.engines.compile import inner
-from stickslip.sim.engines.friction import law_of_number
+from stickslip.sim.engines.friction import sign_of_number
 from stickslip.sim.engines.radau import (
     ALL_NODES,
     ALL_TO_POWERS,
@@ -42,8 +45,8 @@ from stickslip.sim.engines.sticking import mode_of
 #: A piece: where it starts and how long it is, as shares of the macro step; z and u at its start; u at its nodes.
 PIECE_AT, PIECE_H, PIECE_Z, PIECE_U = range(4)
 PIECE = PIECE_U + 1 + STAGES
-#: Places on the bounds of a band that a block can pass in a piece: seven polynomials of degree five, and the start.
-PASSES = 7 * STAGES + 1
+#: Places on the bounds of a band that a block can pass in a piece: eleven polynomials of degree five, and the start.
+PASSES = 11 * STAGES + 1
 
 
 @inner
@@ -102,13 +105,13 @@ def _at(values, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _stays(low, high, low_force, high_force, mu, band, by_force, mode):  # type: ignore[no-untyped-def]
+def _stays(low, high, low_force, high_force, static, band, by_force, mode):  # type: ignore[no-untyped-def]
     """Whether u and F between these bounds keep to the mode."""
     if mode == 0:
-        return low > -band and high < band and (not by_force or (low_force > -mu and high_force < mu))
+        return low > -band and high < band and (not by_force or (low_force > -static and high_force < static))
     if (low >= band) if mode > 0 else (high <= -band):
         return True
-    slides = by_force and (low_force >= mu or high_force <= -mu)
+    slides = by_force and (low_force >= static or high_force <= -static)
     return slides and (low > 0.0 if mode > 0 else high < 0.0)
 
 
@@ -120,23 +123,26 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
     leave it with less, and no farther than a step may err by, is an overshoot of the polynomial.
     """
     of_u, of_force, poly_u, poly_force, marks, found = work[0], work[1], work[2], work[3], work[4], work[5]
-    mu, strays = table[FRICTION, i], table[TOLERANCE, i]
+    mu, static, peak, strays = table[FRICTION, i], table[STATIC, i], table[PEAK, i], table[TOLERANCE, i]
     low, high = _hull(u, of_u)
     low_force, high_force = _hull(force, of_force)
-    if _stays(low, high, low_force, high_force, mu, band, by_force, mode):
+    if _stays(low, high, low_force, high_force, static, band, by_force, mode):
         return mode, n_recorded
     t, h, t_next = span
     at, block, to = events
     _powers(u, poly_u)
     _powers(force, poly_force)
     n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
-    bears = mu * law_of_number(band * table[STEEP, i])[0] + table[DAMPING, i] * band
+    bears = mu * sign_of_number(band * table[STEEP, i], table[HIDDEN, i]) + table[DAMPING, i] * band
     if mu > 0.0:
         for sign in (-1.0, 1.0):
             n_marks = _marks(poly_u, of_u, sign * band, marks, n_marks, found)
             n_marks = _marks(poly_force, of_force, sign * bears, marks, n_marks, found)
             if by_force:
-                n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, found)
+                n_marks = _marks(poly_force, of_force, sign * static, marks, n_marks, found)
+                if peak < band:
+                    n_marks = _marks(poly_u, of_u, sign * peak, marks, n_marks, found)
+                    n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, found)
     for k in range(n_marks + 1):
         left = marks[k - 1] if k > 0 else 0.0
         right = marks[k] if k < n_marks else 1.0
@@ -144,8 +150,8 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
             continue
         middle = 0.5 * (left + right)
         gap, pull = horner(poly_u, STAGES, middle), horner(poly_force, STAGES, middle)
-        new = mode_of(gap, pull, mu, band, by_force)
-        is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not by_force or abs(pull) < mu)
+        new = mode_of(mode, gap, pull, (mu, static, peak), band, by_force)
+        is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not by_force or abs(pull) < static)
         if new != mode and not (is_borne and abs(gap) < band + strays):
             at[n_recorded] = min(t + h * left, t_next)  # rounding may pass the end of the run
             block[n_recorded] = label
@@ -169,7 +175,7 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
         mode, band = modes[d], bands[d]
         for i in range(n):
             if flags[i] or _stays(
-                table[LOW, i], table[HIGH, i], table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i],
+                table[LOW, i], table[HIGH, i], table[LOW_FORCE, i], table[HIGH_FORCE, i], table[STATIC, i], band[i],
                 by_force[d], mode[i],
             ):  # fmt: skip
                 continue
@@ -184,7 +190,7 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
             i, piece = piece_block[k], pieces[k]
             low, high = _hull(piece[PIECE_U:], work[0])
             if _stays(
-                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[FRICTION, i], band[i],
+                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[STATIC, i], band[i],
                 by_force[d], mode[i],
             ):  # fmt: skip
                 continue

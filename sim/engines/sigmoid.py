@@ -17,6 +17,9 @@ from stickslip.sim.run import Run
 class Sigmoid(Engine):
     """The sign smoothed to tanh((w - v) / (ratio eps)).
 
+    With static friction above the kinetic, to s(lambda) = lambda + c lambda (1 - lambda^2) of that lambda, whose c
+    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`.
+
     Parameters
     ----------
     eps : float
@@ -30,7 +33,8 @@ class Sigmoid(Engine):
 
         - "manifold": |F_i| < mu_i, F = R v + K z + N w, and |w_i - v| < delta_i ln(1 / delta_i). The slow manifold is
           w - v = delta atanh(lambda), so this is the definition whose entries and exits tend to those of the Coulomb
-          law as eps -> 0.
+          law as eps -> 0. With static friction above mu_i that stands in its place; but a block that slips beyond the
+          peak of friction goes on slipping while F, above mu_i, drives it on.
         - "threshold": |w_i - v| < c delta_i, that is |lambda| < tanh c: the plain reading, which does not.
 
         A block without friction never sticks (unless it rests on the belt, with no force: there it has no side).
@@ -55,6 +59,7 @@ class Sigmoid(Engine):
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "sigmoid_steps"
+    takes_static = True
 
     eps: float = setting(
         0.03,

@@ -17,9 +17,11 @@ from stickslip.sim.engines.collocation import (
     DONE,
     DRAG,
     ERROR,
+    FINE,
     FLAGGED,
     FORCE0,
     FRICTION,
+    HIDDEN,
     KEPT_F,
     KEPT_U,
     LENGTH,
@@ -28,10 +30,13 @@ from stickslip.sim.engines.collocation import (
     MOMENT_U,
     MOVED,
     N_ROWS,
+    NEAR_PEAK,
+    PEAK,
     PRODUCT,
     REACH,
     SPEED_BEFORE,
     START,
+    STATIC,
     STEEP,
     STEP_H,
     SUSPECT,
@@ -56,6 +61,7 @@ from stickslip.sim.engines.collocation import (
 )
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Ratios, Task
+from stickslip.sim.engines.friction import Peaked, Plain
 from stickslip.sim.engines.lanes import ALL, WIDTH
 from stickslip.sim.engines.layer import (
     PASSES,
@@ -73,6 +79,7 @@ from stickslip.sim.engines.roots import horner
 from stickslip.sim.engines.sigmoid import Sigmoid
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
+from stickslip.sim.theory.laws import hidden_term, turning_point
 
 #: The most sweeps over F, Newton's iterations of a macro step in the first sweep, and of a step of a block's own.
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
@@ -88,6 +95,8 @@ _ROUGH_SHARE = 0.05
 #: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
 #: than that of the polynomial.
 _BOOST, _POWER = 3.0, 0.85
+#: The share of a step's tolerance that is for leaving a peak of friction, over delta^(2/3): see `NEAR_PEAK`.
+_FINE = 0.1
 #: A step changes by these factors at most. A prediction is good for little more than its own length: _GROW_FAST is
 #: for steps far below what is allowed.
 _SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
@@ -123,7 +132,7 @@ def _flag(first, n, well, flags, listed, n_listed):  # type: ignore[no-untyped-d
 
 
 @inner
-def _together(table, n, flags, listed, iterations, numbers):  # type: ignore[no-untyped-def]
+def _together(table, n, flags, listed, iterations, law):  # type: ignore[no-untyped-def]
     """All blocks in one step; those for which that does not do are flagged, and listed. Returns how many."""
     n_listed, some = np.int64(0), False
     for i in range(n):
@@ -131,20 +140,20 @@ def _together(table, n, flags, listed, iterations, numbers):  # type: ignore[no-
         some = some or flags[i]
     for first in range(0, n, WIDTH):
         for _ in range(iterations):
-            if newton(table, first, numbers) == ALL:
+            if newton(table, first, law) == ALL:
                 break
-        well = finish(table, first, numbers)
+        well = finish(table, first, law)
         if some or well != ALL:
             n_listed = _flag(first, n, well, flags, listed, n_listed)
     return n_listed
 
 
 @inner
-def _strayed(table, n, flags, numbers):  # type: ignore[no-untyped-def]
+def _strayed(table, n, flags, law):  # type: ignore[no-untyped-def]
     """Flag those whose one step does not do off the nodes; returns how many."""
     n_strayed = 0
     for first in range(0, n, WIDTH):
-        well = probe(table, first, numbers)
+        well = probe(table, first, law)
         if well != ALL:
             for lane in range(min(WIDTH, n - first)):
                 if not flags[first + lane] and not (well >> lane) & 1:
@@ -154,7 +163,7 @@ def _strayed(table, n, flags, numbers):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, numbers):  # type: ignore[no-untyped-def]
+def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, law):  # type: ignore[no-untyped-def]
     """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot."""
     n_pieces = np.int64(0)
     block = np.full(WIDTH, -1)
@@ -171,7 +180,7 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                 waiting += 1
                 active += 1
                 block[lane] = i
-                for row in (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH):
+                for row in (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE):
                     own[row, lane] = table[row, i]
                 for p in range(STAGES):
                     value = 0.0
@@ -195,17 +204,19 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                     length = 0.5 * rest
                 own[LENGTH, lane] = length
                 own[H, lane] = length * macro
-        prepare(own, 0, numbers)
+        prepare(own, 0, law)
         for _ in range(_NEWTON_OWN):
-            if newton(own, 0, numbers) == ALL:
+            if newton(own, 0, law) == ALL:
                 break
-        finish(own, 0, numbers)
-        probe(own, 0, numbers)
+        finish(own, 0, law)
+        probe(own, 0, law)
         for lane in range(WIDTH):
             i = block[lane]
             if i < 0:
                 continue
             length, allowed = own[LENGTH, lane], own[TOLERANCE, lane]
+            if abs(own[U0, lane]) < NEAR_PEAK * own[PEAK, lane]:
+                allowed *= own[FINE, lane]
             error = own[ERROR, lane]
             if own[DONE, lane] < 0.5:
                 factor = 0.25
@@ -279,7 +290,7 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _couple(table, n, matrices, flags, is_first, rough, work, numbers):  # type: ignore[no-untyped-def]
+def _couple(table, n, matrices, flags, is_first, rough, work, law):  # type: ignore[no-untyped-def]
     """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
     matrix, cross, with_cross = matrices
     product, single, single_product = work
@@ -315,9 +326,9 @@ def _couple(table, n, matrices, flags, is_first, rough, work, numbers):  # type:
             table[Z_BEFORE + k, i] = table[Z + k, i]
     for first in range(0, n, WIDTH):
         if changed:
-            force_changed(table, first, numbers)
+            force_changed(table, first, law)
         else:
-            force(table, first, numbers)
+            force(table, first, law)
     return largest(table[MOVED, :n]), largest(table[TAIL, :n])
 
 
@@ -335,7 +346,7 @@ def _worst(table, n):  # type: ignore[no-untyped-def]
 @inner
 def _sweep(  # type: ignore[no-untyped-def]
     table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
-    work, numbers, counters,
+    work, numbers, law, counters,
 ):  # fmt: skip
     """Sweep over the blocks until F stays. Returns whether it does, the tail of F, `slow`, and how many pieces.
 
@@ -344,22 +355,20 @@ def _sweep(  # type: ignore[no-untyped-def]
     swept_below = min(1.0, _SWEPT / boost)
     tail, n_pieces, last = 0.0, np.int64(0), np.inf
     for sweep in range(_SWEEPS):
-        n_listed = _together(table, n, flags, listed, _NEWTON, numbers)
+        n_listed = _together(table, n, flags, listed, _NEWTON, law)
         for k in range(n_listed):
             next_h[listed[k]] = before[listed[k]]
-        n_pieces = _apart(
-            table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, numbers
-        )
+        n_pieces = _apart(table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, law)
         if n_pieces < 0:
             break
-        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, numbers)
+        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, law)
         counters[loop.N_PRODUCTS] += STAGES * (2 if matrices[2] else 1)
         moved, tail = moved * boost, tail * boost
         if not tail < 100.0 * _TAIL:
             break
         now = min(moved / last, 0.9) if sweep > 0 else slow
         enough = swept_below * (1.0 - now) * (_AT_ONCE if sweep == 0 else 1.0)
-        if moved < enough and _strayed(table, n, flags, numbers) == 0:
+        if moved < enough and _strayed(table, n, flags, law) == 0:
             return True, tail, slow, n_pieces
         last, slow = moved, now
     return False, tail, slow, n_pieces
@@ -385,7 +394,7 @@ def _accept(table, n, flags, macro, next_h, ends, z, w, v):  # type: ignore[no-u
 
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
-    table, own, numbers, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
+    table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
     z, w, clock, counters, t_end, v, atol, boost, samples, events, bound,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
@@ -420,7 +429,7 @@ def _advance(  # type: ignore[no-untyped-def]
         rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
         swept, tail, slow, n_pieces = _sweep(
             table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
-            piece_block, work, numbers, counters,
+            piece_block, work, numbers, law, counters,
         )  # fmt: skip
         if not swept or tail > _TAIL:
             counters[loop.N_REJECTED] += 1
@@ -458,7 +467,8 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     Raises
     ------
     ValueError
-        If there is not one ratio a block, or the layer is too wide for its definition of sticking.
+        If there is not one ratio a block, the layer is too wide for its definition of sticking, or a block has
+        static friction alone.
     IntegrationError
         If the step shrinks to rounding.
     """
@@ -476,14 +486,18 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
 
+    law, hidden, peak = _law(system)
     z, w, cross = task.z0.copy(), task.w0.copy(), system.cross_damping
     drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
     if cross is not None:
         drag += cross.sum(axis=1) * v
         pull += cross @ w
-    modes = _modes(system, w, pull, bands, by_force)
+    modes = _modes(system, w, pull, bands, by_force, peak * delta)
     table = _table(system, z, w, delta, drag, pull)
-    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * system.friction / (boost * atol))
+    table[HIDDEN, :n], table[PEAK, :n], table[STATIC, :n] = hidden, peak * delta, system.static
+    table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
+    # how deep in the layer friction differs from kinetic by what counts
+    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * system.friction * (1.0 + 2.0 * hidden) / (boost * atol))
     numbers = np.zeros((STAGES + 1, STAGES))
     numbers[STAGES] = 0.0, v, atol, rtol, boost
     speed = max(float(np.abs(x).max()) for x in (w, system.damping * (w - v) + pull, system.friction))
@@ -494,7 +508,7 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     n_pieces = 16 * n + 256
     single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
     arguments = (
-        table, np.zeros((N_ROWS, WIDTH)), numbers, _matrices(system), ROUGH * float(system.row_sums.max()),
+        table, np.zeros((N_ROWS, WIDTH)), numbers, law, _matrices(system), ROUGH * float(system.row_sums.max()),
         (np.zeros((STAGES, table.shape[1])), single[0], single[1]), (bands, by_force, modes),
         np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4),
         np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
@@ -504,7 +518,7 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
         task,
         state,
         lambda events, bound: _advance(*arguments, tuple(events), bound),
-        certificates.Collapse(system, engine.atol + engine.rtol * abs(v), band.max(), bands.max(), delta),
+        certificates.Collapse(system, engine.atol + engine.rtol * abs(v), band.max(), bands.max(), delta, hidden),
         stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=PASSES * (n + n_pieces) * len(bands),
@@ -513,11 +527,35 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     )
 
 
-def _modes(system: System, w: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_]) -> NDArray[np.int8]:
+def _law(system: System) -> tuple[Plain | Peaked, Floats, Floats]:
+    """The friction law, its c by block, and the x at which it has its peak.
+
+    Raises
+    ------
+    ValueError
+        If a block without kinetic friction has a static one.
+    """
+    if not system.is_static_above:
+        return Plain(), np.zeros(system.n), np.full(system.n, np.inf)
+    if (system.friction[system.static > system.friction] == 0).any():
+        block = int(np.flatnonzero((system.friction == 0) & (system.static > 0))[0])
+        raise ValueError(
+            f"static: engine='sigmoid' smooths the ratio of static to kinetic friction, got {system.static[block]:g}"
+            f" above 0 at block {block}; give it a small kinetic friction"
+        )
+    ratio = np.divide(system.static, system.friction, out=np.ones(system.n), where=system.friction > 0)
+    hidden = hidden_term(ratio)
+    return Peaked(), hidden, np.arctanh(turning_point(hidden))
+
+
+def _modes(
+    system: System, w: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_], peak: Floats
+) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
     u = w - system.belt_speed
     held = np.abs(u) < bands
-    held[by_force] &= np.abs(pull) < system.friction
+    is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.friction)
+    held[by_force] &= (np.abs(pull) < system.static) & ~is_driven
     side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
     return np.where(held, 0, side).astype(np.int8)
 

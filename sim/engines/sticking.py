@@ -1,10 +1,13 @@
 """Which blocks stick: under the exact law those at the belt's speed, decided from |F| against mu, all at once.
 
 Where |F| = mu, as at every exit, the first coefficient of the series of F that does not vanish decides. Under the
-smoothed law it is a matter of definition: those in a band around the belt's speed, and, or not, |F| < mu.
+smoothed law it is a matter of definition: those in a band around the belt's speed, and, or not, |F| below static
+friction.
 """
 
 from __future__ import annotations
+
+import math
 
 from stickslip.sim.engines.arithmetic import ROUNDING
 from stickslip.sim.engines.compile import inner
@@ -66,8 +69,15 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
-def mode_of(gap, force, mu, band, by_force):  # type: ignore[no-untyped-def]
-    """Mode of a block under the smoothed law, from w - v and F."""
-    if mu > 0.0 and abs(gap) < band and (not by_force or abs(force) < mu):
-        return 0
+def mode_of(mode, gap, force, friction, band, by_force):  # type: ignore[no-untyped-def]
+    """Mode of a block under the smoothed law, from its mode before, w - v and F.
+
+    `friction` is kinetic, static, and the w - v at which the law has its peak: a block that slips beyond it is not
+    held while F drives it on.
+    """
+    kinetic, static, peak = friction
+    if kinetic > 0.0 and abs(gap) < band and (not by_force or abs(force) < static):
+        is_driven = mode != 0 and abs(gap) > peak and -force * math.copysign(1.0, gap) > kinetic
+        if not (by_force and is_driven):
+            return 0
     return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)

@@ -99,12 +99,12 @@ class StaticAboveKinetic(SwitchingLaw):
     @property
     def c(self) -> float:
         """Strength of the hidden term."""
-        return 0.0 if self.ratio == 1.0 else 3 * self.ratio * np.cos(np.arccos(-1 / self.ratio) / 3) - 1
+        return float(hidden_term(self.ratio))
 
     @property
     def turning_point(self) -> float:
         """lambda_*: s grows below it and falls above; 1 for the ratio 1."""
-        return 1.0 if self.ratio == 1.0 else float(np.sqrt((1 + self.c) / (3 * self.c)))
+        return float(turning_point(self.c))
 
     def resistance(self, lam: Floats) -> Floats:
         return np.asarray(lam + self.c * lam * (1 - lam**2))
@@ -124,6 +124,18 @@ class StaticAboveKinetic(SwitchingLaw):
         angle = np.arccos(-target / self.ratio)
         roots = 2 * self.turning_point * np.cos((angle - 2 * np.pi * np.arange(3)) / 3)
         return roots[:2] if target == -self.ratio else roots[1:] if target == self.ratio else roots
+
+
+def hidden_term(ratio: ArrayLike) -> Floats:
+    """c of `StaticAboveKinetic` by the ratio, of any shape; 0 for the ratio 1."""
+    r = np.asarray(ratio, dtype=np.float64)
+    return np.asarray(np.where(r == 1.0, 0.0, 3 * r * np.cos(np.arccos(-1 / r) / 3) - 1))
+
+
+def turning_point(c: ArrayLike) -> Floats:
+    """lambda_* of `StaticAboveKinetic` by its c, of any shape; 1 without a hidden term."""
+    c = np.asarray(c, dtype=np.float64)
+    return np.sqrt(np.divide(1 + c, 3 * c, out=np.ones_like(c), where=c > 0.5))
 
 
 @dataclass(frozen=True)

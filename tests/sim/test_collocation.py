@@ -9,6 +9,8 @@ import scipy.sparse
 
 from stickslip.sim import System, draw_system, simulate
 from stickslip.sim.engines import friction, panels, radau
+from stickslip.sim.engines.lanes import on_number
+from stickslip.sim.theory.laws import hidden_term
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.sim import radau as reference
@@ -49,13 +51,20 @@ def test_products_in_panels_are_plain_products(n, single):
     np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=n * (1e-5 if single else 1e-14))
 
 
-def test_the_law_and_its_slope():
-    law = friction.law_of_number
-    apply = numba.njit(lambda x: law(x))
+@pytest.mark.parametrize("ratio", [1.0, 1.001, 1.3, 3.0])
+def test_the_law_and_its_slope(ratio):
+    c = float(hidden_term(ratio))
+    apply = on_number(lambda x: friction.peaked_sign(x, x * 0.0 + c))
+    apply_both = numba.njit(lambda x: apply(x))
+    of_number = numba.njit(lambda x, c: friction.sign_of_number(x, c))
     x = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 1000), -np.geomspace(1e-12, 400.0, 1000)))
-    values = np.array([apply(one) for one in x])
-    assert np.abs(values[:, 0] - np.tanh(x)).max() <= 2 * np.finfo(float).eps
-    assert np.abs(values[:, 1] - 1 / np.cosh(np.clip(x, -300, 300)) ** 2).max() < 1e-15
+    values = np.array([apply_both(one) for one in x])
+    lam, rise = np.tanh(x), 1 / np.cosh(np.clip(x, -300, 300)) ** 2
+    s = lam + c * lam * rise
+    assert np.abs(values[:, 0] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
+    assert np.abs(values[:, 1] - rise * (1 + c * (3 * rise - 2))).max() < (1 + 8 * c) * 1e-15
+    assert np.abs([of_number(one, c) for one in x] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
+    assert np.abs(s).max() == pytest.approx(ratio, abs=1e-3)
 
 
 def test_a_layer_just_after_the_start_of_a_step_is_seen():
