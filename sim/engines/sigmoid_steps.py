@@ -545,7 +545,8 @@ def _law(system: System) -> tuple[Plain | Peaked, Floats, Floats]:
         )
     ratio = np.divide(system.static, system.friction, out=np.ones(system.n), where=system.friction > 0)
     hidden = hidden_term(ratio)
-    return Peaked(), hidden, np.arctanh(turning_point(hidden))
+    lam = turning_point(hidden)
+    return Peaked(), hidden, np.arctanh(lam, out=np.full(system.n, np.inf), where=lam < 1)
 
 
 def _modes(

@@ -1,12 +1,15 @@
 """Static friction above the kinetic: the system, and what both engines make of it."""
 
+import secrets
+
 import numpy as np
 import pytest
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.theory import blowup, folds, slow_time, strata
-from stickslip.sim.theory.laws import Coulomb
+from stickslip.sim.theory.laws import Coulomb, hidden_term, turning_point
 
 # the system
 
@@ -76,3 +79,84 @@ def test_an_engine_without_it_says_so(engine):
         ValueError, match=f"static: .* the one friction that engine='{engine}' takes, got 1.3 above 1"
     ):
         simulate(System([[1.0]], 0.0, static=1.3), 0.0, 0.0, 1.0, engine=engine)
+
+
+# the sigmoid engine
+
+FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9}
+
+
+def period(drop, speed):
+    """Of one block, K = 1, R = 0, static friction `drop` above the kinetic, the belt's speed |v|: stick, then slip.
+
+    It leaves at z = -sgn(v) static, where w = v, and slips on a circle about -sgn(v) kinetic.
+    """
+    return 2 * drop / speed + 2 * (np.pi - np.arctan(drop / speed))
+
+
+def test_the_period_of_one_block_tends_to_that_of_the_exact_law():
+    """As eps^(2/3): F passes the peak in a time of that scale."""
+    system, widths, late = System([[1.0]], 0.0, static=1.3), np.array([1e-3, 1e-4, 1e-5, 1e-6]), []
+    for eps in widths:
+        events = simulate(system, 0.0, -0.2, 42.0, eps=eps, **FINE).events
+        assert events.mode.tolist() == [1, 0] * 5
+        late.append(np.diff(events.t[::2]).mean() - period(0.3, 0.2))
+    print(late)
+    order = np.polyfit(np.log(widths), np.log(late), 1)[0]
+    assert 0.63 < order < 0.7
+    assert late[-1] < 1e-3
+
+
+def test_between_the_two_frictions_the_state_says_which_future():
+    """K = 1, |F| = 1.1: at the belt's speed it sticks, far beyond the peak it slips on, with F only."""
+    system, eps = System([[1.0]], 0.0, static=1.3, belt_speed=-1e-3), 1e-3
+    peak = eps * np.arctanh(turning_point(hidden_term(1.3)))
+    modes = {}
+    for share in (0.0, 0.5, 3.0, -3.0):
+        run = simulate(system, -1.1, -1e-3 + share * peak, 0.5, eps=eps, **FINE)
+        modes[share] = (run.events.initial_mode[0], run.events.mode_at(0.5)[0])
+    assert modes == {0.0: (0, 0), 0.5: (0, 0), 3.0: (1, 1), -3.0: (0, 0)}
+
+
+def test_a_run_goes_on_from_its_end():
+    system = draw_system("chain", 12, secrets.randbits(32), kappa=0.5, leaf=1.0, rho=0.1, static=1.4)
+    rng = np.random.default_rng(secrets.randbits(32))
+    z, w = rng.normal(size=(2, 12))
+    whole = simulate(system, z, w, 20.0, eps=0.01, **FINE)
+    first = simulate(system, z, w, 9.0, eps=0.01, **FINE)
+    second = simulate(system, first.z, first.w, 20.0, t_start=9.0, eps=0.01, **FINE)
+    assert np.abs(second.z - whole.z).max() < 1e-5
+    assert np.array_equal(second.events.initial_mode, first.events.mode_at(9.0))
+    assert len(first.events) + len(second.events) == len(whole.events)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.02, 1.5])
+def test_what_the_law_strays_from_its_tangent_is_bounded(ratio):
+    """The limit of a certificate against that by the largest stray on a fine grid of speeds, for one block."""
+    speed, delta, mu, c = 0.2, 0.06, 0.8, float(hidden_term(ratio))
+    system = System([[1.0]], 3.0, mu, -speed)
+
+    def law(u):
+        lam = np.tanh(u / delta)
+        return lam + c * lam * (1 - lam**2)
+
+    rise = 1 / np.cosh(speed / delta) ** 2
+    slope = rise * (1 + c * (3 * rise - 2)) / delta
+    q = np.sqrt((3.0 + mu * slope) ** 2 - 4.0)
+    r = np.linspace(0.0, speed, 2001)
+    moves = np.linspace(-1, 1, 401)[:, None] * r
+    strays = np.abs(law(speed - moves) - law(speed) + slope * moves).max(axis=0)
+    limit = (r - 2 / q * mu * strays).max()
+    collapse = Collapse(system, 0.0, delta=np.array([delta]), hidden=np.array([c]))
+    z = -mu * law(speed)
+
+    def is_certain(share):
+        return collapse.certify(np.array([z + share * limit * q / 2]), np.zeros(1), 1).is_certain
+
+    assert not is_certain(1.01)
+    assert is_certain(0.5)
+
+
+def test_a_block_with_static_friction_alone_is_refused():
+    with pytest.raises(ValueError, match=r"static: engine='sigmoid' .* got 1 above 0 at block 1"):
+        simulate(System(np.eye(2), 0.0, [1.0, 0.0], static=1.0), 0.0, 0.0, 1.0, engine="sigmoid")
