@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import islice, product
 from typing import Any
 
@@ -179,11 +179,11 @@ _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0
 # Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
 @lru_cache(maxsize=1)
 def _own_system(member: Member) -> sim.System:
-    rng = np.random.default_rng(member._seed(MATRIX))
+    seed = member._seed(MATRIX)
     damping = None if member.damping is None else member._by_block(member.damping, DAMPING)
     friction = None if member.friction is None else member._by_block(member.friction, FRICTION)
     if isinstance(member.origin, SystemFunction):
-        made = make(member.origin, member.n, rng, dict(member.parameters))
+        made = make(member.origin, member.n, np.random.default_rng(seed), dict(member.parameters))
         if damping is None:
             damping = made.damping if made.cross_damping is None else made.cross_damping + np.diag(made.damping)
         static = made.static if friction is None else None
@@ -194,14 +194,14 @@ def _own_system(member: Member) -> sim.System:
     assert member.belt_speed is not None
     if member.origin is not None:
         if damping is None and member.rho is not None:
-            damping = rng.uniform(member.rho, 2 * member.rho, member.n)
+            damping = np.random.default_rng(seed).uniform(member.rho, 2 * member.rho, member.n)
         assert damping is not None
         return sim.System(read(member.origin)["stiffness"], damping, friction, member.belt_speed)
     assert member.kappa is not None
     return sim.draw_system(
         member.coupling,
         member.n,
-        member._seed(MATRIX),
+        seed,
         **member.scales,
         rho=member.rho,
         damping=damping,
@@ -231,10 +231,28 @@ def expand(scene: Scene) -> list[Member]:
     Sorted by n, matrix, point of the grid, draw of the start, change (none first), engine (as in the file) and ratio
     draw.
     """
-    return list(_expand(scene))
+    members = []
+    for n, origin in scene.sources:
+        kinds = list(_kinds(scene, n, origin))
+        for matrix in range(scene.run.matrices):
+            number = matrix if origin is None else origin.matrix(matrix)
+            for before, after, member in kinds:
+                members.append(member(member_id=f"{before}-m{matrix:03d}-{after}", matrix=number))
+    return members
 
 
-def _expand(scene: Scene) -> Iterator[Member]:
+#: What stands in a member's id before its matrix, and after; and all that the member is, but for the two.
+_Kind = tuple[str, str, Callable[..., Member]]
+
+
+def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> Iterator[_Kind]:
+    """All that is run with each matrix of n blocks, or of a file or function, in order."""
+    before = f"n{n}" if origin is None else f"n{n}-{origin.word}"
+    of_file: dict[str, Any] = {}
+    if isinstance(origin, SystemFile):
+        of_file = {"kappa": origin.scale}
+        of_file |= {"friction": FromFile()} if "friction" in origin.arrays else {}
+        of_file |= {"damping": FromFile(), "rho": None} if "damping" in origin.arrays else {}
     changes = [_Change()]
     if scene.perturbation is not None:
         table = scene.perturbation
@@ -244,20 +262,42 @@ def _expand(scene: Scene) -> Iterator[Member]:
         changes += [_Change(twin_size=size) for size in scene.twins.sizes]
     words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
     places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
-    for (n, origin), matrix, place, change, engine in product(
-        scene.sources, range(scene.run.matrices), places, changes, scene.engines
-    ):
+    for place, change, engine in product(places, changes, scene.engines):
         if change.reading is not None and change.reading not in scene.readings_of(engine):
             continue
         if change.twin_size is not None and not engine.twins:
             continue
+        of_system = place.at | of_file
+        z0, w0 = of_system.pop("z"), of_system.pop("w")
+        parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
         for draw, of_engine in words[engine].items():
-            member = _member(scene, n, origin, matrix, place, change, of_engine, engine, draw)
-            yield _with_shared_cost(scene, member, engine)
+            member = partial(
+                Member,
+                n=n,
+                coupling=scene.system.coupling,
+                **of_system,
+                parameters=parameters,
+                origin=origin,
+                perturbation_reading=change.reading,
+                perturbation_size=change.size,
+                perturbation_draw=change.draw,
+                twin_size=change.twin_size,
+                z0=z0,
+                w0=w0,
+                start_draw=place.start_draw,
+                t_end=scene.run.t_end,
+                seed=scene.run.seed,
+                engine=engine.name,
+                settings=tuple(engine.settings.items()),
+                ratio_draw=draw,
+                picked_for=engine.picked_for,
+            )
+            cost = _shared_cost(scene, member(member_id="", matrix=0), engine)
+            yield before, "-".join([*place.words, *change.words, *of_engine]), partial(member, shared_cost=cost)
 
 
-def _with_shared_cost(scene: Scene, member: Member, engine: EngineTable) -> Member:
-    """Add a member's part of the unchanged run that it is compared with, and of its system's eigenvalues."""
+def _shared_cost(scene: Scene, member: Member, engine: EngineTable) -> float:
+    """A member's part of the unchanged run that it is compared with, and of its system's eigenvalues."""
     cost = 0.0
     copies = scene.n_changes(engine)
     if scene.record.separation is not None and (base := member.base) is not None:
@@ -266,7 +306,7 @@ def _with_shared_cost(scene: Scene, member: Member, engine: EngineTable) -> Memb
     if scene.record.growth_rate:
         sharing = len(scene.engines) * len(engine.draws)
         cost += 1e-8 * member.n**3 / sharing
-    return replace(member, shared_cost=cost) if cost else member
+    return cost
 
 
 @dataclass(frozen=True)
@@ -311,48 +351,6 @@ def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
     return words
 
 
-def _member(
-    scene: Scene,
-    n: int,
-    origin: SystemFile | SystemFunction | None,
-    matrix: int,
-    place: _Place,
-    change: _Change,
-    words: list[str],
-    engine: EngineTable,
-    draw: int | None,
-) -> Member:
-    at = place.at
-    if isinstance(origin, SystemFile):
-        own: dict[str, Any] = {"friction": FromFile()} if "friction" in origin.arrays else {}
-        own |= {"damping": FromFile(), "rho": None} if "damping" in origin.arrays else {}
-        at = at | own | {"kappa": origin.scale}
-    parameters = scene.system.parameters or {}
-    named = [] if origin is None else [origin.word]
-    return Member(
-        member_id="-".join([f"n{n}", *named, f"m{matrix:03d}", *place.words, *change.words, *words]),
-        n=n,
-        coupling=scene.system.coupling,
-        **{name: value for name, value in at.items() if name not in ("z", "w") and name not in parameters},
-        parameters=tuple((name, at[name]) for name in parameters),
-        matrix=matrix if origin is None else origin.matrix(matrix),
-        origin=origin,
-        perturbation_reading=change.reading,
-        perturbation_size=change.size,
-        perturbation_draw=change.draw,
-        twin_size=change.twin_size,
-        z0=at["z"],
-        w0=at["w"],
-        start_draw=place.start_draw,
-        t_end=scene.run.t_end,
-        seed=scene.run.seed,
-        engine=engine.name,
-        settings=tuple(engine.settings.items()),
-        ratio_draw=draw,
-        picked_for=engine.picked_for,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Consecutive members that are computed together and kept in one shard, `name`."""
@@ -371,16 +369,23 @@ def batches(members: Sequence[Member], scene_hash: str) -> list[Batch]:
 
     A batch's name is fixed by its place, its members and the scene: every attempt at it writes the same file.
     """
-    packed: list[list[Member]] = []
-    target = min(max(TARGET_COST, sum(member.cost for member in members) / _MANY), _LARGER * TARGET_COST)
-    cost = 0.0
-    for member in members:
-        if not packed or cost + member.cost > target:
-            packed.append([])
-            cost = 0.0
-        packed[-1].append(member)
-        cost += member.cost
-    return [as_batch(number, tuple(group), scene_hash) for number, group in enumerate(packed)]
+    rest = iter(members)
+    return [as_batch(k, tuple(islice(rest, size)), scene_hash) for k, size in enumerate(_sizes(members))]
+
+
+def _sizes(members: Sequence[Member]) -> list[int]:
+    """The numbers of members of the batches."""
+    costs = [member.cost for member in members]
+    target = min(max(TARGET_COST, sum(costs) / _MANY), _LARGER * TARGET_COST)
+    sizes: list[int] = []
+    so_far = 0.0
+    for cost in costs:
+        if not sizes or so_far + cost > target:
+            sizes.append(0)
+            so_far = 0.0
+        sizes[-1] += 1
+        so_far += cost
+    return sizes
 
 
 def as_batch(number: int, members: tuple[Member, ...], scene_hash: str) -> Batch:
@@ -440,7 +445,7 @@ def added(scene: Scene, known: set[str]) -> list[Member]:
 
 def pack(scene: Scene, known: set[str]) -> tuple[int, ...]:
     """The number of members of each shard that a scene adds to the known members."""
-    return tuple(len(batch.members) for batch in batches(added(scene, known), scene.hash))
+    return tuple(_sizes(added(scene, known)))
 
 
 def grows(stored: Scene, wanted: Scene) -> bool:
