@@ -126,7 +126,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     if paired:
         both = np.intersect1d(mine, theirs)
         a, b = a[np.isin(mine, both)], b[np.isin(theirs, both)]
-    row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high")) | {
+    row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high", "p_absolute")) | {
         "quantity": one.name, "n_first": len(a), "n_second": len(b), "margin": one.margin, "is_share": one.is_share,
         "verdict": UNKNOWN,
     }  # fmt: skip
@@ -135,23 +135,24 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
         return row | {"reason": SHORT_WINDOW}
     if min(len(a), len(b)) < LEAST_MATRICES:
         return row | {"reason": FEW_MATRICES}
+    if one.is_share:
+        a, b = a / a[:, 1:], b / b[:, 1:]
     estimate = _share if one.is_share else over_matrices
     before, after = (estimate(one.of, rows, confidence) for rows in (a, b))
     row |= _named("first", before) | _named("second", after)
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
+    of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None
     try:
-        if one.is_share:
-            test = absolute = equivalence_test(*share_difference(a[:, 0], b[:, 0], paired), one.margin)
-        else:
-            test = equivalence_test(*relative_difference(one.of, a, b, paired), one.margin)
-            absolute = equivalence_test(*mean_difference(one.of, a, b, paired), one.margin)
+        absolute = equivalence_test(*(of or mean_difference(one.of, a, b, paired)), one.margin)
+        row |= _named("difference", Estimate(absolute.difference, *absolute.interval(confidence)))
+        row["p_absolute"] = absolute.p_different
+        test = equivalence_test(*(of or relative_difference(one.of, a, b, paired)), one.margin)
     except Undefined as why:
         return row | {"reason": str(why)}
     half = student.quantile(confidence, test.dof) * test.error  # within the margins where equivalence is shown
     return (
         row
-        | _named("difference", Estimate(absolute.difference, *absolute.interval(confidence)))
         | _named("relative", Estimate(test.difference, *test.interval(confidence)))
         | {"narrow_low": test.difference - half, "narrow_high": test.difference + half}
         | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}

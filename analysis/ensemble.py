@@ -31,7 +31,7 @@ from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
-OPTIONAL = ("file", "leaf", "degree", "damping", "friction", "z0", "w0", "drawn")
+OPTIONAL = ("file", "parameters", "leaf", "degree", "damping", "friction", "z0", "w0", "drawn")
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
@@ -348,7 +348,7 @@ def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
         rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
         is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
         if is_said or len(values) > 1:
-            parts.append(_plain(key[name]) if name == "drawn" else f"{name} = {_plain(key[name])}")
+            parts.append(_plain(key[name]) if name in ("drawn", "parameters") else f"{name} = {_plain(key[name])}")
     if key["perturbation_size"] > 0:
         parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
     return ", ".join(parts)

@@ -104,7 +104,15 @@ class MarginsTable(StrictTable):
 
 #: What a report can be asked first: the names of `analysis.questions`.
 QuestionName = Literal[
-    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness"
+    "sweep",
+    "cascades",
+    "exponential",
+    "definitions",
+    "clustering",
+    "fates",
+    "engines",
+    "sensitivity",
+    "robustness",
 ]
 
 

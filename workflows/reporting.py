@@ -10,6 +10,7 @@ from stickslip.analysis.ensemble import Events
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline.quantity import short
 from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
 from stickslip.sim import EventSeries
@@ -44,8 +45,9 @@ class _Events(Mapping[str, Events]):
 def _data(path: Where) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     table = members(path)
-    for name in dataset_scene(path).system.parameters or ():  # another value is another law of systems
-        table["coupling"] += f", {name} = " + table[name].map("{:g}".format)
+    if names := list(dataset_scene(path).system.parameters or ()):
+        rows = zip(*(table[name].map(short) for name in names), strict=True)
+        table["parameters"] = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
     return Data(
         table,
         series=series(path),

@@ -4,5 +4,5 @@ The order is that of the page.
 """
 
 QUESTIONS = (
-    "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness",
+    "sweep", "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness",
 )  # fmt: skip

@@ -28,7 +28,7 @@ MOST_ALERTS = 3  # what is wrong before what is well
 _TICK = '<li class="ok"'
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
-    "file": S,
+    "file": S, "parameters": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
     **dict.fromkeys(("leaf", "degree", "damping", "friction", "z0", "w0"), F), "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
@@ -199,13 +199,15 @@ def _safe(texts: Sequence[str]) -> list[Any]:
 
 def plain(text: str) -> str:
     """What a template made, without tags: for a terminal."""
-    return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text))).strip()
+    return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text.replace("<sub>", "_")))).strip()
 
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
     """What leads where the scene does not say: what its runs differ in, how they ended, or their cascades."""
     keys = [one.key for one in answered]
     bases = study.data.members
+    if "sweep" in keys:
+        return ("sweep",)
     if bases["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5:
         return ("fates", "robustness")
     if "robustness" in keys:

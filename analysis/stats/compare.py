@@ -124,7 +124,8 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
     """Share of ones in `second` minus that in `first`, its adjusted Wald error, infinite degrees of freedom.
 
     As if each had two runs more, one with that end and one without: Agresti and Min (2005, Stat. Med. 24, 729),
-    paired; Agresti and Caffo (2000, Am. Stat. 54, 280), independent.
+    paired; Agresti and Caffo (2000, Am. Stat. 54, 280), independent. Paired, an entry may be the share of several
+    runs.
 
     Parameters
     ----------
@@ -132,9 +133,9 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
     """
     n_a, n_b = len(first), len(second)
     if paired:
-        gained, lost, n = np.sum(second > first) + 0.5, np.sum(first > second) + 0.5, n_a + 2.0
-        moved = (gained - lost) / n
-        return float(moved), float(np.sqrt((gained + lost) / n - moved**2) / np.sqrt(n)), np.inf
+        n, change = n_a + 2.0, second - first
+        moved = change.sum() / n
+        return float(moved), float(np.sqrt((np.sum(change**2) + 1.0) / n - moved**2) / np.sqrt(n)), np.inf
     p, q = (first.sum() + 1) / (n_a + 2), (second.sum() + 1) / (n_b + 2)
     return float(q - p), float(np.sqrt(p * (1 - p) / (n_a + 2) + q * (1 - q) / (n_b + 2))), np.inf
 

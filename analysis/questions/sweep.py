@@ -1,0 +1,492 @@
+"""What changes along the keys that a scene sweeps: mean n_stick, gamma and the fates of runs, value by value.
+
+Every value of a key is set against its first, unit by unit and within every point of the other swept keys: the random
+draws are the same at all of them. A row of a comparison is a unit, its runs at all points of the grid together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain, product
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from stickslip.analysis import contrast
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, FAILED, SILENT, SUSTAINED, fate
+from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, STYLE
+
+RISES, FALLS, STAYS, UNKNOWN = "rises", "falls", "stays", "cannot be told"
+MOVING = "share in motion"
+MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
+MOST_LINES = 6  # in one figure
+#: What tells the runs of a sweep apart that is not swept.
+_FIXED = ("n", "coupling", "file", "t_end", "perturbation_size")
+_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
+_FATES = {
+    SUSTAINED: ("in motion", GREEN), SILENT: ("went quiet", "#56B4E9"), COLLAPSED: ("slips for good", BLUE),
+    DIVERGED: ("ran away", ORANGE),
+}  # fmt: skip
+_ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
+_VALUES: Mapping[str, str] = {
+    "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*_FATES, FAILED)},
+    **_ESTIMATES, "basis": S,
+}  # fmt: skip
+_CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that change together, as a scene names them, and the values that they have, in ascending order."""
+
+    keys: tuple[str, ...]
+    values: tuple[tuple[Value, ...], ...]
+
+    @property
+    def name(self) -> str:
+        return " with ".join(self.keys)
+
+    @property
+    def x(self) -> list[float] | None:
+        """The values as numbers; None where one is a distribution."""
+        found = [value[0] for value in self.values]
+        return [one for one in found if isinstance(one, float)] if all(isinstance(v, float) for v in found) else None
+
+
+@dataclass
+class Point:
+    """A group at its place in the grid: a value of each axis, and what each unit gives, as a `Sample`."""
+
+    group: Group
+    at: dict[Axis, tuple[Value, ...]]
+    sample: Sample = field(default_factory=Sample)
+    fates: dict[str, int] = field(default_factory=dict)
+
+
+def answer(study: Study) -> Answer | None:
+    """How statistics change with each swept key; None where none is swept."""
+    found = settings(study.groups)
+    axes = grid(found)
+    if not axes:
+        return None
+    level = study.settings.confidence
+    points = {name: [_point(study, group, place(axes, group)) for group in some] for name, some in found.items()}
+    rows = [_value_row(point, name, axes, level) for name, some in points.items() for point in some]
+    contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
+    for row in contrasts:  # a change is one from nothing too, which has no ratio
+        row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
+    contrast.judge(contrasts, 1 - level)
+    for row in contrasts:
+        row["verdict"] = _verdict(row, 1 - level)
+    keys = {key: _kind(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
+    tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
+    lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
+    own = [row for row in contrasts if row["setting"] == lead and row["p_different"] is not None]
+    facts: dict[str, Any] = {
+        "setting": lead,
+        "n_settings": len(points),
+        "axes": [{"name": axis.name, "keys": axis.keys, "values": [said(v) for v in axis.values]} for axis in axes],
+        "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
+        "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
+        "n_tests": sum(row["p_different"] is not None for row in contrasts),
+        "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
+        "t_burn": study.settings.t_burn,
+    }
+    if not own:
+        few = max(rows, key=lambda row: row["n_units"])
+        return Answer(facts | {"few": few}, lack=enough.FEW_MATRICES, tables=tables)
+    leading = _leading(own)
+    told = _told(own, axes, leading)
+    most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
+    in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
+    figures = _figures(points, lead, sorted(axes, key=lambda axis: in_order.index(axis.name)), leading, level)
+    facts |= {"changes": _ends(own, axes), "told": told, "figures": list(figures), "along": most}
+    return Answer(facts, tables=tables, figures=figures)
+
+
+# ---------------------------------------------------------------------------------------------- the grid
+
+
+def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
+    """Groups that differ in keys that may be swept alone, by what they share."""
+    found: dict[tuple[Any, ...], list[Group]] = {}
+    for group in groups:
+        found.setdefault(tuple(group.key[name] for name in (*_FIXED, *ENGINE_KEYS)), []).append(group)
+    keys = [dict(zip((*_FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
+    return {label(key, keys): some for key, some in zip(keys, found.values(), strict=True)}
+
+
+def values(group: Group) -> dict[str, Value]:
+    """What a group has of each key that may be swept: a number, or the distribution that it is drawn from."""
+    drawn, given = (
+        dict(part.split(" = ") for part in (group.key[name] or "").split("; ") if part)
+        for name in ("drawn", "parameters")
+    )
+    found: dict[str, Value] = {key: float(text) for key, text in given.items()}
+    for column in _SWEPT:
+        key, number = column.removesuffix("0"), group.key[column]
+        if column == "kappa" and group.key["file"] is not None:
+            continue  # the scale of the file's K, which nobody sweeps
+        if number is not None or key in drawn:
+            found[key] = drawn[key] if number is None else float(number)
+    return found
+
+
+def grid(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
+    """The axes of what is swept, the longest first; keys whose values go together are one."""
+    by_setting = [[values(group) for group in some] for some in found.values()]
+    points = [point for some in by_setting for point in some]
+    keys = [key for key in dict.fromkeys(key for point in points for key in point)
+            if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
+    keys = [key for key in keys if all(key in point for point in points)]
+    together: list[list[str]] = []
+    for key in keys:
+        n_values = len({point[key] for point in points})
+        for some in together:
+            pairs = {(point[some[0]], point[key]) for point in points}
+            if len(pairs) == n_values == len({first for first, _ in pairs}):
+                some.append(key)
+                break
+        else:
+            together.append([key])
+    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=_order)))
+            for some in together]  # fmt: skip
+    return sorted(axes, key=lambda axis: -len(axis.values))
+
+
+def place(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
+    """Where a group stands in the grid."""
+    own = values(group)
+    return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
+
+
+def said(value: Sequence[Value]) -> str:
+    """A value of an axis as text."""
+    return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
+
+
+def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
+    """Numbers before distributions."""
+    return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
+
+
+def _kind(axis: Axis, k: int) -> str:
+    return F if all(isinstance(value[k], float) for value in axis.values) else S
+
+
+# ---------------------------------------------------------------------------------------------- numbers
+
+
+def _point(study: Study, group: Group, at: dict[Axis, tuple[Value, ...]]) -> Point:
+    found = Point(group, at, fates=dict.fromkeys((*_FATES, FAILED), 0))
+    columns = (group.members[name] for name in ("unit", "outcome", "t_end"))
+    for unit, outcome, t_end, last in zip(*columns, group.last, strict=True):
+        how = fate(str(outcome), (last[:1], last[1:]), float(t_end))
+        found.fates[how] += 1
+        if how != FAILED:
+            found.sample.add(MOVING, int(unit), [how == SUSTAINED, 1.0])
+    found.sample.sums[MEAN] = dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True))
+    if group.basis(study.settings.confidence).code in enough.JUDGED:
+        found.sample.sums[GAMMA] = dict(zip(group.units, group.sums, strict=True))
+    return found
+
+
+def _statistics(study: Study) -> list[Statistic]:
+    return [*contrast.statistics(study.settings.margins, ("mean", "gamma")),
+            Statistic(MOVING, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
+
+
+def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], study: Study) -> Iterator[Row]:
+    """Each value of each axis against the first that has enough units, in each statistic, not judged yet."""
+    by_place = {tuple(point.at.values()): point for point in points}
+    for axis, one in product(axes, _statistics(study)):
+        known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
+        base, *others = known if len(known) > 1 else axis.values
+        for value in others:
+            first, second = Sample(), Sample()
+            for point in points:
+                before = tuple((point.at | {axis: base}).values())
+                if point.at[axis] == value and before in by_place:
+                    _add_common(one.name, by_place[before], point, first, second)
+            if one.is_share and not _differ(first, second, one.name):
+                continue
+            row = contrast.contrast(one, first, second, paired=True, confidence=study.settings.confidence)
+            yield row | _plain_share(row) | {
+                "setting": setting, "key": axis.name, "first_value": said(base), "second_value": said(value),
+                "is_last": value == others[-1],
+            }  # fmt: skip
+
+
+def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
+    """Of how many units a statistic is known at one value of an axis."""
+    return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
+
+
+def _plain_share(row: Row) -> Row:
+    """A difference of shares as it is; the test's is drawn in, and its interval may reach beyond one."""
+    if not row["is_share"] or row["difference"] is None:
+        return {}
+    ends = {f"difference{end}": float(np.clip(row[f"difference{end}"], -1, 1)) for end in ("_low", "_high")}
+    return ends | {"difference": row["second"] - row["first"]}
+
+
+def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:
+    """Add what two points have of the units that both have."""
+    if a.group.unit != b.group.unit:
+        return
+    mine, theirs = a.sample.sums.get(name, {}), b.sample.sums.get(name, {})
+    for unit in mine.keys() & theirs.keys():
+        first.add(name, unit, list(mine[unit]))
+        second.add(name, unit, list(theirs[unit]))
+
+
+def _differ(first: Sample, second: Sample, name: str) -> bool:
+    """Whether not all runs of both met one end: else there is nothing to test."""
+    rows = np.vstack([first.rows(name)[1], second.rows(name)[1]])
+    return 0 < rows[:, 0].sum() < rows[:, 1].sum()
+
+
+def _verdict(row: Row, alpha: float) -> str:
+    """A difference that is shown comes first, be it within the margin or not."""
+    if row["p_different"] is None:
+        return UNKNOWN
+    if row["p_different_holm"] < alpha:
+        return RISES if row["difference"] > 0 else FALLS
+    return STAYS if row["p_equivalent_holm"] < alpha else UNKNOWN
+
+
+def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:
+    """The last value of each axis against its first."""
+    return [row for axis in axes for row in rows if row["key"] == axis.name and row["is_last"]]
+
+
+def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> list[Row]:
+    """What is said of each key, what changes most first: its ends, or what is shown where the ends show nothing."""
+
+    def order(row: Row) -> tuple[Any, ...]:
+        is_shown = row["verdict"] in (RISES, FALLS)
+        return not is_shown, leading.index(row["quantity"]), not row["is_last"], -_weight(row)
+
+    by_axis = [[row for row in rows if row["key"] == axis.name] for axis in axes]
+    found = [min(some, key=order) for some in by_axis if some]
+    return sorted(found, key=lambda row: (row["verdict"] not in (RISES, FALLS), -_weight(row)))
+
+
+def _weight(row: Row) -> float:
+    """A change in units of its margin; from nothing it is without bound."""
+    return np.inf if row["relative"] is None else contrast.weight(row)
+
+
+def _known(*p: float | None) -> float | None:
+    """The first; where it alone is missing, one that shows nothing."""
+    return p[0] if p[0] is not None or p[1] is None else 1.0
+
+
+def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The statistics as they are told: shares of runs first if one changes beyond the margin, else mean n_stick."""
+    moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
+    return (MOVING, MEAN, GAMMA) if moved else (MEAN, GAMMA, MOVING)
+
+
+def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: float) -> Row:
+    names = [key for axis in axes for key in axis.keys]
+    keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
+    estimates = {name: estimate(of, [point], confidence) for name, of in _OF.items()}
+    return {
+        "setting": setting, "group": point.group.label, "at": ", ".join(map(said, point.at.values())), **keys,
+        "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in _FATES),
+        **{f"n_{name}": n for name, n in point.fates.items()},
+        **{f"{name}{end}": getattr(one, end[1:] or "value") for name, one in estimates.items()
+           for end in ("", "_low", "_high")},
+        "basis": point.group.basis(confidence).code,
+    }  # fmt: skip
+
+
+#: How the axes of figures are named.
+_AXIS = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$", MOVING: MOVING}
+_OF = {
+    "mean": Statistic(MEAN, ratio, 0.0),
+    "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0),
+    "moving": Statistic(MOVING, ratio, 0.0, is_share=True),
+}
+
+
+def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
+    """A statistic of some points of a grid together."""
+    both = Sample()
+    for point in points:
+        for unit, row in point.sample.sums.get(of.name, {}).items():
+            both.add(of.name, unit, list(row))
+    _, rows = both.rows(of.name)
+    if of.is_share and len(rows):
+        share, low, high, _ = share_over_matrices(rows, confidence)
+        return Estimate(share, low, high)
+    return over_matrices(of.of, rows, confidence)
+
+
+# ---------------------------------------------------------------------------------------------- figures
+
+
+def _figures(
+    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str], level: float
+) -> dict[str, Any]:
+    """A map of the first two axes, and what there is along the first; what leads comes first."""
+    main = points[lead]
+    ticks = axes[0].x, [said(value) for value in axes[0].values]
+    found: dict[str, Any] = {}
+    if len(axes) > 1:
+        of = _OF["moving" if leading[0] == MOVING else "mean"]
+        cells = [
+            [estimate(of, _at(_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
+            for y in axes[1].values
+        ]
+        across, up = ((axis.name, [said(value) for value in axis.values]) for axis in axes[:2])
+        found["sweep_map"] = partial(heat_map, _AXIS[of.name], across, up, cells)
+    for name in leading:
+        if name == MOVING:
+            at_value = [[point.fates for point in _at(main, axes[0], value)] for value in axes[0].values]
+            counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in _FATES}
+            if any(any(some) for end, some in counts.items() if end != SUSTAINED):
+                found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
+            continue
+        lines = _lines(points, lead, axes, next(of for of in _OF.values() if of.name == name), level)
+        if any(one is not None for _, some in lines for one in some):
+            found["sweep_gamma" if name == GAMMA else "sweep_mean"] = partial(
+                curves, _AXIS[name], axes[0].name, *ticks, lines
+            )
+    return found
+
+
+def _at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:
+    return [point for point in points if point.at[axis] == value]
+
+
+def _lines(
+    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
+) -> list[tuple[str, list[Estimate | None]]]:
+    """Along the first axis: a line for each value of the next one, or for each setting."""
+    parts: list[tuple[str, Sequence[Point]]] = [(name, points[name]) for name in (lead, *(points.keys() - {lead}))]
+    if len(axes) > 1:
+        along = axes[1]
+        parts = [(f"{along.name} = {said(value)}", _at(points[lead], along, value)) for value in along.values]
+    found = []
+    for name, some in parts[:MOST_LINES]:
+        line = [estimate(of, _at(some, axes[0], value), level) for value in axes[0].values]
+        found.append((name, [one if one.value is not None else None for one in line]))
+    return found
+
+
+def curves(
+    what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
+    lines: Sequence[tuple[str, Sequence[Estimate | None]]],
+) -> Figure:  # fmt: skip
+    """A statistic against a key, with intervals, a line a value of another key, drawn a little apart.
+
+    Parameters
+    ----------
+    what, key : str
+    x : sequence of float, optional
+        Values of the key; evenly spaced by default.
+    ticks : sequence of str
+        The values as text.
+    lines : sequence of (label, estimates)
+        None where there is no value.
+    """
+    at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
+    colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        for k, (name, line) in enumerate(lines):
+            seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
+            value = np.array([one.value for _, one in seen], dtype=float)
+            ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
+            apart = 0.008 * (at.max() - at.min()) * (k - 0.5 * (len(lines) - 1))
+            here, mark = [place + apart for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
+            ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
+                        color=colours[k], label=name)  # fmt: skip
+        if x is None:
+            ax.set_xticks(at, ticks)
+        else:
+            ax.xaxis.set_major_locator(MaxNLocator(nbins=6))
+        margin = 0.05 * (at.max() - at.min())
+        ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
+        if len(lines) > 1:
+            figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
+    return figure
+
+
+def shares(key: str, ticks: Sequence[str], counts: Mapping[str, Sequence[int]]) -> Figure:
+    """Shares of runs by fate, a bar a value of a key.
+
+    Parameters
+    ----------
+    key : str
+    ticks : sequence of str
+    counts : mapping
+        Runs at each value, by fate.
+    """
+    total = np.maximum(np.sum([*counts.values()], axis=0), 1)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        floor = np.zeros(len(ticks))
+        for name, some in counts.items():
+            if any(some):
+                text, colour = _FATES[name]
+                ax.bar(range(len(ticks)), some / total, 0.75, floor, color=colour, label=text)
+                floor += some / total
+        ax.set_xticks(range(len(ticks)), ticks)
+        ax.set(xlabel=key, ylabel="share of runs", ylim=(0, 1))
+        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
+    return figure
+
+
+def heat_map(
+    what: str,
+    across: tuple[str, Sequence[str]],
+    up: tuple[str, Sequence[str]],
+    cells: Sequence[Sequence[float | None]],
+) -> Figure:
+    """A statistic at each point of a grid of two keys, its number in each cell; grey where there is none.
+
+    Parameters
+    ----------
+    what : str
+    across, up : (name, values as text)
+    cells : sequence of sequences
+        A row a value of `up`.
+    """
+    shown = np.array(cells, dtype=float)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.set_facecolor("#d8d8d8")
+        image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")
+        if shown.size <= 80:
+            middle = 0.5 * (np.nanmin(shown) + np.nanmax(shown)) if np.isfinite(shown).any() else 0.0
+            for (row, column), value in np.ndenumerate(shown):
+                if np.isfinite(value):
+                    colour = "white" if value < middle else "black"
+                    ax.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=7, color=colour)
+        for axis, (name, ticks) in ((ax.xaxis, across), (ax.yaxis, up)):
+            axis.set_label_text(name)
+            axis.set_ticks(range(len(ticks)), ticks)
+        bar = figure.colorbar(image, ax=ax, label=what)
+        bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
+        bar.outline.set_edgecolor(GREY)
+    return figure

@@ -1,0 +1,135 @@
+"""What changes along a sweep: planted changes are found, told by key, against the first value and unit by unit."""
+
+from dataclasses import replace
+from itertools import product
+
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study, build
+from stickslip.analysis.questions import sweep
+from stickslip.analysis.report import page
+
+
+@pytest.fixture(autouse=True)
+def _undrawn(request, monkeypatch):
+    if "drawn" not in request.keywords:
+        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+
+
+@pytest.fixture
+def settings(settings):
+    return replace(settings, margins={"mean": 0.1, "gamma": 0.05})
+
+
+@pytest.fixture
+def swept(planted, rng):
+    """Of each matrix one series, at each point of a grid raised by what `shift` says of the point."""
+
+    def make(axes, shift, n_matrices=8, **fixed):
+        rows, series = [], {}
+        for matrix in range(n_matrices):
+            t, n_stick = planted.runs(rng, 600, 0.7, level=300 + int(rng.integers(100)))
+            for k, values in enumerate(product(*axes.values())):
+                point, name = dict(zip(axes, values, strict=True)), f"m{matrix}-{k}"
+                rows.append(planted.member(name, matrix, n=500, **fixed | point))
+                series[name] = t, n_stick + round(shift(point, matrix))
+        return Data(pd.DataFrame(rows), series)
+
+    return make
+
+
+def changes(answer, quantity=sweep.MEAN):
+    return {row["key"]: row for row in answer.facts["changes"] if row["quantity"] == quantity}
+
+
+BELT = [-0.1, -0.15, -0.2, -0.25, -0.3, -0.35, -0.4, -0.5]
+
+
+def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
+    """The matrices differ by 100; the change is 30, and it alternates by 1."""
+    data = swept({"belt_speed": BELT}, lambda at, matrix: 75 * (at["belt_speed"] + 0.5) + matrix % 2)
+    answer = sweep.answer(Study(data, settings))
+    row = changes(answer)["belt_speed"]
+    assert (row["verdict"], row["first_value"], row["second_value"]) == (sweep.RISES, "-0.5", "-0.1")
+    assert row["difference"] == pytest.approx(30)
+    assert row["difference_low"] <= 30 <= row["difference_high"] < 31
+    assert changes(answer, sweep.GAMMA)["belt_speed"]["verdict"] == sweep.STAYS
+    table = answer.tables["sweep"]
+    assert sorted(table["belt_speed"]) == sorted(BELT)
+    assert (table["n_units"] == 8).all()
+
+
+def test_a_grid_tells_which_key_it_is(swept, settings):
+    axes = {"kappa": [0.2, 0.25], "friction": [0.8, 0.9, 1.0, 1.1, 1.2], "belt_speed": [-0.1, -0.2, -0.3]}
+    data = swept(axes, lambda at, matrix: 40 * at["friction"] + 400 * (at["kappa"] - 0.2) + matrix % 3)
+    answer = sweep.answer(Study(data, settings))
+    found = changes(answer)
+    assert {key: row["verdict"] for key, row in found.items()} == {
+        "kappa": sweep.RISES,
+        "friction": sweep.RISES,
+        "belt_speed": sweep.STAYS,
+    }
+    assert found["kappa"]["difference"] == pytest.approx(20)
+    assert found["friction"]["difference"] == pytest.approx(16)
+    assert {row["n_first"] for row in found.values()} == {8}, "a unit counts once, whatever the grid"
+    assert len(answer.tables["sweep"]) == 30
+    report = build(data, settings, "Grid", "", {})
+    assert "rises from friction = 0.8 to 1.2" in report.headline[1]
+    assert list(report.figures)[:2] == ["sweep_map", "sweep_mean"]
+
+
+def test_no_change_is_not_told_as_one(swept, settings, rng):
+    noise = {key: rng.standard_normal() for key in product(range(8), BELT)}
+    data = swept({"belt_speed": BELT}, lambda at, matrix: 3 * noise[matrix, at["belt_speed"]])
+    table = sweep.answer(Study(data, settings)).tables["sweep_changes"]
+    assert (table["p_different_holm"] >= table["p_different"]).all()
+    told = table[table["verdict"].isin([sweep.RISES, sweep.FALLS])]
+    assert (told["p_different_holm"] < 0.05).all()
+    assert table.loc[table["quantity"] == sweep.MEAN, "relative"].abs().max() < 0.05
+
+
+def test_shares_of_runs_that_stay_in_motion(swept, settings):
+    data = swept({"belt_speed": [-0.1, -0.2, -0.3]}, lambda at, matrix: 0, n_matrices=20)
+    ends = data.members["belt_speed"] == -0.3
+    data.members.loc[ends, ["outcome", "t_stop"]] = "collapsed", 50.0
+    answer = sweep.answer(Study(data, settings))
+    row = changes(answer, sweep.MOVING)["belt_speed"]
+    assert (row["verdict"], row["first"], row["second"], row["difference"]) == (sweep.RISES, 0.0, 1.0, 1.0)
+    assert 0.5 < row["difference_low"] < row["difference_high"] <= 1
+    assert answer.facts["told"][0]["quantity"] == sweep.MOVING
+    mean = changes(answer)["belt_speed"]
+    assert (mean["first_value"], mean["verdict"]) == ("-0.2", sweep.STAYS), "against the first that has runs"
+
+
+def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted, swept, settings):
+    pairs = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
+    data = swept({"kappa": [0.1, 0.2, 0.3]}, lambda at, matrix: 0)
+    together = data.members.assign(rho=data.members["kappa"].map(dict(pairs)))
+    (axis,) = sweep.grid(sweep.settings(Study(Data(together, data.series), settings).groups))
+    assert axis == sweep.Axis(("kappa", "rho"), tuple(pairs))
+    drawn = data.members.assign(
+        kappa=0.2,
+        friction=data.members["kappa"].map({0.1: 1.0}),
+        drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
+    )
+    (axis,) = sweep.grid(sweep.settings(Study(Data(drawn, data.series), settings).groups))
+    assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.8, 1.2)",), ("uniform(0.9, 1.1)",)))
+
+
+def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings):
+    members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 5)
+    assert sweep.answer(Study(Data(members, series), settings)) is None
+    one = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
+    answer = sweep.answer(Study(one, settings))
+    assert answer.lack == "few matrices"
+    assert "one matrix at a value at most" in build(one, settings, "Few", "", {}).html
+
+
+@pytest.mark.drawn
+def test_every_figure_is_drawn(swept, settings):
+    axes = {"belt_speed": [-0.1, -0.2, -0.3], "kappa": [0.2, 0.3]}
+    data = swept(axes, lambda at, matrix: 100 * at["kappa"])
+    data.members.loc[data.members["kappa"] == 0.3, ["outcome", "t_stop"]] = "diverged", 50.0
+    report = build(data, settings, "Drawn", "", {})
+    assert {"sweep_map", "sweep_fates", "sweep_mean", "sweep_gamma"} <= set(report.figures)
