@@ -55,6 +55,8 @@ _PART = 64_000_000
 
 #: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
 _KEPT = 100_000_000
+#: Bytes that a member's arrays take beside what is in them.
+_ENTRY = 600
 #: Shards of them at least: a run and the one that it is compared with.
 _SHARDS_KEPT = 2
 
@@ -283,26 +285,23 @@ class Recorded(Mapping[str, _Value]):
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
         self._kept: dict[int, tuple[dict[str, _Value], int]] = {}  # with its bytes, the last one that was read last
 
-    def _table(self, k: int, columns: list[str]) -> pa.Table:
-        with reading(self._path):
-            return self._fragments[k].to_table(
-                columns=["member_id", *columns], filter=pc.field(self._recorded).is_valid()
-            )
-
     def _shard(self, k: int) -> dict[str, _Value]:
         if k not in self._kept:
-            table = self._table(k, self._columns)
-            while len(self._kept) >= _SHARDS_KEPT and sum(n for _, n in self._kept.values()) + table.nbytes > _KEPT:
+            with reading(self._path):
+                table = self._fragments[k].to_table(
+                    columns=["member_id", *self._columns], filter=pc.field(self._recorded).is_valid()
+                )
+            n_bytes = table.nbytes + _ENTRY * table.num_rows
+            while len(self._kept) >= _SHARDS_KEPT and sum(n for _, n in self._kept.values()) + n_bytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
             rows = zip(*(table[name] for name in self._columns), strict=True)
             found = (self._entry(dict(zip(self._columns, row, strict=True))) for row in rows)
-            self._kept[k] = dict(zip(table["member_id"].to_pylist(), found, strict=True)), table.nbytes
+            self._kept[k] = dict(zip(table["member_id"].to_pylist(), found, strict=True)), n_bytes
         return self._kept[k][0]
 
     @cached_property
     def _shard_of(self) -> dict[str, int]:
-        """The names alone are quickly read."""
-        return {key: k for k in range(len(self._fragments)) for key in self._table(k, [])["member_id"].to_pylist()}
+        return {key: k for k in range(len(self._fragments)) for key in self._shard(k)}
 
     def __getitem__(self, key: str) -> _Value:
         return self._shard(self._shard_of[key])[key]

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 import scipy.sparse
 
 from stickslip.pipeline.errors import SceneError
@@ -119,7 +118,9 @@ def _arrays(name: str, content: bytes) -> dict[str, Any]:
     stream = io.BytesIO(content)
     try:
         if name.endswith((".mtx", ".mtx.gz")):
-            return {"stiffness": scipy.io.mmread(stream)}
+            from scipy.io import mmread  # takes a tenth of a second to load
+
+            return {"stiffness": mmread(stream)}
         found = np.load(stream, allow_pickle=False)
         if isinstance(found, np.ndarray):
             return {"stiffness": found}

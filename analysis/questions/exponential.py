@@ -12,12 +12,13 @@ from matplotlib.figure import Figure
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
 from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.stats import pool
+from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
 from stickslip.analysis.stats.dispersion import difference, dispersion, moments
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness, line, quotients
-from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
+from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated_steps
 from stickslip.analysis.stats.rivals import Rival, rivals
 from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
 
@@ -121,7 +122,8 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
         if member_id in events:
             steps, rng = block_steps(*events[member_id], win.t_start, win.t_stop), study.generator(member_id)
             for _ in range(min(settings.resamples, DRAWS)):
-                found = cascade_sizes(rotated(steps, rng).window(), EVENTS)
+                t, step = rotated_steps(steps, rng)
+                found = cascade_sizes(Window(0.0, steps.span, 0, t, step), EVENTS)
                 sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
     sums = sums[group.counts.sum(axis=1) > 0]
     seen = sums[:, 0] > 0

@@ -99,6 +99,15 @@ class Window:
 
     def places(self, dt: float) -> np.ndarray:
         """The first sample, by its number, at or after each change; it may lie beyond the last."""
+        if dt not in self._placed:
+            self._placed[dt] = self._places(dt)
+        return self._placed[dt]
+
+    @cached_property
+    def _placed(self) -> dict[float, np.ndarray]:
+        return {}
+
+    def _places(self, dt: float) -> np.ndarray:
         found = np.ceil((self.t - self.t_start) / dt)
         found -= self.t_start + dt * (found - 1) >= self.t  # what rounding of the quotient has moved
         found += self.t_start + dt * found < self.t

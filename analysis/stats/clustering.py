@@ -19,7 +19,7 @@ import numpy as np
 from scipy import fft
 
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import BlockSteps
+from stickslip.analysis.stats.nulls import BlockSteps, in_order
 
 POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
 SAMPLES = 4096  # of a window: periods from a thousandth of it on are free of aliases
@@ -71,8 +71,9 @@ def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
     if 2 * reach > steps.span:
         raise ValueError(f"parts: expected gaps and windows of at most {steps.span / 2:g}, got {reach:g}")
     own = own_gaps(t, block, steps.span, min(1.5 * reach, steps.span / 2))  # windows are made to tile the span
-    share = _share_stuck(steps)
-    spectra = _spectra(steps, share) if any(part.kind == POWER for part in parts) else None
+    kinds = {part.kind for part in parts}
+    share = _share_stuck(steps) if kinds & {POWER, VARIANCE} else np.zeros(0)
+    spectra = _spectra(steps, share) if POWER in kinds else None
     found = []
     for part in parts:
         if part.kind == POWER:
@@ -150,10 +151,9 @@ class OwnGaps:
 
 def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> OwnGaps:
     """Gaps below `reach` between exits of the same block; `t` in order of time, reach <= span / 2."""
-    order = np.argsort(block, kind="stable")
-    times = t[order]
-    _, first, index, counts = np.unique(block[order], return_index=True, return_inverse=True, return_counts=True)
-    size, start = counts[index], first[index]
+    order = in_order(block)
+    times, index, counts = t[order], block[order], np.bincount(block)
+    size, start = counts[index], (np.cumsum(counts) - counts)[index]
     place = np.arange(len(times)) - start
     gaps, lag = [np.zeros(0)], 1
     while lag < counts.max(initial=0):
@@ -182,24 +182,22 @@ def _checked(part: Part, span: float) -> tuple[float, float]:
 
 
 def _share_stuck(steps: BlockSteps) -> np.ndarray:
-    """The share of the window that each block sticks, of those that change."""
-    blocks, index = np.unique(steps.block, return_inverse=True)
-    stuck = np.where(_first_steps(steps, len(blocks), index) < 0, steps.span, 0.0)
-    return (stuck + np.bincount(index, steps.step * (steps.t_stop - steps.t))) / steps.span
+    """The share of the window that each block sticks; 0 of those that do not change, which add nothing."""
+    stuck = np.where(_first_steps(steps) < 0, steps.span, 0.0)
+    return (stuck + np.bincount(steps.block, steps.step * (steps.t_stop - steps.t))) / steps.span
 
 
-def _first_steps(steps: BlockSteps, n_blocks: int, index: np.ndarray) -> np.ndarray:
-    """The first step of each block; an exit means that it stuck before."""
-    first = np.zeros(n_blocks, dtype=np.int64)
-    first[index[::-1]] = steps.step[::-1]
+def _first_steps(steps: BlockSteps) -> np.ndarray:
+    """The first step of each block, 0 if it has none; an exit means that it stuck before."""
+    first = np.zeros(int(steps.block.max(initial=-1)) + 1, dtype=np.int64)
+    first[steps.block[::-1]] = steps.step[::-1]
     return first
 
 
 def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, shape (m,), and power of n_stick and of the blocks added up, shape (2, m)."""
     dt = steps.span / SAMPLES
-    index = np.unique(steps.block, return_inverse=True)[1]
-    first = _first_steps(steps, len(share), index)
+    index, first = steps.block, _first_steps(steps)
     place = np.minimum(np.ceil((steps.t - steps.t_start) / dt).astype(np.int64), SAMPLES)
     total, own = np.zeros(SAMPLES), np.zeros(SAMPLES // SEGMENTS // 2 + 1)
     for begin in range(0, len(share), CHUNK):
@@ -222,8 +220,12 @@ def _welch(x: np.ndarray, dt: float) -> np.ndarray:
     """
     m = SAMPLES // SEGMENTS
     taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(m) / m)
-    power = [np.abs(fft.rfft(x[:, k : k + m] * taper)) ** 2 for k in range(0, SAMPLES - m + 1, m // 2)]
-    return np.mean(power, axis=0) * (2 * dt / np.sum(taper**2))
+    starts = range(0, SAMPLES - m + 1, m // 2)
+    power = np.zeros((len(x), m // 2 + 1))
+    for k in starts:
+        found = fft.rfft(x[:, k : k + m] * taper)
+        power += found.real**2 + found.imag**2
+    return power * (2 * dt / (len(starts) * np.sum(taper**2)))
 
 
 def _band(frequency: np.ndarray, spectra: np.ndarray, shortest: float, longest: float) -> np.ndarray:

@@ -17,7 +17,7 @@ coupling": it keeps that a block cannot let go twice without having stuck in bet
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,7 +146,7 @@ def block_steps(
         raise ValueError(f"t, block, mode: expected one length, got {len(t)}, {len(block)} and {len(mode)}")
     if (np.diff(t) < 0).any():
         raise ValueError("t: expected times that do not decrease; sort the events by time")
-    by_block = np.argsort(block, kind="stable")
+    by_block = in_order(block)
     sticks = (np.asarray(mode) == 0).astype(np.int64)
     before = np.empty_like(sticks)
     before[by_block[1:]] = sticks[by_block[:-1]]
@@ -158,6 +158,12 @@ def block_steps(
     return BlockSteps(float(t_start), float(t_stop), t[kept], block[kept], step[kept])
 
 
+def in_order(block: np.ndarray) -> np.ndarray:
+    """What sorts blocks, and leaves the order of those that are the same."""
+    is_small = len(block) == 0 or block.max() < 2**16  # of such numbers it takes a tenth of the time
+    return np.argsort(block.astype(np.uint16) if is_small else block, kind="stable")
+
+
 def rotated(steps: BlockSteps, rng: np.random.Generator) -> BlockSteps:
     """A surrogate without coupling: each block's series turned in the window by a random amount of its own.
 
@@ -167,28 +173,54 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> BlockSteps:
     (its path may then leave 0..n, where only falls are counted). In 20 runs of n = 200 over 400 units the seams
     would have added 1.3% of changes; kept or dropped, gamma by `events` came out the same to 0.0001.
     """
-    n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
-    shift = rng.uniform(0, steps.span, n_blocks)
-    t = steps.t_start + (steps.t - steps.t_start + shift[steps.block]) % steps.span
+    t = steps.t_start + _turned(steps, rng)
     order = np.argsort(t)
     return BlockSteps(steps.t_start, steps.t_stop, t[order], steps.block[order], steps.step[order])
+
+
+def _turned(steps: BlockSteps, rng: np.random.Generator) -> np.ndarray:
+    """Times since t_start of the steps of such a surrogate, in their old order."""
+    n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
+    shift = rng.uniform(0, steps.span, n_blocks)
+    return (steps.t - steps.t_start + shift[steps.block]) % steps.span
+
+
+def rotated_steps(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The steps of such a surrogate without their blocks, in a quarter of the time: times since t_start, and changes.
+
+    Numbers above zero sort as their bits do: the last bit of a time says what the step is, and is sorted with it.
+    """
+    bits = _turned(steps, rng).view(np.int64)
+    bits &= -2
+    bits |= steps.step < 0
+    bits.sort()
+    return bits.view(np.float64), 1 - 2 * (bits & 1)
 
 
 def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> Sums:
     """Cascades if the blocks did not act on each other: all those of `draws` surrogates by `rotated`."""
     found: Sums = {law: np.zeros(2) for law in cascades.laws(dts)}
+    steps_of = {dt: int(steps.span / dt * (1 + 1e-12)) for dt in dts}
     for _ in range(draws):
-        turned = rotated(steps, rng)
-        drawn = cascades.sums(turned.step)
-        t, weights = turned.t - steps.t_start, turned.step.astype(np.float64)
-        for dt in dts:
-            n_steps = int(steps.span / dt * (1 + 1e-12))
-            place = (t / dt).astype(np.int64)
-            net = np.bincount(place, weights, n_steps)[:n_steps]
-            drawn |= cascades.sums(net, dt)
+        t, step = rotated_steps(steps, rng)
+        drawn, nets = cascades.sums(step), dict[float, np.ndarray]()
+        for dt in sorted(dts):
+            finer, k = _divisor(dt, nets)
+            if k:
+                whole = nets[finer][: len(nets[finer]) // k * k]
+                nets[dt] = whole.reshape(-1, k) @ np.ones(k)
+            else:
+                nets[dt] = np.bincount((t / dt).astype(np.int64), step, steps_of[dt])
+            drawn |= cascades.sums(nets[dt][: steps_of[dt]], dt)
         for law, one in drawn.items():
             found[law] += one
     return found
+
+
+def _divisor(dt: float, finer: Iterable[float]) -> tuple[float, int]:
+    """The longest of some shorter steps that dt is a multiple of, and which; 0 if there is none."""
+    multiples = ((one, round(dt / one)) for one in finer)
+    return max(((one, k) for one, k in multiples if abs(k * one - dt) < 1e-12 * dt), default=(dt, 0))
 
 
 def triggered(steps: BlockSteps, share: float, delay: float, rng: np.random.Generator) -> BlockSteps:
