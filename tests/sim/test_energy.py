@@ -1,0 +1,117 @@
+"""Energy and its balance, and episodes."""
+
+import secrets
+
+import numpy as np
+import pytest
+
+from stickslip.sim import EventSeries, Run, Samples, Stats, System, draw_system, simulate
+from stickslip.sim.energy import energy, times
+from stickslip.sim.episodes import episodes, spans
+
+
+def run_with_energy(system, z, w, t_end, **settings):
+    first = simulate(system, z, w, t_end, **settings)
+    run = simulate(system, z, w, t_end, t_eval=times(system, first.events), **settings)
+    assert run.events.t.tobytes() == first.events.t.tobytes()
+    return run, energy(system, run)
+
+
+def test_a_block_that_slides_to_rest_turns_its_energy_into_heat():
+    """K = 0, R = 0, mu = 0.5, v = 0: from w = 2 it slides 4 far in a time of 4, and stays."""
+    run, found = run_with_energy(System([[0.0]], 0.0, 0.5, 0.0), 0.0, 2.0, 10.0)
+    assert run.events.t == pytest.approx([4.0])
+    assert found.kinetic == pytest.approx([2.0, 0.0, 0.0])
+    assert found.heat == pytest.approx([0.0, 2.0, 2.0])
+    assert np.abs(found.imbalance).max() < 1e-14
+
+
+def test_a_block_that_rides_the_belt_takes_its_work():
+    """K = 1, R = 0.5, mu = 1, v = -0.2, from z = 0: stuck up to z = -0.9, the belt does z^2 / 2 and R v^2 t."""
+    _, found = run_with_energy(System([[1.0]], 0.5), 0.0, -0.2, 4.0)
+    np.testing.assert_allclose(found.elastic, 0.02 * found.t**2, atol=1e-14)
+    np.testing.assert_allclose(found.belt, 0.02 * found.t**2 + 0.02 * found.t, atol=1e-14)
+    np.testing.assert_allclose(found.damping, 0.02 * found.t, atol=1e-14)
+    assert found.heat[-1] == 0.0
+
+
+@pytest.mark.parametrize("coupling", ["antisymmetric", "chain"])
+def test_the_balance_closes_over_ten_thousand_events(coupling):
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    if coupling == "chain":
+        system = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0)
+        rng, t_end = np.random.default_rng(seed), 400.0
+        start = rng.normal(size=30), rng.normal(size=30)
+    else:
+        system, t_end, start = draw_system("antisymmetric", 150, seed, kappa=0.25), 800.0, (-0.7, -0.4)
+    run, found = run_with_energy(system, *start, t_end, tol=1e-14, stop_early=False)
+    turnover = np.abs(found.belt).max() + found.damping[-1] + found.heat[-1] + np.abs(found.coupling).max()
+    print(len(run.events), turnover, np.abs(found.imbalance).max() / turnover)
+    assert np.abs(found.imbalance).max() < 1e-12 * turnover
+    assert (np.diff(found.heat) >= 0).all()
+
+
+def test_other_samples_are_refused():
+    system = System([[1.0]], 0.5)
+    with pytest.raises(ValueError, match="run: expected samples at the"):
+        energy(system, simulate(system, 0.0, -0.2, 4.0, t_eval=[1.0]))
+
+
+# episodes
+
+
+def planted(v=-0.5):
+    """Three blocks. Episodes [1, 2] of blocks 0, 1 and [4, 7] of blocks 0 (twice), 2; what is open at both ends."""
+    changes = [
+        (0.5, 1, 0),
+        (1.0, 0, 1), (1.5, 1, 1), (1.75, 0, 0), (2.0, 1, 0),
+        (4.0, 2, -1), (5.0, 0, 1), (5.5, 0, 0), (5.5, 2, 0), (5.5, 0, 1), (7.0, 0, 0),
+        (9.0, 1, 1),
+    ]  # fmt: skip
+    t, block, mode = (np.array(column) for column in zip(*changes, strict=True))
+    series = EventSeries(
+        t.astype(float), block.astype(np.int32), mode.astype(np.int8), np.array([0, 1, 0], np.int8), 0.0, 10.0
+    )
+    slipped = np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.0], [0.9, 0.2, -0.1]])
+    at = np.array([0.75, 3.0, 8.0])
+    samples = Samples(at, slipped + v * at[:, None], np.full((3, 3), v))
+    end = np.zeros(3)
+    return Run(end, end, 10.0, series, "finished", "", Stats(0, 0, 0, len(t)), samples=samples)
+
+
+def test_planted_episodes():
+    run = planted()
+    np.testing.assert_array_equal(spans(run.events), [[1.0, 2.0], [4.0, 7.0]])
+    found = episodes(run, -0.5)
+    assert len(found) == 2
+    np.testing.assert_array_equal(found.size, [2, 2])
+    np.testing.assert_allclose(found.moment, [0.5, 0.5])
+    np.testing.assert_allclose(episodes(planted(0.5), 0.5).moment, [-0.5, -0.5])
+    np.testing.assert_array_equal(found.duration, [1.0, 3.0])
+    assert repr(found) == "Episodes(2 of up to 2 blocks)"
+
+
+def test_a_missing_sample_is_named():
+    run = planted()
+    few = Run(run.z, run.w, 10.0, run.events, "finished", "", run.stats, samples=run.samples.first(2))
+    with pytest.raises(ValueError, match="after the episode from 4 to 7, got none"):
+        episodes(few, -0.5)
+
+
+def test_a_run_without_stick_has_no_episodes():
+    run = simulate(System([[1.0]], 0.0, 0.0, 0.0), 1.0, 0.0, 10.0)
+    assert len(episodes(run, 0.0)) == 0
+
+
+def test_one_block_with_static_friction_has_an_episode_a_period():
+    """It goes once round its circle of radius (d^2 + v^2)^(1/2), from z = 1 + d to 1 - d: 2 d, and the belt's way."""
+    system, drop = System([[1.0]], 0.0, static=1.3), 0.3
+    settings = {"engine": "sigmoid", "eps": 1e-4, "rtol": 1e-8, "atol": 1e-8}
+    first = simulate(system, 0.0, -0.2, 42.0, **settings)
+    run = simulate(system, 0.0, -0.2, 42.0, t_eval=spans(first.events).ravel(), **settings)
+    found = episodes(run, -0.2)
+    slips = 2 * (np.pi - np.arctan(drop / 0.2))
+    assert len(found) == 5
+    np.testing.assert_allclose(found.duration, slips, rtol=2e-3)
+    np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=2e-3)
