@@ -5,14 +5,18 @@ from __future__ import annotations
 import pydoc
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
+import pyarrow as pa
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from stickslip.pipeline.dataset import RECORDED_BY
+from stickslip.pipeline.schema import RECORDED, SCHEMA
 from stickslip.workflows.scaffold import key_tables
 
 project = "stickslip"
@@ -94,8 +98,48 @@ class SceneKeys(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(text))
 
 
+#: What has a scene's dataset the columns in `RECORDED`.
+_ASKED = RECORDED_BY | {
+    "file": '`coupling = "file"` under [system]',
+    "function": "`parameters` under [system], each a column of numbers by its name",
+    "graph": '`coupling = "chain"`, or another graph, under [system]',
+    "damping": "`damping` under [system], or in its file",
+    "drawn": "a distribution in [system] or [start], or arrays of a file",
+    "growth_rate": "`growth_rate = true` under [record]",
+}
+
+
+class Columns(SphinxDirective):
+    """Every column that a dataset may have, from the fields of its schema."""
+
+    def run(self) -> list[nodes.Node]:
+        text = _columns("In every dataset:", SCHEMA)
+        for name, fields in RECORDED.items():
+            text += _columns(f"With {_ASKED[name]}{':' if fields else '.'}", fields)
+        return self.parse_text_to_nodes("\n".join(text))
+
+
+def _columns(head: str, fields: Iterable[pa.Field]) -> list[str]:
+    rows = [
+        f"| `{field.name}` | {_kind(field.type)} | {field.metadata[b'description'].decode()} |".replace(
+            "|w - v|", r"\|w - v\|"
+        )
+        for field in fields
+    ]
+    return ["", head, *(["", "| column | type | what |", "|---|---|---|", *rows] if rows else [])]
+
+
+def _kind(kind: pa.DataType) -> str:
+    if pa.types.is_list(kind):
+        return f"list of {_kind(kind.value_type)}"
+    if pa.types.is_struct(kind):
+        return ", ".join(f"{part.name} {_kind(part.type)}" for part in kind)
+    return "float64" if pa.types.is_float64(kind) else str(kind)
+
+
 def setup(app: Sphinx) -> None:
     app.add_directive("scene-keys", SceneKeys)
+    app.add_directive("columns", Columns)
     app.connect("autodoc-process-docstring", _as_written, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", _with_colons, priority=600)  # after it
     app.connect("missing-reference", _known_elsewhere)

@@ -44,7 +44,7 @@ def _of_engines() -> Iterator[pa.Field]:
 
 
 #: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
-_RECORDED = {
+RECORDED = {
     "file": [_column("file", pa.string(), "file that K is read from, as named beside the scene", False)],
     "function": [],  # its parameters, which each scene names itself
     "graph": [
@@ -161,7 +161,7 @@ SCHEMA = pa.schema(
 
 
 #: All columns that there may be.
-COLUMNS = (*SCHEMA.names, *(column.name for columns in _RECORDED.values() for column in columns))
+COLUMNS = (*SCHEMA.names, *(column.name for columns in RECORDED.values() for column in columns))
 
 
 def scalars(schema: pa.Schema) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ class Recording:
         fixed = [field.with_nullable(True) if field.name in null else field for field in SCHEMA]
         own = [_column(name, pa.float64(), "parameter of the function that makes the systems", False)
                for name in self.parameters]  # fmt: skip
-        schema = pa.schema([*fixed, *own, *(column for name in self.parts for column in _RECORDED[name])])
+        schema = pa.schema([*fixed, *own, *(column for name in self.parts for column in RECORDED[name])])
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
 
 

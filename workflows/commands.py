@@ -287,6 +287,14 @@ def _query(arguments: argparse.Namespace) -> int:
     return _DONE
 
 
+def _export(arguments: argparse.Namespace) -> int:
+    from stickslip.workflows.netcdf import write
+
+    write(arguments.directory, arguments.netcdf)
+    print(f"data    {arguments.netcdf}")
+    return _DONE
+
+
 def _scenes(arguments: argparse.Namespace) -> int:
     from stickslip.workflows.scaffold import listing
 
@@ -333,6 +341,7 @@ _COMMANDS = {
     "verify": _verify,
     "report": _report,
     "query": _query,
+    "export": _export,
     "scenes": _scenes,
     "init": _init,
     "schema": _schema,

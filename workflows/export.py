@@ -61,7 +61,7 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
     if form == "csv":
         _flat(batches.schema)
     if out is not None:
-        with _whole(out, dataset) as stream:
+        with whole(out, dataset) as stream:
             _write(batches, form, stream)
     elif sys.stdout is None:
         raise QueryError("the standard output is closed; name a file by --out")
@@ -118,7 +118,7 @@ def _flat(schema: pa.Schema) -> None:
 
 
 @contextlib.contextmanager
-def _whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
+def whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
     """A stream to a file beside `out`, which takes its name at the end, or goes if there is none.
 
     A link is followed; what is no file, as /dev/null or a pipe, is written to as it stands.

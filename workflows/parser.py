@@ -111,6 +111,14 @@ def parser() -> argparse.ArgumentParser:
         "--out", type=Path, metavar="FILE", help="file to write the answer to (default: standard output)"
     )
 
+    export = command(
+        "export",
+        "write a dataset as one file of another form",
+        ("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),
+    )
+    export.add_argument("directory", metavar="DIR")
+    export.add_argument("--netcdf", type=Path, metavar="FILE", required=True, help="file to write, in NetCDF-4")
+
     command("scenes", "list the scenes that ship, with members and time", ("stickslip scenes", ""))
     init = command(
         "init",

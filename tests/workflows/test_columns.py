@@ -1,0 +1,75 @@
+"""The page of columns: its lines read a dataset as this package does; NetCDF holds it whole, and xarray opens it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stickslip.pipeline import parse_scene, query, run_ensemble
+from stickslip.workflows.commands import main
+from tests.scenes import COULOMB, SIGMOID, ensemble
+
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "columns.md").read_text()
+LINES = {re.search(r"import (\w+)", block)[1]: block for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)}
+SOURCE = ensemble([6], 30.0, 3, COULOMB, SIGMOID, rest="[record]\nevents = true", analysis="t_burn = 5.0\ndt = 0.5")
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    path = tmp_path_factory.mktemp("columns") / "out"
+    run_ensemble(parse_scene(SOURCE.encode()), path, workers=0)
+    return path
+
+
+@pytest.fixture(scope="module")
+def exported(kept):
+    pytest.importorskip("netCDF4")
+    file = kept.parent / "out.nc"
+    assert main(["export", str(kept), "--netcdf", str(file)]) == 0
+    return file
+
+
+@pytest.mark.parametrize("tool", LINES)
+def test_a_line_of_the_page_reads_a_dataset_without_this_package(tool, kept, request):
+    pytest.importorskip(tool)
+    file = request.getfixturevalue("exported") if tool == "xarray" else ""
+    names: dict[str, object] = {}
+    exec(LINES[tool].replace("runs/quick", str(kept)).replace("quick.nc", str(file)), names)
+    answer = names["answer"]
+    if hasattr(answer, "to_pandas"):
+        answer = answer.to_pandas()
+    if hasattr(answer, "columns"):
+        answer = answer.set_index("engine")["n_exits"]
+    expected = query.members(kept).groupby("engine")["n_exits"].mean()
+    assert dict(answer) == pytest.approx(dict(expected))
+
+
+@pytest.mark.parametrize("engine", ["netcdf4", "h5netcdf"])
+def test_netcdf_holds_a_dataset_whole(kept, exported, engine):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip({"netcdf4": "netCDF4"}.get(engine, engine))
+    with xarray.open_dataset(exported, engine=engine) as found:
+        table = query.members(kept)
+        for name in table:
+            own, theirs = table[name], found[name].to_series().reset_index(drop=True)
+            null = own.isna().to_numpy()
+            assert (theirs[null].isna() | (theirs[null] == "")).all(), name
+            assert list(theirs[~null]) == list(own[~null]), name
+        t, event_t = (
+            np.split(found[name].to_numpy(), np.cumsum(found[f"{along}_row_size"].to_numpy())[:-1])
+            for name, along in (("t", "change"), ("event_t", "event"))
+        )
+        for k, member_id in enumerate(table["member_id"]):
+            assert np.array_equal(t[k], query.n_stick(kept, member_id)[0])
+            assert np.array_equal(event_t[k], query.events(kept, member_id).t)
+        assert found["change_row_size"].attrs["sample_dimension"] == "change"
+        assert found["n_stick"].attrs["long_name"].startswith("number of sticking blocks")
+
+
+def test_a_file_in_the_dataset_is_refused(kept, capsys):
+    pytest.importorskip("netCDF4")
+    assert main(["export", str(kept), "--netcdf", str(kept / "out.nc")]) == 2
+    assert "outside the dataset" in capsys.readouterr().err

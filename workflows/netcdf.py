@@ -1,0 +1,109 @@
+"""A dataset as one NetCDF file: the contiguous ragged array of the CF conventions (section 9.3.3).
+
+A member has its scalars along `member`. What a run has many of lies end to end along a dimension of its own, and a
+count says how many of these are whose. Null is the fill value of a number, and an empty text.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from stickslip.pipeline import QueryError, dataset_scene
+from stickslip.pipeline.dataset import dataset, reading
+from stickslip.pipeline.schema import scalars
+from stickslip.pipeline.storage import Where
+from stickslip.version import __version__
+from stickslip.workflows.export import whole
+
+#: Along which dimension the lists of a dataset lie; `by_threshold`, lists of lists, is not written.
+_SAMPLES = {
+    "t": "change", "n_stick": "change", "event_t": "event", "event_block": "event", "event_mode": "event",
+    "initial_mode": "block", "separation": "separation_step",
+}  # fmt: skip
+_ROWS = 65_536  # of a chunk
+
+
+def write(path: Where, out: Path) -> None:
+    """Write the dataset at `path` to a file, which appears when it is whole.
+
+    Shards are read one after the other: memory is that of the table of members and of one shard.
+
+    Raises
+    ------
+    QueryError
+        If netCDF4 is not installed, or the file cannot be written.
+    StoreError
+        If there is no readable dataset.
+    """
+    try:
+        import netCDF4
+    except ImportError as error:
+        raise QueryError(
+            'NetCDF needs netCDF4, which is not installed; run: pip install "stickslip[netcdf]"'
+        ) from error
+    source = dataset(path)
+    lists = [name for name in _SAMPLES if name in source.schema.names]
+    with reading(path):
+        members = source.to_table(columns=list(scalars(source.schema)))
+    with whole(out, path) as stream, netCDF4.Dataset(stream.name, "w") as file:
+        scene = dataset_scene(path)
+        file.setncatts({
+            "Conventions": "CF-1.11",
+            "featureType": "timeSeries",
+            "title": scene.title,
+            "source": f"stickslip {__version__}",
+            "scene_hash": scene.hash,
+            "comment": "dimensionless: no clock, no place on Earth",
+        })  # fmt: skip
+        file.createDimension("member", members.num_rows)
+        for name in members.column_names:
+            _scalar(file, members.schema.field(name), members[name])
+        for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
+            _along(file, path, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
+
+
+def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
+    """One value a member."""
+    is_text = pa.types.is_string(field.type)
+    kind = str if is_text else field.type.to_pandas_dtype()
+    fill = "" if is_text else np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
+    found = file.createVariable(
+        field.name, kind, ("member",), fill_value=fill if values.null_count and not is_text else None
+    )
+    found.setncatts(_about(field) | ({"cf_role": "timeseries_id"} if field.name == "member_id" else {}))
+    plain = values.fill_null(fill).to_pandas().to_numpy(dtype=object if is_text else kind)
+    if len(plain):
+        found[:] = plain
+
+
+def _along(file: Any, path: Where, source: Any, dimension: str, names: list[str]) -> None:
+    """Lists that have one length each member, end to end, and their lengths."""
+    file.createDimension(dimension, None)
+    found = {}
+    for name in names:
+        field = source.schema.field(name)
+        kind = field.type.value_type.to_pandas_dtype()
+        found[name] = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
+        found[name].setncatts(_about(field) | {"coordinates": "member_id"})
+    counts = file.createVariable(f"{dimension}_row_size", "i8", ("member",))
+    counts.setncatts({"long_name": f"number of values along {dimension}", "sample_dimension": dimension})
+    row = written = 0
+    for fragment in source.get_fragments():
+        with reading(path):
+            shard = fragment.to_table(columns=names)
+        sizes = pc.fill_null(pc.list_value_length(shard[names[0]]), 0).to_numpy()
+        more = int(sizes.sum())
+        counts[row : row + len(sizes)] = sizes
+        for name in names if more else ():
+            found[name][written : written + more] = pc.list_flatten(shard[name]).to_numpy()
+        row, written = row + len(sizes), written + more
+
+
+def _about(field: pa.Field) -> dict[str, str]:
+    words = {"long_name": field.metadata[b"description"].decode()}
+    return words if pa.types.is_string(field.type) else words | {"units": "1"}
