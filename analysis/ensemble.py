@@ -1,7 +1,7 @@
 """An ensemble as the statistics see it, and its members sorted into groups of like members.
 
 A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
-Only members that reached t_end enter a statistic; the others are counted, with outcome and reason.
+Only members in motion at t_end enter a statistic; the others are counted, with outcome and reason.
 
 The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
 there is one matrix and several starts they are the starts, and what is inferred holds over starts of this system. A K
@@ -25,6 +25,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes, window
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
+from stickslip.analysis.stats.fates import SUSTAINED, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
@@ -92,7 +93,9 @@ class Data:
 
 @dataclass
 class Group:
-    """Members alike in everything but what is drawn, with what their finished runs give, a row a unit.
+    """Members alike in everything but what is drawn, with what their runs in motion give, a row a unit.
+
+    In motion are those that finished and did not go quiet (`stats.fates`): a run at rest has no steady state.
 
     Attributes
     ----------
@@ -102,7 +105,7 @@ class Group:
         The values that its members share, by `SYSTEM_KEYS` and `ENGINE_KEYS`.
     members : DataFrame
     units : list of int
-        Of the finished members, ascending: the rows of all arrays.
+        Of the members in motion, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
         Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
     quantities : dict of str to ndarray, shape (G, 2)
@@ -113,10 +116,12 @@ class Group:
         `effective.row`, of several runs of one unit their mean.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
+    moving : DataFrame
+        The members in motion.
     n_quiet : int
-        Finished, but nothing sticks or slips anew after t_burn.
+        Finished, but gone quiet.
     n_short : int
-        Finished, but too soon for a correlation time.
+        In motion, but too short for a correlation time.
     """
 
     label: str
@@ -128,6 +133,7 @@ class Group:
     histograms: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    moving: pd.DataFrame = field(default_factory=pd.DataFrame)
     n_quiet: int = 0
     n_short: int = 0
 
@@ -223,10 +229,10 @@ class Study:
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.
 
-        First those all of whose runs last, which are no survivors; of these the largest n first.
+        First those all of whose runs stay in motion, which are no survivors; of these the largest n first.
         """
         found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
-        return sorted(found, key=lambda one: (len(one.finished) < len(one.members), -int(one.key["n"])))
+        return sorted(found, key=lambda one: (len(one.moving) < len(one.members), -int(one.key["n"])))
 
     def refusal(self) -> tuple[str, dict[str, Any]]:
         """Why no group is judged, a code of `stats.enough`, and the facts that ``basis.html`` says of it."""
@@ -234,7 +240,7 @@ class Study:
         return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
     def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
-        """Row (unit), member_id and n_stick on [t_burn, t_end] of each finished run of a filled group.
+        """Row (unit), member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.
 
         Raises
         ------
@@ -242,7 +248,7 @@ class Study:
             If a series is not one, naming the member.
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
-        columns = (group.finished[name] for name in ("unit", "member_id", "t_end"))
+        columns = (group.moving[name] for name in ("unit", "member_id", "t_end"))
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
@@ -337,9 +343,14 @@ def groups(members: pd.DataFrame) -> list[Group]:
     return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
 
 
+def law(engine: str) -> str:
+    """What pages call an engine."""
+    return "exact" if engine == "coulomb" else engine
+
+
 def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
     """Name of a group: n, engine, how it decides what sticks, and whatever sets it apart from the others."""
-    parts = [f"n = {key['n']}", str(key["engine"])]
+    parts = [f"n = {key['n']}", law(key["engine"])]
     defaults = ENGINES[key["engine"]].defaults()
     for name in key:
         if name in ("n", "engine", "perturbation_size") or key[name] is None:
@@ -359,13 +370,14 @@ def _plain(value: object) -> str:
 
 
 def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
-    """Read each run of a group once and keep the sums of the finished ones."""
+    """Read each run of a group once and keep the sums of those in motion."""
     group.units = [int(unit) for unit in group.finished["unit"].unique()]
     n_rows = len(group.units)
     group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
     group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     group.last = np.full((len(group.members), 2), np.nan)
+    is_moving = np.zeros(len(group.members), dtype=bool)
     row_of = {unit: row for row, unit in enumerate(group.units)}
     columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end"))
     for k, (unit, member_id, outcome, t_end) in enumerate(zip(*columns, strict=True)):
@@ -376,6 +388,10 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
         if outcome != "finished":
             continue
         row, win = row_of[int(unit)], _window(points, str(member_id), settings.t_burn, float(t_end))
+        is_moving[k] = fate("finished", points, float(t_end)) == SUSTAINED
+        if not is_moving[k]:
+            group.n_quiet += 1
+            continue
         given = {name: quantity.sums(win) for name, quantity in QUANTITIES.items()}
         for name, two in given.items():
             group.quantities[name][row] += two
@@ -383,11 +399,13 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
         group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
         tau, is_known = given["correlation_time"]
         group.effective[row] += effective.row(win, tau)
-        group.n_quiet += not win.step.size
         group.n_short += not is_known or is_short(win, tau)
         found = sizes(win, EVENTS)
         group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
-    group.effective /= group.means[:, 4:]
+    group.moving, kept = group.members[is_moving], np.flatnonzero(group.means[:, 4])
+    group.units, group.histograms = [group.units[k] for k in kept], [group.histograms[k] for k in kept]
+    group.means, group.quantities = group.means[kept], {name: of[kept] for name, of in group.quantities.items()}
+    group.effective = group.effective[kept] / group.means[:, 4:]
 
 
 def _window(points: ChangePoints, member_id: str, t_burn: float, t_end: float) -> Window:

@@ -15,27 +15,29 @@ from stickslip.analysis.answer import Answer, F, I, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats import enough, pool
 from stickslip.analysis.stats.cascades import spans
-from stickslip.analysis.stats.effective import effective
 from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
-from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
+from stickslip.analysis.style import EXACT, GREEN, GREY, PANEL, SMOOTHED, STYLE, size_axis
 
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 STEEPER, SHALLOWER, AS_CHANCE, UNKNOWN = "steeper", "shallower", "as chance", "cannot be told"
+CLOSE = 0.01 * LN2  # gamma is as chance if its interval excludes a difference of so much
 MOST_DRAWN = 2  # groups in the figure
+SHOWN = 0.06  # relative error of the shares that are drawn over the coin's
 _LAW: Mapping[str, str] = {
     "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "gamma": F, "gamma_low": F, "gamma_high": F,
-    "chance": F, "difference": F, "difference_low": F, "difference_high": F, "gamma_pool": F, "over_pool": F,
-    "over_pool_low": F, "over_pool_high": F, "effective_samples": F, "effective_by": S, "verdict": S, "basis": S,
+    "chance": F, "difference": F, "difference_low": F, "difference_high": F, "verdict": S, "gamma_pool": F,
+    "over_pool": F, "over_pool_low": F, "over_pool_high": F, "pool_verdict": S, "basis": S,
 }  # fmt: skip
 _SIZES: Mapping[str, str] = {
     "group": S, "size": I, "n_cascades": I, "share": F, "share_low": F, "share_high": F, "fit": F, "chance": F,
+    "pool": F,
 }  # fmt: skip
 
 
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, and whether by more than the toss of a coin or a pool of blocks gives."""
     level = study.settings.confidence
-    made = [(group, _law_row(group, level, study.settings.t_burn)) for group in study.groups]
+    made = [(group, _law_row(group, level)) for group in study.groups]
     sizes = [row for group, _ in made for row in _size_rows(group, level)]
     tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
     by_label = {row["group"]: row for _, row in made}
@@ -45,7 +47,7 @@ def answer(study: Study) -> Answer:
         "rows": [row for _, row in made],
         "t_burn": study.settings.t_burn,
         "paper": PAPER_GAMMA,
-        "ln2": LN2,
+        "close": CLOSE / LN2,
     }
     if not judged:
         best = max(made, key=lambda one: one[1]["n_cascades"])[1]
@@ -56,7 +58,6 @@ def answer(study: Study) -> Answer:
         "lead": row,
         "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
         "sizes": [one for one in sizes if one["group"] == group.label],
-        "pool": (_pool_facts(group, row)),
     }
     law = partial(
         size_law,
@@ -67,20 +68,18 @@ def answer(study: Study) -> Answer:
     return Answer(facts, tables=tables, figures=figures)
 
 
-def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
+def _law_row(group: Group, confidence: float) -> Row:
     """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
     sums, basis = group.sums, group.basis(confidence)
     some = sums[:, 1] > 0
     rate = over_matrices(gamma, sums[some], confidence)
-    span = float(group.key["t_end"]) - t_burn
-    samples = effective(group.effective, span, confidence) if group.units else None
     row: Row = {
         "group": group.label, "n": group.key["n"], "engine": group.key["engine"], "n_matrices": int(some.sum()),
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
         "chance": LN2, "difference": None, "difference_low": None, "difference_high": None, "gamma_pool": None,
         "over_pool": None, "over_pool_low": None, "over_pool_high": None,
-        "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,
-        "verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
+        "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
+        "n_runs": len(group.members), "n_moving": len(group.moving),
     }  # fmt: skip
     if rate.value is not None:
         row["difference"] = rate.value - LN2
@@ -96,21 +95,17 @@ def _law_row(group: Group, confidence: float, t_burn: float) -> Row:
             "gamma_pool": pool.gamma(group.key["n"], mean),
             "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high,
         }  # fmt: skip
+        if basis.code in enough.JUDGED:
+            row["pool_verdict"] = _verdict(over, 0.0)
     return row
-
-
-def _pool_facts(group: Group, row: Row) -> Row | None:
-    """What the pool of as many blocks gives: gamma, and the difference that is left."""
-    if row["gamma_pool"] is None:
-        return None
-    over = Estimate(row["over_pool"], row["over_pool_low"], row["over_pool_high"])
-    return {"n": group.key["n"], "gamma": row["gamma_pool"], "over": over, "verdict": _verdict(over, 0.0)}
 
 
 def _verdict(estimate: Estimate, chance: float) -> str:
     if estimate.low is None or estimate.high is None:
         return UNKNOWN
-    return STEEPER if estimate.low > chance else SHALLOWER if estimate.high < chance else AS_CHANCE
+    if not estimate.low <= chance <= estimate.high:
+        return STEEPER if estimate.low > chance else SHALLOWER
+    return AS_CHANCE if max(chance - estimate.low, estimate.high - chance) < CLOSE else UNKNOWN
 
 
 def _size_rows(group: Group, confidence: float) -> list[Row]:
@@ -121,6 +116,8 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
         return []
     totals = counts.sum(axis=1)
     rate = over_matrices(gamma, group.sums[group.sums[:, 1] > 0], confidence).value
+    n, mean = int(group.key["n"]), group.mean(confidence).value
+    by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and n > 1 and 0 < mean < n else None
     rows = []
     for size, column in enumerate(counts.T, start=1):
         share = over_matrices(ratio, np.column_stack([column, totals]).astype(float), confidence)
@@ -134,6 +131,7 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
                 "share_high": None if share.high is None else min(share.high, 1.0),
                 "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * (size - 1))),
                 "chance": 0.5**size,
+                "pool": None if by_pool is None else float(by_pool[size - 1]),
             }
         )
     return rows
@@ -192,7 +190,9 @@ def one_run(
 
 
 def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
-    """Share of cascades of each size on a log axis for some groups, with fit and chance, and all over chance below.
+    """Share of cascades of each size on a log axis for some groups with the fit; below, over the coin's.
+
+    The lower one has the sizes whose shares are known to within `SHOWN`, so that it shows what gamma differs by.
 
     Parameters
     ----------
@@ -203,8 +203,8 @@ def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=PANEL, layout="constrained")
-        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
-        largest = 1
+        top, below = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
+        largest, widest, ends = 1, 1, [1.0]
         for k, (label, rows) in enumerate(laws):
             seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
             if not seen:
@@ -216,24 +216,33 @@ def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
             at = sizes + 0.12 * k
             top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
-            below.errorbar(at, share / chance, yerr=[(share - less) / chance, (more - share) / chance], **form)
+            known = more - less < 2 * SHOWN * share
+            over, less, more = (x[known] / chance[known] for x in (share, less, more))
+            below.errorbar(at[known], over, yerr=[over - less, more - over], **form)
+            widest, ends = max(widest, *sizes[known].astype(int), 1), [*ends, *less, *more]
         grid = np.arange(1, largest + 1)
-        rate = fitted
         fit, low, high = (
-            None if rate[name] is None else -np.expm1(-rate[name]) * np.exp(-rate[name] * (grid - 1))
+            None if fitted[name] is None else -np.expm1(-fitted[name]) * np.exp(-fitted[name] * (grid - 1))
             for name in ("gamma", "gamma_low", "gamma_high")
         )
         if fit is not None:
-            top.plot(grid, fit, color=EXACT, linewidth=1, label="fit")
-            below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1)
+            top.plot(grid, fit, color=EXACT, linewidth=1)
+            below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1, label="fit")
         if low is not None and high is not None:
             below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
-        top.plot(grid, 0.5**grid, "--", color=GREY, linewidth=1, label="coin")
-        below.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+        by_pool = [row for row in laws[0][1] if row["pool"] is not None]
+        if by_pool:
+            sizes = np.array([row["size"] for row in by_pool])
+            over = np.array([row["pool"] for row in by_pool]) * 2.0**sizes
+            below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="pool")
+        below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="coin")
         top.set_yscale("log")
         top.yaxis.set_minor_locator(NullLocator())
         top.set_ylabel("share, f")
-        below.set(ylabel="f / coin", xlabel="cascade size s")
-        size_axis(below, largest)
+        margin = 0.08 * (max(ends) - min(ends)) + 0.002
+        below.set(ylabel="f / coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
+        size_axis(top, largest)
+        size_axis(below, widest)
         top.legend(loc="upper right", fontsize=7)
+        below.legend(loc="lower left", fontsize=7)
     return figure

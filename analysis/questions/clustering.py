@@ -21,7 +21,7 @@ from stickslip.analysis.stats.nulls import block_steps, triggered
 from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE
 
 SLOW = 100.0  # the period above which motion is called slow: five of the blocks' own
-BELOW_SLOW = (50.0, 150.0)  # the band next to it, where blocks hold each other back
+BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
 WINDOWS = (0.5, 1.0, 5.0, 20.0, 40.0, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure

@@ -1,7 +1,8 @@
 """How far friction law, smoothing, threshold of sticking and tolerance move each statistic, on the same matrices.
 
-The exact law at its tightest tolerance is the reference of other laws, the tightest tolerance that of looser ones,
-and the members' own definition of sticking that of further thresholds, read off the same runs.
+The exact engine at its tightest tolerance is the reference of other laws, and of what further thresholds of sticking
+give, which are read off the same runs; where none ran, the runs' own definition. The tightest tolerance is that of
+looser ones.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from stickslip.analysis.contrast import (
     told,
     weight,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
 from stickslip.analysis.style import BLUE, GREY, ORANGE, PANEL, STYLE
 
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
-#: sigmoid differs from the exact law by O(eps), by 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
+#: sigmoid differs from the exact engine by O(eps), 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
 _EXPLAINED, _SMOOTH = 2.0, 0.03
 _BY_THRESHOLD = ("mean", "rate", "gamma")
 _MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
@@ -95,7 +96,7 @@ def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
     runs = {
         str(member_id): (group.label, int(unit), float(t_end))
         for group in study.groups
-        for unit, member_id, t_end in zip(*(group.finished[name] for name in ("unit", "member_id", "t_end")),
+        for unit, member_id, t_end in zip(*(group.moving[name] for name in ("unit", "member_id", "t_end")),
                                             strict=True)
     }  # fmt: skip
     found: dict[str, dict[float, Sample]] = {}
@@ -122,13 +123,12 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
         yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
-            yield from (
-                _Pair(THRESHOLD, family[0], family[0], c) for c in sorted(by_threshold.get(family[0].label, ()))
-            )
+            exact = tightest[0] if tightest[0].key["eps"] is None else family[0]
+            yield from (_Pair(THRESHOLD, exact, family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
 
 
 def _law(group: Group) -> Row:
-    return {name: group.key[name] for name in ("engine", "eps")}
+    return {"engine": law(group.key["engine"]), "eps": group.key["eps"]}
 
 
 def _tightness(group: Group) -> float:
@@ -136,7 +136,7 @@ def _tightness(group: Group) -> float:
 
 
 def _exactness(group: Group) -> tuple[bool, float]:
-    """The exact law first, then the least smoothing."""
+    """The exact engine first, then the least smoothing."""
     return group.key["eps"] is not None, float(group.key["eps"] or 0.0)
 
 
@@ -149,7 +149,7 @@ def _sampling(row: Row) -> Row:
 
 
 def _is_suspect(row: Mapping[str, Any]) -> bool:
-    """Whether a statistic differs between the exact law and the sigmoid by more than smoothing explains.
+    """Whether a statistic differs between the exact engine and the sigmoid by more than smoothing explains.
 
     The rule, which is here alone: the difference is significant after adjustment, and its whole interval lies beyond
     `_EXPLAINED` margins times max(1, eps / _SMOOTH). Where one law has none of it, there is no relative difference:
@@ -178,6 +178,8 @@ def _facts(found: Sequence[Row]) -> dict[str, Any]:
         shown = told(rows)
         if shown:
             of = {"setting": rows[0]["setting"], "reference": rows[0]["reference"]}
+            of["n_moving"], of["n_runs"] = (max(row["n_first"] for row in rows if row["is_share"] is which)
+                                            for which in (False, True))  # fmt: skip
             laws.append(summary(shown) | of | {"first": rows[0]["of_reference"], "second": rows[0]["of_setting"]})
     return {
         "laws": laws,
@@ -203,7 +205,6 @@ def summary(shown: Sequence[Row]) -> Row:
     by = {verdict: [row for row in shown if row["verdict"] == verdict] for verdict in (DIFFER, UNKNOWN, AGREE)}
     return {
         "rows": shown,
-        "n_matrices": min(shown[0]["n_first"], shown[0]["n_second"]),
         "n_tests": shown[0]["n_tests"],
         "differ": by[DIFFER],
         "unknown": by[UNKNOWN],
@@ -238,17 +239,19 @@ def _sufficient(rows: Sequence[Row]) -> Row | None:
 
 
 def _moved(rows: Sequence[Row]) -> Row | None:
-    """How far thresholds move each statistic, from the least to the largest relative difference."""
+    """How far thresholds move each statistic, least and largest relative difference, and at how many it agrees."""
     known = told(rows)
     moved = [
         {"quantity": some[0]["quantity"], "low": min(row["relative"] for row in some),
-         "high": max(row["relative"] for row in some)}
+         "high": max(row["relative"] for row in some), "n": len(some),
+         "n_agree": sum(row["verdict"] == AGREE for row in some)}
         for some in _parted(known, "quantity")
     ]  # fmt: skip
     thresholds = [row["threshold"] for row in known]
-    return {"setting": rows[0]["setting"], "least": min(thresholds), "most": max(thresholds), "moved": moved} if (
-        known
-    ) else None  # fmt: skip
+    if not known:
+        return None
+    of = {"setting": rows[0]["setting"], "second": rows[0]["of_setting"], "first": rows[0]["of_reference"]}
+    return of | {"least": min(thresholds), "most": max(thresholds), "moved": moved}
 
 
 def contrasts(rows: Sequence[Row]) -> Figure:

@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
-from stickslip.analysis.ensemble import SYSTEM_KEYS, Group, Study, split
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import share_over_matrices
@@ -58,7 +58,8 @@ def answer(study: Study) -> Answer:
     curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
     groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
     moving = sorted((row for row in groups if row[f"n_{SUSTAINED}"]), key=lambda row: -row["n"])
-    systems = [row for row in _systems(study, runs) if row["n_runs"]]
+    systems = _brief(groups)
+    is_one_law = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.members
     failed = members[members["outcome"] == FAILED]
     total = Counter(row["fate"] for row in runs)
@@ -73,7 +74,9 @@ def answer(study: Study) -> Answer:
         "share": _share([row for row in runs if row["fate"] != FAILED], level),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
         "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
-        "lasting": [row for row in systems if row["n_sustained"] == row["n_runs"]],
+        "is_one_law": is_one_law,
+        "partly": [row for row in systems if 0 < row["n_sustained"] < row["n_runs"]],
+        "lasting": [row for row in systems if is_one_law and row["n_sustained"] == row["n_runs"]],
         "below": _ended(systems, runs, is_below=True),
         "above": _ended(systems, runs, is_below=False),
         "linear": _linear(runs),
@@ -187,27 +190,15 @@ def _is_off_zero(estimate: Estimate) -> bool:
     return estimate.low is not None and estimate.high is not None and not estimate.low <= 0 <= estimate.high
 
 
-def _systems(study: Study, runs: Sequence[Row]) -> list[Row]:
-    """Fates by system, whatever the engine, in order of n and kappa n; named by n and whatever else differs."""
-    parts = split(study.data.members, SYSTEM_KEYS)
-    keys = [key for key, _ in parts if any(row["system"] == tuple(key.values()) for row in runs)]
-    varying = [name for name in SYSTEM_KEYS if name != "n" and len({key[name] for key in keys}) > 1]
-    found = []
-    for key in keys:
-        own = [row for row in runs if row["system"] == tuple(key.values()) and row["fate"] != FAILED]
-        how = Counter(row["fate"] for row in own)
-        words = [f"n = {key['n']}", *(f"{name} = {key[name]}" for name in varying)]
-        found.append(
-            {
-                "system": ", ".join(words),
-                "key": tuple(key.values()),
-                "n": key["n"],
-                "kappa_n": _kappa_n(key),
-            }
-            | {"n_runs": len(own), **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED)}}
-            | _share(own, study.settings.confidence)
-        )
-    return sorted(found, key=lambda row: (row["n"], row["kappa_n"] or 0.0))
+def _brief(groups: Sequence[Row]) -> list[Row]:
+    """Groups of which a run was watched, in order of n and kappa n; named by n and whatever else tells them apart."""
+    parts = [row["group"].split(", ") for row in groups]
+    shared = set.intersection(*map(set, parts)) if parts else set()
+    found = [
+        row | {"system": ", ".join(part for k, part in enumerate(own) if not k or part not in shared)}
+        for row, own in zip(groups, parts, strict=True)
+    ]
+    return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
 
 
 def _ended(systems: Sequence[Row], runs: Sequence[Row], is_below: bool) -> Row | None:
@@ -292,7 +283,7 @@ def growth(systems: Sequence[Row], runs: Sequence[Row]) -> Figure:
     """Linear growth rate of the all-slip state of each run, marked by its fate, in order of size within a system."""
     points: dict[str, list[tuple[float, float]]] = {}
     for k, system in enumerate(systems):
-        own = sorted((row for row in runs if row["system"] == system["key"]), key=lambda row: row["growth_rate"])
+        own = sorted((row for row in runs if row["group"] == system["group"]), key=lambda row: row["growth_rate"])
         for rank, row in enumerate(own):
             x = k + 0.6 * (rank / max(len(own) - 1, 1) - 0.5)
             points.setdefault(row["fate"], []).append((x, row["growth_rate"]))

@@ -20,13 +20,15 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.stats.fates import SUSTAINED, fate
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, PANEL, SMOOTHED, STYLE
 
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
-BOUND = 0.5  # a quantity stays if a change does less than so much of what a fresh matrix does
+#: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
+BOUND = 0.25
 STAYS, MOVES, UNKNOWN = "stays", "moves", "cannot be told"
 NO_REPLICATES, NO_MOTION = "no replicates", "no motion"
 _CHANGES: Mapping[str, str] = {
@@ -65,7 +67,7 @@ def answer(study: Study) -> Answer | None:
         "replicates": [one.change.size for one in lead.replicates],
         "basis": lead.basis,
         "n_runs": len(ends),
-        "n_finished": ends.count("finished"),
+        "n_moving": len(lead.sums),
         "others": [(one.setting.label, one.lack, one.rows) for one in judged[1:]],
     }
     if lead.lack:
@@ -98,9 +100,10 @@ class _Judged:
                 continue
             win = study.window(member, t_end)
             found = _sums(win)
-            if found is not None:
-                self.sums[member] = found
-            if found is not None and member in bases:
+            if found is None or fate("finished", study.data.series[member], t_end) != SUSTAINED:
+                continue
+            self.sums[member] = found
+            if member in bases:
                 halves.append(enough.halves(win))
                 n_cascades += len(sizes(win, Law("events")))
         self.basis = enough.basis(np.array(halves), n_cascades, self.level)

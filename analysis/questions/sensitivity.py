@@ -81,7 +81,8 @@ def answer(study: Study) -> Answer | None:
     }
     if largest is None:
         return Answer(facts, "no pairs", tables)
-    lead = next((row for row in told if row["n"] == largest), None)
+    of_first = [row for row in told if row["n"] == largest and row["setting"] == told[0]["setting"]]
+    lead = max(of_first, key=lambda row: row["t_to"] - row["t_from"], default=None)
     label = next(row["setting"] for row in (*([lead] if lead else []), *partings) if row["n"] == largest)
     facts |= {
         "lead": lead,

@@ -24,8 +24,7 @@ from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
 MOST_SAID = 3  # answers on the first screen
-MOST_ALERTS = 3  # what is wrong before what is well
-_TICK = '<li class="ok"'
+MOST_ALERTS = 3  # by rank, what changes the answer first
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
@@ -151,7 +150,7 @@ def build(
     alarms = [text for one in ordered if (text := one.says("alarm"))]
     heard = [*leading, *(one for one in others if getattr(one.words, "of_data", False))]
     warned = [item for one in heard for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
-    alerts = sorted(warned, key=lambda item: item.startswith(_TICK))[:MOST_ALERTS]
+    alerts = sorted(warned, key=_rank)[:MOST_ALERTS]
     page = filled.get_template("report.html").render(
         title=title,
         about=about,
@@ -189,6 +188,12 @@ class _Shown:
 
         drawn = self.answer.figures[name]
         return Markup('<img src="{}" alt="{}">').format(drawn.address(), alt)
+
+
+def _rank(alert: str) -> int:
+    """Of an alert, as its template gives it; a tick has none and comes last."""
+    given = re.match(r'<li data-rank="(\d)"', alert)
+    return int(given[1]) if given else 9
 
 
 def _safe(texts: Sequence[str]) -> list[Any]:

@@ -32,7 +32,7 @@ def asked(planted, shifts, thresholds=(), n_matrices=8):
 def test_the_sigmoid_is_set_against_the_exact_law(planted):
     found = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2})
     row = found.tables["engines"].set_index("quantity").loc["mean n_stick"]
-    assert row["reference"] == "n = 200, coulomb"
+    assert row["reference"] == "n = 200, exact"
     assert row["difference"] == pytest.approx(2)
     assert row["difference_high"] - row["difference_low"] == pytest.approx(0, abs=1e-9)
     assert (row["n_first"], row["verdict"]) == (8, "agree")
@@ -42,14 +42,14 @@ def test_the_sigmoid_is_set_against_the_exact_law(planted):
     assert not WORDS.alerts(found.facts).strip()
     far = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 8})
     assert "2 of 3 statistics agree; the mean n_stick differs by +" in WORDS.answer(far.facts)
-    assert "higher than under the exact law (margin 10%): compare it within" in WORDS.alerts(far.facts)
+    assert "higher than under the exact engine (margin 10%): compare it within" in WORDS.alerts(far.facts)
 
 
 def test_the_loosest_sufficient_tolerance_is_named(planted):
     """Sampling error of the mean, from levels 0, 2, ..., 14 over 8 matrices: t(7) sqrt(6 / 2) = 4.1 and more."""
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
     (found,) = asked(planted, shifts).facts["tolerances"]
-    assert (found["sufficient"], found["n_looser"]) == ("n = 200, coulomb, tol = 0.0001", 1)
+    assert (found["sufficient"], found["n_looser"]) == ("n = 200, exact, tol = 0.0001", 1)
     none = asked(planted, {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 9})
     assert none.facts["tolerances"][0]["sufficient"] is None
     assert "is shown to be enough: the mean n_stick moves by +" in WORDS.answer(none.facts)
@@ -60,9 +60,34 @@ def test_thresholds_are_set_against_the_own_definition_of_the_same_runs(planted)
     rows = found.tables["engines"].query("quantity == 'mean n_stick'").set_index("threshold")
     assert set(found.tables["engines"]["kind"]) == {"threshold"}
     assert rows["difference"].to_dict() == pytest.approx({0.5: -4.0, 2.0: 4.0})
-    assert "from 0.5 to 2 times r \u03b5, on the same runs, move the mean n_stick by \u2212" in WORDS.answer(
-        found.facts
-    )
+    assert "below 0.5 to 2 times r \u03b5 in the same runs, the sigmoid engine" in WORDS.answer(found.facts)
+
+
+def test_engines_are_compared_by_further_definitions_of_sticking_too(planted):
+    """4 of 40 and more are a tenth and less, beyond no margin; 12 are beyond."""
+    shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 0}
+    found = asked(planted, shifts, thresholds={0.5: 1, 2.0: -12})
+    rows = found.tables["engines"].query("kind == 'threshold' and quantity == 'mean n_stick'").set_index("threshold")
+    assert set(rows["reference"]) == {"n = 200, exact"}
+    assert rows["difference"].to_dict() == pytest.approx({0.5: -1.0, 2.0: 12.0})
+    assert rows["verdict"].to_dict() == {0.5: "agree", 2.0: "differ"}
+    assert "in the mean n_stick (1 of 2 agree)" in WORDS.moved(found.facts["thresholds"][0])
+
+
+def test_survivors_alone_are_compared_and_that_is_said(planted):
+    rows, series = [], {}
+    for engine in ("coulomb", "sigmoid"):
+        for matrix in range(12):
+            name, away = f"{engine}-{matrix}", engine == "sigmoid" and matrix % 3 == 0
+            ends = {"outcome": "diverged", "t_stop": 900.0} if away else {}
+            rows.append(planted.member(name, matrix, **(planted.sigmoid if engine == "sigmoid" else {}), **ends))
+            t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
+            series[name] = t, n_stick - n_stick.min() + 40 + 2 * matrix
+    found = answer(Study(Data(pd.DataFrame(rows), series), SETTINGS))
+    (law,) = found.facts["laws"]
+    assert (law["n_moving"], law["n_runs"]) == (8, 12)
+    assert "on the 8 of 12 matrices in motion under both" in WORDS.answer(found.facts)
+    assert "on survivors: the 8 of 12 matrices" in WORDS.alerts(found.facts)
 
 
 def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(planted):

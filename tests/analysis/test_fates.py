@@ -91,7 +91,7 @@ def test_fates_are_kept_apart(planted):
     assert "4 slip for good, 2 went quiet and 3 ran away" in said
     alerts = WORDS.alerts(found.facts)
     assert "1 of 21 runs failed" in alerts
-    assert "13 of 20 runs reached t = 1000, 2 of them quiet" in alerts
+    assert "of survivors, the runs in motion at t = 1000: 11 of 20 at n = 200." in alerts
     assert 'class="ok"' not in alerts
 
 
@@ -113,6 +113,41 @@ def test_two_engines_on_one_matrix_are_one_system(planted):
     found = asked(Data(pd.concat([data.members, twice]), series))
     assert found.facts["total"]["runs"] == 40
     assert found.facts["share"]["low"] == pytest.approx(0.839, abs=1e-3)
+
+
+def test_the_fates_of_two_laws_are_not_added_up(planted):
+    data = data_of(planted, [SUSTAINED] * 12)
+    other = data_of(planted, [SUSTAINED] * 4 + [DIVERGED] * 8)
+    away = other.members.assign(member_id="s" + other.members["member_id"], **planted.sigmoid)
+    series = dict(data.series) | {f"s{name}": points for name, points in other.series.items()}
+    found = asked(Data(pd.concat([data.members, away]), series))
+    counts = {row["system"].split(", ")[1]: (row["n_sustained"], row["n_diverged"]) for row in found.facts["systems"]}
+    assert counts == {"exact": (12, 0), "sigmoid": (4, 8)}
+    said = WORDS.answer(found.facts)
+    assert (
+        "12 of 12 runs at n = 200, exact are in motion at t = 1000 (76% to 100%), 4 of 12 at n = 200, sigmoid" in said
+    )
+    assert "16" not in said
+    assert "8 ran away" not in said
+
+
+def test_quiet_runs_are_in_no_mean_and_no_pool(planted, rng):
+    """Half of the runs go quiet at t = 300: what is left is as if they had not been."""
+    rows, series = [], {}
+    for matrix in range(16):
+        t, n_stick = planted.runs(rng, 4000, 0.69)
+        n_stick = n_stick - n_stick.min() + 20
+        if matrix % 2:
+            t, n_stick = np.append(t[t < 300.0], 300.0), np.append(n_stick[t < 300.0], 0)
+        rows.append(planted.member(f"m{matrix}", matrix))
+        series[f"m{matrix}"] = t, n_stick
+    every, alone = (
+        Study(Data(pd.DataFrame(some), series), SETTINGS).groups[0] for some in (rows, rows[::2])
+    )  # fmt: skip
+    assert (len(every.finished), len(every.moving), every.n_quiet, every.n_runs) == (16, 8, 8, 8)
+    assert every.mean(0.95) == alone.mean(0.95)
+    assert every.units == alone.units
+    assert (every.sums == alone.sums).all()
 
 
 def test_sizes_are_set_side_by_side_with_the_linear_growth_rate(planted):

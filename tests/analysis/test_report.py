@@ -15,9 +15,11 @@ import pytest
 from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build
 from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.questions.cascades import _verdict
 from stickslip.analysis.report import page
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.estimates import LN2
+from stickslip.analysis.report.page import _rank
+from stickslip.analysis.stats.estimates import LN2, Estimate
 from stickslip.pipeline.tables import QuestionName
 
 
@@ -54,17 +56,38 @@ def law(report, engine="coulomb"):
     return table[table["engine"] == engine].iloc[0]
 
 
-@pytest.mark.parametrize(("rate", "verdict"), [(LN2, "as chance"), (LN2 - 0.12, "shallower"), (LN2 + 0.3, "steeper")])
+@pytest.mark.parametrize(
+    ("rate", "verdict"), [(LN2, "cannot be told"), (LN2 - 0.12, "shallower"), (LN2 + 0.3, "steeper")]
+)
 def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verdict):
     report = report_of(planted.ensemble({"coulomb": rate}, 20), settings)
     found = law(report)
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
     said = (
-        "not told from the toss of a coin" if verdict == "as chance" else f"{verdict} than the toss of a coin gives"
+        "not told from the toss of a coin"
+        if verdict == "cannot be told"
+        else f"{verdict} than the toss of a coin gives"
     )
     assert said in report.headline[1]
     assert_honest(report)
+
+
+def test_as_chance_has_to_be_shown():
+    """A difference of 1% excluded, 0.0069; an interval that holds chance and more is no evidence."""
+    for half, verdict in ((0.006, "as chance"), (0.008, "cannot be told")):
+        assert _verdict(Estimate(LN2, LN2 - half, LN2 + half), LN2) == verdict
+    assert _verdict(Estimate(LN2 + 0.002, LN2 + 0.001, LN2 + 0.003), LN2) == "steeper"
+
+
+def test_alerts_are_ranked_by_what_they_change():
+    items = [
+        '<li class="ok">a</li>',
+        '<li data-rank="3">b</li>',
+        '<li data-rank="1">c</li>',
+        '<li data-rank="2">d</li>',
+    ]
+    assert [re.sub("<[^>]*>", "", one) for one in sorted(items, key=_rank)] == ["c", "d", "b", "a"]
 
 
 def test_groups_are_named_by_what_sets_them_apart(planted, settings):
@@ -77,8 +100,8 @@ def test_groups_are_named_by_what_sets_them_apart(planted, settings):
     series = {name: planted.runs(np.random.default_rng(0), 200, LN2) for name in "abcd"}
     table = report_of((pd.DataFrame(rows), series), settings).tables["groups"]
     assert table["group"].tolist() == [
-        "n = 20, coulomb",
-        "n = 200, coulomb",
+        "n = 20, exact",
+        "n = 200, exact",
         "n = 200, sigmoid, eps = 0.01, stick = convergent",
         "n = 200, sigmoid, eps = 0.03, stick = convergent",
     ]

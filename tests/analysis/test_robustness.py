@@ -92,7 +92,7 @@ def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, set
     data.members.loc[data.members["member_id"].isin(["m3", "m5-0.01", "m7-0.1-scale"]), "outcome"] = "diverged"
     found, rows = asked(data, settings)
     assert rows.loc["mean", "n_matrices"] == MATRICES - 3
-    assert found.facts["n_finished"] == found.facts["n_runs"] - 3
+    assert found.facts["n_moving"] == found.facts["n_runs"] - 3
 
 
 def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, settings):

@@ -69,7 +69,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Cascades:
-    """The exponential law of cascade sizes by one definition, exact law: a row of the table `cascades`.
+    """The exponential law of cascade sizes by one definition, exact engine: a row of the table `cascades`.
 
     `gamma` over all matrices with its interval, null with a reason where there is none; `counts` from size 1 on, of
     the first matrices.
@@ -145,7 +145,7 @@ def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
     if ask.matrix:
         return
     if ask.study in ("long", "base") and ask.n in n:
-        yield _trace(path, 3, f"n = {ask.n}", "exact law" if ask.study == "long" else "sigmoid", t_shown)
+        yield _trace(path, 3, f"n = {ask.n}", "exact" if ask.study == "long" else "sigmoid", t_shown)
     if ask.study in ("base", "r") and ask.n in (n[0], last):
         panel = f"({'i' if ask.n == n[0] else 'ii'}) n = {ask.n}, r redrawn"
         yield _trace(path, 4, panel, ask.setting or "unchanged", t_shown)
