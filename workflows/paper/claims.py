@@ -36,6 +36,7 @@ BRINK, PERIOD, STRONG, STRONGEST = 150.0, 20.0, 0.05, 0.1
 NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
+SAME = 0.05  # of gamma: the paper's, within this share
 CLUSTERED = -0.05  # of gamma over that of random order: what clusters would at least take off
 _TABLE: Mapping[str, str] = {
     "claim": S, "figure": I, "verdict": S, "found": I, "tried": I, "value": F, "low": F, "high": F,
@@ -223,7 +224,7 @@ def robust(scene: PaperScene, measured: Measured) -> Claim:
     (base,) = _of(measured, "base", scene.n[-1])
     fresh = np.array([row.mean for row in _of(measured, "long", scene.n[-1]) if row.mean is not None])
     means = [row.mean for row in _little_changed(scene, measured)]
-    if base.mean is None or None in means or len(fresh) < 3:
+    if base.mean is None or None in means or len(fresh) < 3 or not np.ptp(fresh):
         return {"verdict": UNTOLD, "value": None}
     moved = np.array([mean - base.mean for mean in means if mean is not None])
     theta = float(np.mean(moved**2) / (2 * fresh.var(ddof=1)))  # over F where a change does what a matrix does
@@ -290,12 +291,8 @@ def gamma(scene: PaperScene, measured: Measured) -> Claim:
     events = by_definition(rows, "events")
     inside = sum(row.low is not None and row.high is not None and row.low <= PAPER_GAMMA <= row.high for row in rows)
     gammas = [row.gamma for row in rows if row.gamma is not None]
-    near = (PAPER_GAMMA - 0.005, PAPER_GAMMA + 0.005)  # two digits are given
-    told = {
-        UNTOLD if row.low is None or row.high is None
-        else CONTRADICTED if row.high < near[0] or row.low > near[1] else REPRODUCED
-        for row in rows if row.definition == "length"
-    }  # fmt: skip
+    ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
+    told = {_told(row.low, row.high, *ends) for row in rows if row.definition == "length"}
     return {
         "verdict": told.pop() if len(told) == 1 else UNTOLD, "rows": rows, "inside": inside, "paper": PAPER_GAMMA,
         "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
