@@ -298,7 +298,7 @@ def test_fates_are_counted_with_wilsons_interval(judged, measured):
     few = rest["few_come_to_rest"]
     assert (few["found"], few["tried"], few["verdict"], few["ends"][-1]) == (4, 4, "reproduced", 60.0)
     assert few["low"] == pytest.approx(0.510, abs=1e-3)
-    assert rest["more_come_to_rest"]["verdict"] == "cannot be told"  # none ends on both sides of t = 150
+    assert rest["more_come_to_rest"]["verdict"] == "not reproduced"  # they end long before t = 150
     assert rest["many_keep_on"]["beyond"]["found"] == 1
 
 
