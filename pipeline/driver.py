@@ -20,7 +20,7 @@ from stickslip.pipeline import systems
 from stickslip.pipeline.cluster import check_address, check_memory, connect
 from stickslip.pipeline.design import Member, Task, expand
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.pipeline.monitor import Began, Status, Tally, status
+from stickslip.pipeline.monitor import Began, Follower, Status, Tally
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.storage import Where
@@ -177,7 +177,7 @@ def run_ensemble(
                     )
                 tally = tally.plus(store.commit(result), todo[result.name])
                 report(result.name)
-    return status(out)
+    return Follower(store.place, store.tasks).look()
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:

@@ -116,7 +116,7 @@ def status(path: Where) -> Status:
 
 
 class Follower:
-    """Looks at a dataset as often as it is asked to.
+    """Looks at a dataset as often as it is asked to; who knows the shards that it consists of may say so.
 
     Raises
     ------
@@ -124,9 +124,9 @@ class Follower:
         Here and on looking, as `status`.
     """
 
-    def __init__(self, path: Where) -> None:
+    def __init__(self, path: Where, tasks: Sequence[Task] | None = None) -> None:
         self._place = place_of(path)
-        self._tasks = open_dataset(self._place).tasks
+        self._tasks = open_dataset(self._place).tasks if tasks is None else tasks
 
     def look(self) -> Status:
         """How far it is now."""
