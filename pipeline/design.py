@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from itertools import islice, product
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -116,12 +117,12 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        return _own_system(self.of_system) if self.perturbation_draw is None else _moved_system(self.of_system)
+        return (_own_system if self.perturbation_draw is None else _moved_system)(_values_of_system(self))
 
     @property
     def of_system(self) -> Member:
         """This member with all that its system does not depend on at one value: the same for those that share it."""
-        return replace(self, **_OF_A_RUN)
+        return _member_of_system(_values_of_system(self))
 
     def start(self) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2."""
@@ -170,15 +171,24 @@ class Member:
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
+#: What a system does not depend on, at one value.
 _OF_A_RUN: dict[str, Any] = dict.fromkeys(
     ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "z0", "w0", "start_draw", "t_end")
 )
 _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
+#: The others.
+_OF_A_SYSTEM = tuple(one.name for one in fields(Member) if one.compare and one.name not in _OF_A_RUN)
+_values_of_system = attrgetter(*_OF_A_SYSTEM)
+
+
+def _member_of_system(values: tuple[Any, ...]) -> Member:
+    return Member(**_OF_A_RUN, **dict(zip(_OF_A_SYSTEM, values, strict=True)))
 
 
 # Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
 @lru_cache(maxsize=1)
-def _own_system(member: Member) -> sim.System:
+def _own_system(values: tuple[Any, ...]) -> sim.System:
+    member = _member_of_system(values)
     seed = member._seed(MATRIX)
     damping = None if member.damping is None else member._by_block(member.damping, DAMPING)
     friction = None if member.friction is None else member._by_block(member.friction, FRICTION)
@@ -211,7 +221,8 @@ def _own_system(member: Member) -> sim.System:
 
 
 @lru_cache(maxsize=1)
-def _moved_system(member: Member) -> sim.System:
+def _moved_system(values: tuple[Any, ...]) -> sim.System:
+    member = _member_of_system(values)
     assert member.perturbation_reading is not None
     assert member.perturbation_draw is not None
     return sim.perturb_system(

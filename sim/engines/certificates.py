@@ -291,8 +291,10 @@ class Collapse:
         speed, delta = abs(self._system.belt_speed), self._delta
         if delta is None:
             return speed, speed
-        n, response = self._system.n, _modes(self._linear).response
-        c, rise = self._hidden, _rise(speed / delta)
+        n, response, c = self._system.n, _modes(self._linear).response, self._hidden
+        if (delta == delta[0]).all() and (c == c[0]).all():  # one law for all
+            delta, c = delta[:1], c[:1]
+        rise = _rise(speed / delta)
         steepness = np.abs(1.0 - 2.0 * c)
         slope = (steepness * rise + 3.0 * c * rise**2) / delta
 

@@ -162,11 +162,12 @@ def complete(
     event_t, event_block, event_mode = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
-    definition, event_block = np.divmod(event_block, np.int32(system.n))
-    series = [
-        EventSeries(event_t[of], event_block[of], event_mode[of], initial_modes[d], task.t_start, t)
-        for d, of in enumerate(definition == d for d in range(1 + len(thresholds)))
-    ]
+    series = []
+    for d, modes in enumerate(initial_modes):
+        of = event_block // system.n == d if thresholds else slice(None)
+        series.append(
+            EventSeries(event_t[of], event_block[of] - d * system.n, event_mode[of], modes, task.t_start, t)
+        )
     if shortest is not None:
         series[0] = without_returns(series[0], shortest)
     n_steps, n_rejected, n_products = (int(counters[k]) for k in (N_STEPS, N_REJECTED, N_PRODUCTS))

@@ -581,8 +581,8 @@ _MATRICES: WeakKeyDictionary[System, tuple[Any, Any, bool]] = WeakKeyDictionary(
 def _matrices(system: System) -> tuple[Any, Any, bool]:
     """K and N as `_times` takes them, and whether there is an N."""
     if system not in _MATRICES:
-        cross = np.empty((0, 0)) if system.cross_damping is None else system.cross_damping
-        _MATRICES[system] = _matrix(system.stiffness), _matrix(cross), cross.size > 0
+        cross = system.cross_damping
+        _MATRICES[system] = _matrix(system.stiffness), _NONE if cross is None else _matrix(cross), cross is not None
     return _MATRICES[system]
 
 
@@ -595,3 +595,6 @@ def _matrix(matrix: Any) -> tuple[NDArray[Any], ...]:
     rows = matrix.tocsr()
     no_panels = np.empty((0, 0, HEIGHT)), np.empty((0, 0, SINGLE_HEIGHT), np.float32)
     return *no_panels, rows.indptr.astype(np.int32), rows.indices.astype(np.int32), rows.data.astype(np.float64)
+
+
+_NONE = _matrix(np.empty((0, 0)))
