@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import deque
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.processes import Child, ChildDied, n_cores
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from stickslip.analysis.report.page import Answered
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
+LONGEST = ("robustness", "sensitivity", "definitions", "clustering", "exponential")  # begun first
 
 
 class Asking:
@@ -54,14 +56,21 @@ class Asking:
         What a process fails at is asked again here, so that its error is seen.
         """
         from stickslip.analysis.questions import QUESTIONS
-        from stickslip.analysis.report.page import ask
+        from stickslip.analysis.report.page import ask, prepare
 
-        to_go: deque[str] = deque(QUESTIONS)
+        to_go: deque[str] = deque((*LONGEST, *(key for key in QUESTIONS if key not in LONGEST)))
         found: dict[str, Answered | None] = {}
 
+        def next_ones() -> Iterator[str]:
+            with suppress(IndexError):  # none is left
+                while True:
+                    yield to_go.popleft()
+
+        loading = dict(zip(self._children, self._threads, strict=True))
+
         def by_child(child: Child) -> None:
-            while to_go:
-                key = to_go.popleft()
+            loading[child].join()
+            for key in next_ones():
                 try:
                     found[key] = child((path, key))
                 except ChildDied:
@@ -70,13 +79,12 @@ class Asking:
                 on_answer(len(found), len(QUESTIONS))
 
         def here() -> None:
-            while to_go:
-                key = to_go.pop()
+            for key in next_ones():
                 found[key] = ask(study, key)
                 on_answer(len(found), len(QUESTIONS))
 
-        self._join()
         self._each(by_child)
+        prepare()
         here()
         self._join()
         here()
@@ -92,6 +100,7 @@ def _load(child: Child) -> None:
 
 def answer(argument: tuple[str, str] | None) -> Answered | None:
     """In a child: one question to a dataset; of no argument, load what it takes."""
+    gc.disable()  # the process ends with the report
     from stickslip.analysis.report.page import ask
     from stickslip.workflows.reporting import study_of
 

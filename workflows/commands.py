@@ -215,13 +215,16 @@ def _write_report(directory: Where, asking: Asking | None = None) -> None:
 
 
 def _build_report(directory: Where, asking: Asking) -> None:
-    from stickslip.workflows.progress import answers
-    from stickslip.workflows.reporting import report
+    gc.disable()  # what is loaded and found stays: no need to look through all of it again and again
+    try:
+        from stickslip.workflows.progress import answers
+        from stickslip.workflows.reporting import report
 
-    gc.freeze()  # what is loaded stays: no need to look through all of it again and again, as figures come and go
-    with answers() as on_answer:
-        built = report(directory, asking, on_answer)
-    _publish(built, directory)
+        with answers() as on_answer:
+            built = report(directory, asking, on_answer)
+        _publish(built, directory)
+    finally:
+        gc.enable()
 
 
 def _publish(built: Report, where: Where) -> None:

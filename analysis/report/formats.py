@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import CodeType
 from typing import Any
 
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
 from stickslip.analysis.stats.estimates import Estimate
@@ -209,6 +211,23 @@ def _left(column: Column) -> str:
     return ' class="l"' if column[2] is None else ""
 
 
+class _Compiled(BytecodeCache):
+    """Templates that this process has compiled, which takes most of a second for all."""
+
+    def __init__(self) -> None:
+        self._code: dict[tuple[str, str], CodeType] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        bucket.code = self._code.get((bucket.key, bucket.checksum))
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        assert bucket.code is not None
+        self._code[bucket.key, bucket.checksum] = bucket.code
+
+
+_COMPILED = _Compiled()
+
+
 def environment(*packages: str) -> Environment:
     """Where templates of some packages' pages are found, and how they are filled: escaped, nothing undefined.
 
@@ -223,6 +242,7 @@ def environment(*packages: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         extensions=["jinja2.ext.do"],
+        bytecode_cache=_COMPILED,
     )
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,

@@ -57,6 +57,13 @@ class Answered:
     figures: Mapping[str, Drawn] = field(default_factory=dict)
 
 
+def prepare() -> None:
+    """Compile the templates, as long as there is nothing else to do."""
+    filled = environment()
+    for name in ("report", *QUESTIONS):
+        filled.get_template(f"{name}.html")
+
+
 def ask(study: Study, key: str) -> Answered | None:
     """Put one of `QUESTIONS` to a study; None if it is not asked of such data."""
     question: Question = import_module(f"stickslip.analysis.questions.{key}")
