@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.products import Pairs
 from stickslip.sim.run import IntegrationError, Outcome, Run, Stats
 from stickslip.sim.series import EventSeries, without_returns
 from stickslip.sim.system import Columns, System
@@ -36,6 +37,7 @@ class Law(NamedTuple):
     """What kernels know of a system. They take named tuples, which numba types by position and compiles away."""
 
     columns: Columns
+    pairs: Pairs
     row_sums: Floats
     damping: Floats
     friction: Floats
@@ -43,7 +45,7 @@ class Law(NamedTuple):
 
     @classmethod
     def of(cls, system: System) -> Law:
-        return cls(system.columns, system.row_sums, system.damping, system.friction, system.belt_speed)
+        return cls(system.columns, Pairs.of(system), system.row_sums, system.damping, system.friction, system.belt_speed)
 
 
 class Events(NamedTuple):

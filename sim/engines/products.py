@@ -2,7 +2,46 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_products, panels
+from stickslip.sim.system import System
+
+_pair, _single_pair = pair_products(), pair_products(single=True)
+#: Systems smaller than this gain nothing from float32; row sums beyond this, or below its inverse, may leave it.
+_SMALL, _LARGE = 48, 1e30
+
+
+class Pairs(NamedTuple):
+    """What it takes to multiply K with two vectors at a time: K in panels, and room to work in.
+
+    Both kinds of panels are empty if K is sparse, those in float32 also where they do not pay.
+    """
+
+    panels: Floats
+    single_panels: NDArray[np.float32]
+    product: Floats
+    single: NDArray[np.float32]
+    single_product: NDArray[np.float32]
+    columns: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, system: System) -> Pairs:
+        """Of the K of a system."""
+        n = system.n
+        none = np.empty((0, 0))
+        dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else none
+        sums = system.row_sums[system.row_sums > 0.0]
+        fits = n >= _SMALL and len(sums) > 0 and 1 / _LARGE < sums.min() and sums.max() < _LARGE
+        single = panels(dense if fits else none, SINGLE_PAIR_HEIGHT, np.float32)
+        padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
+        return cls(panels(dense, PAIR_HEIGHT, np.float64), single, np.zeros((2, padded)), np.zeros((2, n), np.float32),
+                   np.zeros((2, padded), np.float32), np.zeros(n, np.int64))  # fmt: skip
 
 
 @inner
@@ -41,33 +80,6 @@ def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _two_in_one_pass(dense, x, u, y, z, moving, m):  # type: ignore[no-untyped-def]
-    """y = K x and z = K u over the columns listed; eight columns share a pass over y and z."""
-    n = len(x)
-    for i in range(n):
-        y[i] = 0.0
-        z[i] = 0.0
-    eights = m - m % 8
-    for j in range(0, eights, 8):
-        c0, c1, c2, c3 = moving[j], moving[j + 1], moving[j + 2], moving[j + 3]
-        c4, c5, c6, c7 = moving[j + 4], moving[j + 5], moving[j + 6], moving[j + 7]
-        k0, k1, k2, k3, k4, k5, k6, k7 = (
-            dense[c0], dense[c1], dense[c2], dense[c3], dense[c4], dense[c5], dense[c6], dense[c7],
-        )  # fmt: skip
-        x0, x1, x2, x3, x4, x5, x6, x7 = x[c0], x[c1], x[c2], x[c3], x[c4], x[c5], x[c6], x[c7]
-        u0, u1, u2, u3, u4, u5, u6, u7 = u[c0], u[c1], u[c2], u[c3], u[c4], u[c5], u[c6], u[c7]
-        for i in range(n):
-            a, b, c, d, e, f, g, h = k0[i], k1[i], k2[i], k3[i], k4[i], k5[i], k6[i], k7[i]
-            y[i] += ((a * x0 + b * x1) + (c * x2 + d * x3)) + ((e * x4 + f * x5) + (g * x6 + h * x7))
-            z[i] += ((a * u0 + b * u1) + (c * u2 + d * u3)) + ((e * u4 + f * u5) + (g * u6 + h * u7))
-    for j in range(eights, m):
-        column, xj, uj = dense[moving[j]], x[moving[j]], u[moving[j]]
-        for i in range(n):
-            y[i] += column[i] * xj
-            z[i] += column[i] * uj
-
-
-@inner
 def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
     indptr, indices, data = columns.indptr, columns.indices, columns.data
     for i in range(len(x)):
@@ -88,13 +100,30 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
 
 
 @inner
-def two_products(columns, x, u, y, z, moving):  # type: ignore[no-untyped-def]
-    """y = K x and z = K u in one pass over K: reading K, not the arithmetic, is what a product costs.
+def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
+    """y_k = K x_k of two vectors, shape (2, n), in one pass over K: reading K, not the arithmetic, is what it costs.
 
-    Columns of blocks that do not move (x_j = u_j = 0) are not read; `moving` is work space, int64, shape (n,).
+    Columns of blocks that do not move (x_j = 0 in both) are not read.
     """
-    if len(columns.dense) == 0:
-        _sparse_product(columns, x, y)
-        _sparse_product(columns, u, z)
+    if len(pairs.panels) == 0:
+        _sparse_product(columns, x[0], y[0])
+        _sparse_product(columns, x[1], y[1])
     else:
-        _two_in_one_pass(columns.dense, x, u, y, z, moving, _moving(x, u, moving))
+        _pair(pairs.panels, x, pairs.product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+        for k in range(2):
+            for i in range(y.shape[1]):
+                y[k, i] = pairs.product[k, i]
+
+
+@inner
+def two_rough_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
+    """As `two_products`, in float32, relative to the size of each vector: right to `ROUGH` of it and the row sums."""
+    single, product = pairs.single, pairs.single_product
+    for k in range(2):
+        scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0
+        for j in range(x.shape[1]):
+            single[k, j] = np.float32(x[k, j] * scale)
+    _single_pair(pairs.single_panels, single, product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+    for k in range(2):
+        for i in range(y.shape[1]):
+            y[k, i] = sizes[k] * product[k, i]

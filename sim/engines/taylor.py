@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner
-from stickslip.sim.engines.products import two_products
+from stickslip.sim.engines.panels import ROUGH
+from stickslip.sim.engines.products import two_products, two_rough_products
 from stickslip.sim.engines.sticking import force_rounding, settle, settle_by_order
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
@@ -30,6 +31,10 @@ _ORDER_MIN = 4
 #: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
 #: far below the tolerance.
 _PASSED_ON = 0.002
+
+#: The share of the tolerance that products in float32 may leave out. What is smaller than _TINY would leave float32.
+_ROUNDED_OFF = 0.05
+_TINY = 1e-200
 
 #: An event is decided by a series if the force is this many times its error away from another decision.
 _DOUBT = 10.0
@@ -45,10 +50,10 @@ class Expansion(NamedTuple):
     touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
     zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
     side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
-    moving: NDArray[np.int64]
     column: Floats
     last: Floats
     change: Floats
+    sizes: Floats
 
     @classmethod
     def blank(cls, mode: NDArray[np.int8]) -> Expansion:
@@ -56,9 +61,25 @@ class Expansion(NamedTuple):
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
         series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
-        zeros, side, moving = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
-        rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1)
-        return cls(series, forces, mode, np.zeros(n), mode == 0, zeros, side, moving, *rows)
+        zeros, side = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(2)
+        return cls(series, forces, mode, np.zeros(n), mode == 0, zeros, side, *rows)
+
+
+@inner
+def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether products of K with c_k and c_{k+1}, of these sizes, may err by what float32 does to them.
+
+    An error e of K c_k, relative to the row sums of K, is one of h^k e in F, and of h^(k + 1) e in w; F is wanted to
+    what w, off by `allowed`, makes of it.
+    """
+    if len(law.pairs.single_panels) == 0:
+        return False
+    power = ROUGH * h**k * max(1.0 / h, largest(law.row_sums) * h)
+    for size in (sizes[0], h * sizes[1]):
+        if power * size > _ROUNDED_OFF * allowed or 0.0 < size < _TINY:
+            return False
+    return True
 
 
 @inner
@@ -68,16 +89,16 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
     the number of products.
     """
-    columns, damping, friction, v = law.columns, law.damping, law.friction, law.belt_speed
+    damping, friction, v = law.damping, law.friction, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
-    touching, moving = expansion.touching, expansion.moving
+    touching, sizes = expansion.touching, expansion.sizes
     n = len(z)
     for i in range(n):
         if touching[i] or mode[i] == 0:
             w[i] = v
     copy(z, series[0])
     copy(w, series[1])
-    two_products(columns, series[0], series[1], forces[0], forces[1], moving)
+    two_products(law.columns, law.pairs, series[:2], forces[:2])
     w_max = largest(w)
     n_undecided = settle(law, largest(z), expansion)
     for i in range(n):
@@ -88,9 +109,15 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
 
     n_small = 0
     last = 0.0
+    sizes[1] = largest(series[2])
+    is_rough = False
     for k in range(1, ORDER_MAX - 1):
         if k % 2 == 0:
-            two_products(columns, series[k], series[k + 1], forces[k], forces[k + 1], moving)
+            if n_undecided == 0 and _may_be_rough(law, k, sizes, target, allowed):
+                is_rough = True
+                two_rough_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
+            else:
+                two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
         if n_undecided > 0:
             n_undecided -= settle_by_order(law, k, largest(series[k]), expansion)
             for i in range(n):
@@ -99,11 +126,13 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
         size = largest(series[k + 2])
+        sizes[0], sizes[1] = sizes[1], size
         order = k + 2
         n_products = k + 1 + (k + 1) % 2
         # the last term's share of w decides; two in a row, since one can vanish by chance
         if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
-            return order, remaining, allowed, n_products  # a polynomial: exact however far
+            # a polynomial: exact however far
+            return order, target if is_rough else remaining, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
