@@ -45,7 +45,8 @@ class Law(NamedTuple):
 
     @classmethod
     def of(cls, system: System) -> Law:
-        return cls(system.columns, Pairs.of(system), system.row_sums, system.damping, system.friction, system.belt_speed)
+        pairs = Pairs.of(system)
+        return cls(system.columns, pairs, system.row_sums, system.damping, system.friction, system.belt_speed)
 
 
 class Events(NamedTuple):

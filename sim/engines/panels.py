@@ -108,10 +108,10 @@ def products(n_vectors: int, single: bool = False) -> Any:
 
 
 def pair_products(single: bool = False) -> Any:
-    """For kernels: ``f(panels, x, y, columns, m)`` makes y_k = K x_k of two vectors, over the first m of the columns.
+    """For kernels: ``f(panels, x, y, columns, m)`` makes y_k = K x_k of two vectors, over the first m columns listed.
 
-    As `products`, with panels of `PAIR_HEIGHT` and float64, or of `SINGLE_PAIR_HEIGHT` and float32; y alone is as long
-    as they are high. x_j of a column that is not listed counts as zero.
+    As `products`, with panels of `PAIR_HEIGHT` and float64, or of `SINGLE_PAIR_HEIGHT` and float32; y alone is as
+    long as they are high. x_j of a column that is not listed counts as zero.
     """
     panel = _panel(2, SINGLE_PAIR_HEIGHT if single else PAIR_HEIGHT, single, listed=True)
 

@@ -24,8 +24,8 @@ class Pairs(NamedTuple):
     """
 
     panels: Floats
-    single_panels: NDArray[np.float32]
     product: Floats
+    single_panels: NDArray[np.float32]
     single: NDArray[np.float32]
     single_product: NDArray[np.float32]
     columns: NDArray[np.int64]
@@ -37,11 +37,11 @@ class Pairs(NamedTuple):
         none = np.empty((0, 0))
         dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else none
         sums = system.row_sums[system.row_sums > 0.0]
-        fits = n >= _SMALL and len(sums) > 0 and 1 / _LARGE < sums.min() and sums.max() < _LARGE
+        fits = n >= _SMALL and len(sums) > 0 and sums.min() > 1 / _LARGE and sums.max() < _LARGE
         single = panels(dense if fits else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
-        return cls(panels(dense, PAIR_HEIGHT, np.float64), single, np.zeros((2, padded)), np.zeros((2, n), np.float32),
-                   np.zeros((2, padded), np.float32), np.zeros(n, np.int64))  # fmt: skip
+        rough = single, np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32)
+        return cls(panels(dense, PAIR_HEIGHT, np.float64), np.zeros((2, padded)), *rough, np.zeros(n, np.int64))
 
 
 @inner

@@ -76,10 +76,9 @@ def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
     if len(law.pairs.single_panels) == 0:
         return False
     power = ROUGH * h**k * max(1.0 / h, largest(law.row_sums) * h)
-    for size in (sizes[0], h * sizes[1]):
-        if power * size > _ROUNDED_OFF * allowed or 0.0 < size < _TINY:
-            return False
-    return True
+    low, high = sizes[0], h * sizes[1]
+    fits = (low == 0.0 or low > _TINY) and (high == 0.0 or high > _TINY)
+    return fits and power * max(low, high) <= _ROUNDED_OFF * allowed
 
 
 @inner

@@ -51,6 +51,19 @@ def test_products_in_panels_are_plain_products(n, single):
     np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=n * (1e-5 if single else 1e-14))
 
 
+@pytest.mark.parametrize("n", [1, 7, 33, 200])
+@pytest.mark.parametrize("single", [False, True])
+def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single):
+    rng = np.random.default_rng(secrets.randbits(32))
+    multiply, dtype = panels.pair_products(single), np.float32 if single else np.float64
+    apply = numba.njit(lambda k, x, y, columns, m: multiply(k, x, y, columns, m))
+    matrix, height = rng.normal(size=(n, n)), panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
+    listed = rng.permutation(n)[: (n + 1) // 2]
+    x, y = rng.normal(size=(2, n)).astype(dtype), np.zeros((2, -(-n // height) * height), dtype)
+    apply(panels.panels(matrix, height, dtype), x, y, listed, len(listed))
+    np.testing.assert_allclose(y[:, :n], x[:, listed] @ matrix[:, listed].T, atol=n * (1e-5 if single else 1e-14))
+
+
 @pytest.mark.parametrize("ratio", [1.0, 1.001, 1.3, 3.0])
 def test_the_law_and_its_slope(ratio):
     c = float(hidden_term(ratio))
