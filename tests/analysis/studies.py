@@ -278,6 +278,9 @@ def pool_study(rng, ensembles):
 
 # ---------------------------------------------------------------------------------------------- slow mode
 
+#: Runs in the pool that ensembles are picked from, over ensembles: their luck, which all ensembles share, is then a
+#: ninth of an ensemble's error. And blocks of a run: few, so that there can be many runs.
+POOL, BLOCKS = 3, 16
 SPAN = 600.0
 TAUS = (0.05, 0.2, 1.0)
 PARTS = [
@@ -335,8 +338,8 @@ def over_rotation(study, names, runs, rng, ensembles, answers):
 def slow_mode_study(rng, ensembles):
     """Power, variance, Fano factors over rotation; the answer is 1 without a common mode, else that of all runs."""
     for name, depth in (("independent", 0.0), ("common slow mode", 0.5)):
-        n_runs = ensembles // 2 if depth else ensembles  # against 1 the error of the pool counts
-        runs = np.array([clustering.measure(blocks_run(rng, depth=depth), PARTS) for _ in range(n_runs)])
+        n_runs = ensembles // 2 if depth else POOL * ensembles  # against 1 the error of the pool counts
+        runs = np.array([clustering.measure(blocks_run(rng, BLOCKS, depth), PARTS) for _ in range(n_runs)])
         sums = runs.sum(axis=0)
         answers = sums[:, 0] / sums[:, 1] if depth else np.ones(len(PARTS))
         names = [f"{name}: {part.kind} {part.above or ''} {part.upto or ''}".strip() for part in PARTS]
@@ -347,8 +350,8 @@ def definitions_study(rng, ensembles):
     """gamma by each definition over that of rotated blocks; 1 for independent blocks."""
     dts = (0.2, 1.0, 3.0)
     runs = {law: [] for law in laws(dts)}
-    for _ in range(ensembles):
-        steps = blocks_run(rng)
+    for _ in range(POOL * ensembles):
+        steps = blocks_run(rng, BLOCKS)
         win = steps.window()
         observed = sums(win.step)
         for dt in dts:
@@ -356,7 +359,7 @@ def definitions_study(rng, ensembles):
         chance = rotations(steps, dts, DRAWS, rng)
         for law, rows in runs.items():
             rows.append(np.concatenate([observed[law], chance[law]]))
-    picks = rng.integers(ensembles, size=(ensembles, MATRICES))
+    picks = rng.integers(POOL * ensembles, size=(ensembles, MATRICES))
     for law, rows in runs.items():
         rows = np.array(rows)
         found = [over_null(gamma, rows[some, :2], rows[some, 2:], CONFIDENCE).ratio for some in picks]
@@ -370,8 +373,8 @@ def triggering_study(rng, ensembles):
     """
     for share in (0.0, 0.02, 0.1):
         rows = []
-        for _ in range(ensembles):
-            steps = blocks_run(rng)
+        for _ in range(ensembles if share else POOL * ensembles):
+            steps = blocks_run(rng, BLOCKS)
             if share:
                 steps = triggered(steps, share, 0.1 * SPAN / np.sum(steps.step < 0), rng)
             rows.append(clustering.measure(steps, PAIRS))
