@@ -68,17 +68,22 @@ def write(path: Where, out: Path) -> None:
 
 
 def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
-    """One value a member."""
-    is_text = pa.types.is_string(field.type)
-    kind = str if is_text else field.type.to_pandas_dtype()
-    fill = "" if is_text else np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
-    found = file.createVariable(
-        field.name, kind, ("member",), fill_value=fill if values.null_count and not is_text else None
-    )
-    found.setncatts(_about(field) | ({"cf_role": "timeseries_id"} if field.name == "member_id" else {}))
-    plain = values.fill_null(fill).to_pandas().to_numpy(dtype=object if is_text else kind)
+    """One value a member; texts as characters, which compress."""
+    about = _about(field) | ({"cf_role": "timeseries_id"} if field.name == "member_id" else {})
+    if pa.types.is_string(field.type):
+        texts = np.array([text.encode() for text in values.fill_null("").to_pylist()], dtype=np.bytes_)
+        width = max(texts.dtype.itemsize, 1)
+        plain, about = texts.astype(f"S{width}").view("S1").reshape(-1, width), about | {"_Encoding": "utf-8"}
+        file.createDimension(f"{field.name}_length", width)
+        found = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
+    else:
+        kind = field.type.to_pandas_dtype()
+        fill = np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
+        plain, null = values.fill_null(fill).to_numpy(), fill if values.null_count else None
+        found = file.createVariable(field.name, kind, ("member",), compression="zlib", fill_value=null)
     if len(plain):
         found[:] = plain
+    found.setncatts(about)  # the last: it would have the characters encoded
 
 
 def _along(file: Any, path: Where, source: Any, dimension: str, names: list[str]) -> None:
