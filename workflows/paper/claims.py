@@ -306,7 +306,8 @@ def clusters(scene: PaperScene, measured: Measured) -> Claim:
     if one is None or one.gamma is None or one.low is None or one.high is None:
         return {"verdict": UNTOLD, "value": None}
     value, low, high = (of / LN2 - 1.0 for of in (one.gamma, one.low, one.high))
-    return {"verdict": _told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high}
+    return {"verdict": _told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high,
+            "clustered": -CLUSTERED}  # fmt: skip
 
 
 def cascade_bound(scene: PaperScene, measured: Measured) -> Claim:
