@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -324,9 +325,13 @@ def unchanged(members: pd.DataFrame) -> pd.DataFrame:
 
 def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], pd.DataFrame]]:
     """Members alike in some columns, null as None, with the values that they share."""
-    plain = [members[name].astype(object).where(members[name].notna(), None) for name in keys]
+    # most columns hold one value, which then stands for all
+    differ = {name: len(members[name].unique()) > 1 for name in keys}
+    short = {name: members[name] if differ[name] else members[name].iloc[:1] for name in keys}
+    plain = {name: column.astype(object).where(column.notna(), None) for name, column in short.items()}
     at: dict[tuple[Any, ...], list[int]] = {}
-    for k, row in enumerate(zip(*plain, strict=True)):
+    columns = (plain[name] if differ[name] else repeat(plain[name].iloc[0], len(members)) for name in keys)
+    for k, row in enumerate(zip(*columns, strict=True) if len(members) else ()):
         at.setdefault(row, []).append(k)
     return [(dict(zip(keys, row, strict=True)), members.iloc[some]) for row, some in at.items()]
 

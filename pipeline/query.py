@@ -55,8 +55,6 @@ _PART = 64_000_000
 
 #: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
 _KEPT = 100_000_000
-#: Bytes that a member's arrays take beside what is in them.
-_ENTRY = 600
 #: Shards of them at least: a run and the one that it is compared with.
 _SHARDS_KEPT = 2
 
@@ -283,34 +281,42 @@ class Recorded(Mapping[str, _Value]):
         source = dataset(path)
         self._path, self._recorded, self._columns, self._entry = path, recorded, columns, entry
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
-        self._kept: dict[int, tuple[dict[str, _Value], int]] = {}  # with its bytes, the last one that was read last
+        self._kept: dict[int, dict[str, pa.Array]] = {}  # columns by shard, the last one that was read last
 
-    def _shard(self, k: int) -> dict[str, _Value]:
+    def _shard(self, k: int) -> dict[str, pa.Array]:
         if k not in self._kept:
+            names = ["member_id", *self._columns]
             with reading(self._path):
-                table = self._fragments[k].to_table(
-                    columns=["member_id", *self._columns], filter=pc.field(self._recorded).is_valid()
-                )
-            n_bytes = table.nbytes + _ENTRY * table.num_rows
-            while len(self._kept) >= _SHARDS_KEPT and sum(n for _, n in self._kept.values()) + n_bytes > _KEPT:
+                table = self._fragments[k].to_table(columns=names, filter=pc.field(self._recorded).is_valid())
+            while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
-            rows = zip(*(table[name] for name in self._columns), strict=True)
-            found = (self._entry(dict(zip(self._columns, row, strict=True))) for row in rows)
-            self._kept[k] = dict(zip(table["member_id"].to_pylist(), found, strict=True)), n_bytes
-        return self._kept[k][0]
+            self._kept[k] = {name: _joined(table[name]) for name in names}
+        return self._kept[k]
+
+    def _n_bytes(self) -> int:
+        return sum(column.nbytes for columns in self._kept.values() for column in columns.values())
+
+    def _at(self, k: int, row: int) -> _Value:
+        columns = self._shard(k)
+        return self._entry({name: columns[name][row] for name in self._columns})
 
     @cached_property
-    def _shard_of(self) -> dict[str, int]:
-        return {key: k for k in range(len(self._fragments)) for key in self._shard(k)}
+    def _place(self) -> dict[str, tuple[int, int]]:
+        """Shard and row of each member."""
+        names = (self._shard(k)["member_id"].to_pylist() for k in range(len(self._fragments)))
+        return {name: (k, row) for k, listed in enumerate(names) for row, name in enumerate(listed)}
 
     def __getitem__(self, key: str) -> _Value:
-        return self._shard(self._shard_of[key])[key]
+        return self._at(*self._place[key])
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._place
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._shard_of)
+        return iter(self._place)
 
     def __len__(self) -> int:
-        return len(self._shard_of)
+        return len(self._place)
 
     def items(self) -> ItemsView[str, _Value]:
         return _Items(self)
@@ -322,8 +328,16 @@ class _Items(ItemsView[str, _Value]):
     _mapping: Recorded[_Value]
 
     def __iter__(self) -> Iterator[tuple[str, _Value]]:
-        for k in range(len(self._mapping._fragments)):
-            yield from self._mapping._shard(k).items()
+        found = self._mapping
+        for k in range(len(found._fragments)):
+            for row, name in enumerate(found._shard(k)["member_id"].to_pylist()):
+                yield name, found._at(k, row)
+
+
+def _joined(column: pa.ChunkedArray) -> pa.Array:
+    """A column in one piece: its rows are found at once."""
+    joined = column.combine_chunks()
+    return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
 
 
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:

@@ -34,6 +34,7 @@ from stickslip.analysis.stats.fates import (
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, STYLE
 
 MOST_CURVES = 8  # in one figure
+MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 _FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), SILENT: ("went quiet", "#56B4E9", "D"),
@@ -307,8 +308,9 @@ def survival_curves(curves: Sequence[tuple[str, Curve]], t_end: float) -> Figure
         figure = Figure(figsize=PANEL, layout="constrained")
         ax = figure.subplots()
         for (label, curve), colour in zip(curves, colours, strict=True):
-            t = np.append(curve.t, t_end)
-            alive, low, high = (np.append(y, y[-1]) for y in (curve.survival, curve.low, curve.high))
+            some = np.unique(np.linspace(0, len(curve.t) - 1, MOST_STEPS).astype(np.int64))
+            t = np.append(curve.t[some], t_end)
+            alive, low, high = (np.append(y[some], y[-1]) for y in (curve.survival, curve.low, curve.high))
             ax.step(t, alive, where="post", color=colour, label=label)
             if len(curves) <= 2:
                 ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)

@@ -24,6 +24,7 @@ from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
 MOST_SAID = 3  # answers on the first screen
+_ROWS = 10_000  # of a table that are Python's values at once
 MOST_ALERTS = 3  # by rank, what changes the answer first
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
@@ -103,11 +104,21 @@ class Report:
     def files(self) -> dict[str, bytes]:
         """What the report consists of, by path. The page comes last: whoever finds it finds what it names."""
         found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
-        as_json = {name: records(table) for name, table in self.tables.items()}
-        found["report/tables.json"] = f"{json.dumps(as_json, indent=1, allow_nan=False)}\n".encode()
+        found["report/tables.json"] = _json(self.tables)
         for name, drawn in self.figures.items():
             found |= {f"report/figures/{name}.svg": drawn.svg.encode(), f"report/figures/{name}.pdf": drawn.pdf}
         return found | {PAGE: self.html.encode()}
+
+
+def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:
+    """Tables as lists of rows, a row a line; a part at a time, since rows of Python's values are large."""
+    encode = json.JSONEncoder(allow_nan=False).encode
+    listed = []
+    for name, table in tables.items():
+        parts = (records(table[k : k + _ROWS]) for k in range(0, len(table), _ROWS))
+        rows = ",\n".join(encode(row) for part in parts for row in part)
+        listed.append(f"{encode(name)}: [\n{rows}\n]")
+    return ("{\n" + ",\n".join(listed) + "\n}\n").encode()
 
 
 def build(
