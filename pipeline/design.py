@@ -279,7 +279,7 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
         if change.twin_size is not None and not engine.twins:
             continue
         of_system = place.at | of_file
-        z0, w0 = of_system.pop("z"), of_system.pop("w")
+        z0, w0, seed = of_system.pop("z"), of_system.pop("w"), of_system.pop("seed")
         parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
         for draw, of_engine in words[engine].items():
             member = partial(
@@ -297,7 +297,7 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
                 w0=w0,
                 start_draw=place.start_draw,
                 t_end=scene.run.t_end,
-                seed=scene.run.seed,
+                seed=seed,
                 engine=engine.name,
                 settings=tuple(engine.settings.items()),
                 ratio_draw=draw,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, create_model, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
-from stickslip.pipeline.toml import Count, PositiveNumbers, StrictTable, as_tuple
+from stickslip.pipeline.toml import MAX_VALUES, Count, PositiveNumbers, StrictTable, as_tuple, listed
 from stickslip.sim.couplings import Reading
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
@@ -125,7 +126,9 @@ def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
     match one:
         case Number(picked=picked):
             low, high = (bound if math.isfinite(bound) else None for bound in (one.above, one.below))
-            kind = Annotated[float, Field(gt=low, lt=high)]
+            bounds = {"exclusiveMinimum": low, "exclusiveMaximum": high}
+            schema = {"type": "number"} | {name: bound for name, bound in bounds.items() if bound is not None}
+            kind = Annotated[float, Field(gt=low, lt=high), listed(schema)]
             key = Field(default=None if picked else default, description=one.words, examples=example)
             return {name: (kind | None if picked else kind, key)}
         case Choice():
@@ -151,7 +154,31 @@ def _table(engine: type[Engine]) -> type[EngineTable]:
     return create_model(engine.__name__, __base__=EngineTable, __doc__=about, **keys)
 
 
+def _each_of_lists(given: Any, read: Callable[[Any], EngineTable]) -> tuple[EngineTable, ...]:
+    """The tables that a table [[engine]] stands for: where numbers of the engine are lists, one for each choice."""
+    engine = ENGINES.get(given["name"]) if isinstance(given, dict) and isinstance(given.get("name"), str) else None
+    numbers = [name for name, one in engine.settings().items() if isinstance(one, Number)] if engine else []
+    lists = {name: given[name] for name in numbers if isinstance(given.get(name), list | tuple)}
+    for name, several in lists.items():
+        if not 1 <= len(several) <= MAX_VALUES:
+            raise ValueError(f"expected 1 to {MAX_VALUES} values of {name}, got {len(several)}; write one, or a list")
+        twice = [value for k, value in enumerate(several) if value in several[:k]]
+        if twice:
+            raise ValueError(f"expected each value of {name} once, got {twice[0]} more than once; remove it")
+    choices = itertools.product(*lists.values())
+    return tuple(read({**given, **dict(zip(lists, choice, strict=True))} if lists else given) for choice in choices)
+
+
 if TYPE_CHECKING:
     AnyEngine = EngineTable
 else:
-    AnyEngine = Annotated[Union[*map(_table, ENGINES.values())], Field(discriminator="name")]
+    AnyEngine = Annotated[
+        Union[*map(_table, ENGINES.values())], Field(discriminator="name"), WrapValidator(_each_of_lists)
+    ]
+
+Engines = Annotated[
+    tuple[AnyEngine, ...],
+    Field(min_length=1),
+    BeforeValidator(as_tuple, json_schema_input_type=AnyEngine | Annotated[list[AnyEngine], Field(min_length=1)]),
+    AfterValidator(lambda tables: tuple(itertools.chain.from_iterable(tables))),
+]

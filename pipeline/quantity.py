@@ -60,7 +60,7 @@ class FromFile:
 
 
 #: What one run has.
-Value: TypeAlias = float | Distribution | FromFile
+Value: TypeAlias = float | int | Distribution | FromFile
 
 #: What a key holds: a tuple is a list of the file, of which each value is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -74,7 +74,7 @@ def short(value: float) -> str:
 
 def word(value: Value) -> str:
     """A value in a member's name."""
-    return short(value) if isinstance(value, float) else value.word
+    return short(value) if isinstance(value, float | int) else value.word
 
 
 def values(quantity: Quantity | None) -> tuple[Value, ...]:
@@ -84,7 +84,7 @@ def values(quantity: Quantity | None) -> tuple[Value, ...]:
 
 def size(quantity: Quantity) -> float:
     """The largest number of a quantity without its sign."""
-    return max(abs(value) if isinstance(value, float) else value.size for value in values(quantity))
+    return max(abs(value) if isinstance(value, float | int) else value.size for value in values(quantity))
 
 
 def as_written(quantity: Quantity) -> Any:
@@ -265,7 +265,7 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
 def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
     """Numbers come before distributions."""
     drawn = [one if isinstance(one, Distribution) else None for one in row]
-    numbers = [one if isinstance(one, float) else 0.0 for one in row]
+    numbers = [one if isinstance(one, float | int) else 0.0 for one in row]
     return [(one.law, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
 
 

@@ -11,12 +11,12 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
-from stickslip.pipeline.engine_table import AnyEngine, EngineTable
+from stickslip.pipeline.engine_table import Engines, EngineTable
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.quantity import (
     Axis,
@@ -51,7 +51,6 @@ from stickslip.pipeline.toml import (
     Positive,
     StrictTable,
     as_scene,
-    as_tuple,
     explained,
     parse_toml,
     plain,
@@ -84,11 +83,7 @@ class Scene(StrictTable):
     system: SystemTable
     start: StartTable
     run: RunTable
-    engines: Annotated[
-        tuple[AnyEngine, ...],
-        Field(min_length=1),
-        BeforeValidator(as_tuple, json_schema_input_type=AnyEngine | Annotated[list[AnyEngine], Field(min_length=1)]),
-    ] = Field(alias="engine", description="one or more tables [[engine]]")
+    engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")
     perturbation: PerturbationTable | None = None
     twins: TwinsTable | None = None
     record: RecordTable = RecordTable()
@@ -201,18 +196,21 @@ class Scene(StrictTable):
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The lists of the scene, as axes of a grid."""
-        return axes(self.quantities, self.run.zip or ())
+        return axes(self.quantities | {"seed": self.run.seed}, self.run.zip or ())
 
     @property
     def extent(self) -> str:
         """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
         drawn = any(isinstance(one, Distribution) for key in ("z", "w") for one in values(self.quantities[key]))
         starts = [f"{self.start.draws or 1} draws of the start"] if drawn else []
-        return " x ".join([*map(str, self.axes), *starts])
+        tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
+        parts = [*map(str, self.axes), *starts]
+        return " x ".join(parts + tables) if parts else ""
 
     def points(self) -> Iterator[tuple[dict[str, Value], dict[str, Value | None]]]:
         """Each point of the grid: the swept keys there, and all `quantities`."""
-        single: dict[str, Any] = {name: one for name, one in self.quantities.items() if not isinstance(one, tuple)}
+        all_keys = self.quantities | {"seed": self.run.seed}
+        single: dict[str, Any] = {name: one for name, one in all_keys.items() if not isinstance(one, tuple)}
         for swept in points(self.axes):
             yield swept, single | swept
 
@@ -324,7 +322,7 @@ class Scene(StrictTable):
             keys["system"]["module"] = self.system.module.sha256
         for axis in self.axes:  # the order in the file means nothing
             for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
-                table = keys["start" if key in ("z", "w") else "system"]
+                table = keys["start" if key in ("z", "w") else "run" if key == "seed" else "system"]
                 table = table["parameters"] if key in (self.system.parameters or ()) else table
                 table[key] = as_written(column)
         return keys

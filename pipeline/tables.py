@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, WrapValidator, model_validator
 
 from stickslip.pipeline.engine_table import Readings
 from stickslip.pipeline.quantity import BlockNumber, Distribution, values
-from stickslip.pipeline.toml import Count, List, Natural, Positive, PositiveNumbers, StrictTable, as_tuple
+from stickslip.pipeline.toml import (
+    Count,
+    List,
+    Natural,
+    Positive,
+    PositiveNumbers,
+    StrictTable,
+    as_tuple,
+    distinct,
+    listed,
+)
 from stickslip.sim.engines.contract import Purpose
+
+
+def _seeds(given: Any, read: Callable[[Any], int]) -> int | tuple[int, ...]:
+    if given == []:
+        raise ValueError("expected at least one value, got []; write e.g. `seed = 0`")
+    return distinct(tuple(map(read, given))) if isinstance(given, list | tuple) else read(given)
+
+
+if TYPE_CHECKING:
+    Seeds = int | tuple[int, ...]
+else:
+    Seeds = Annotated[
+        int,
+        Field(ge=0, lt=2**63),
+        WrapValidator(_seeds),
+        PlainSerializer(lambda seed: seed),
+        listed({"type": "integer", "minimum": 0, "exclusiveMaximum": 2**63}),
+    ]
 
 
 class StartTable(StrictTable):
@@ -39,7 +68,7 @@ class RunTable(StrictTable):
 
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
     matrices: Count = Field(description="number of random systems for each n", examples=[20])
-    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random draws", examples=[0])
+    seed: Seeds = Field(default=0, description="seed of all random draws", examples=[0])
     zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = Field(
         default=None,
         description="keys whose lists go together, value by value, in place of a grid",

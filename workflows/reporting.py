@@ -45,7 +45,9 @@ class _Events(Mapping[str, Events]):
 def _data(path: Where) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     table = members(path)
-    if names := list(dataset_scene(path).system.parameters or ()):
+    scene = dataset_scene(path)
+    table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
+    if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
         table["parameters"] = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
     return Data(
@@ -110,8 +112,12 @@ def _opened(path: Where) -> tuple[Scene, Status]:
     return scene, found
 
 
+def _seeds(scene: Scene) -> tuple[int, ...]:
+    return scene.run.seed if isinstance(scene.run.seed, tuple) else (scene.run.seed,)
+
+
 def _settings(scene: Scene) -> AnalysisSettings:
-    asked = scene.analysis.model_dump() | {"seed": scene.run.seed, "map_dt": scene.analysis.map_dt or ()}
+    asked = scene.analysis.model_dump() | {"seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or ()}
     return AnalysisSettings(**asked)
 
 
@@ -119,7 +125,7 @@ def _provenance(scene: Scene, found: Status) -> dict[str, str]:
     return {
         "stickslip": __version__,
         "scene": scene.hash,
-        "seed": str(scene.run.seed),
+        "seed": ", ".join(map(str, _seeds(scene))),
         "members": f"{found.n_done} of {found.n_members}",
     }
 

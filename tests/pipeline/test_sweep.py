@@ -13,6 +13,8 @@ import scipy.sparse
 
 from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.cluster import check_memory
+from stickslip.workflows.reporting import study_of
+from tests.scenes import COULOMB, ensemble
 
 GRID = """\
 [system]
@@ -159,6 +161,37 @@ def test_a_grid_gives_the_same_bytes_wherever_it_runs_and_grows(content, tmp_pat
     assert content(half / "data") == content(tmp_path / "whole" / "data")
 
 
+def test_lists_of_an_engine_are_tables_of_it():
+    lists = 'name = "sigmoid"\neps = [0.1, 0.03]\nrtol = [1e-5, 1e-4]\natol = 1e-5'
+    tables = [f'name = "sigmoid"\neps = {eps}\nrtol = {rtol}\natol = 1e-5' for eps in (0.1, 0.03)
+              for rtol in (1e-5, 1e-4)]  # fmt: skip
+    one, other = (parse_scene(ensemble(3, 5.0, 2, *engines).encode()) for engines in ([lists], tables))
+    assert one.hash == other.hash
+    assert expand(one) == expand(other)
+    assert one.n_members == 8
+
+
+def test_seeds_in_a_list_are_runs_of_each(tmp_path):
+    several = GRID.replace("seed = 3", "seed = [5, 3]")
+    scene = parse_scene(several.encode())
+    assert scene.extent.startswith("2 kappa x 2 belt_speed x 2 z x 2 seed")
+    assert [one.run.seed for one in (scene, parse_scene(scene.source))] == [(3, 5)] * 2
+    alone = {m.member_id: m for m in expand(scene_of(GRID))}
+    both = {m.member_id.replace("-seed=3", ""): m for m in expand(scene) if m.seed == 3}
+    assert both.keys() == alone.keys()
+    for name in list(alone)[::7]:
+        assert np.array_equal(both[name].system().stiffness, alone[name].system().stiffness)
+    zipped = scene_of(several, ("matrices = 2", 'matrices = 2\nzip = [["seed", "kappa"]]'))
+    assert {(m.seed, m.kappa) for m in expand(zipped)} == {(5, 0.2), (3, 0.1)}
+
+
+def test_seeds_are_further_matrices_to_the_report(tmp_path):
+    run_ensemble(parse_scene(ensemble(4, 5.0, 3, COULOMB, seed=[0, 1]).encode()), tmp_path / "out", workers=0)
+    (group,) = study_of(str(tmp_path / "out")).groups
+    assert sorted(group.members.matrix) == list(range(6))
+    assert group.unit == "matrix"
+
+
 # ---------------------------------------------------------------------------------------------- distributions
 
 
@@ -273,6 +306,12 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
 # ---------------------------------------------------------------------------------------------- what is refused
 
 BAD = {
+    "no values of an engine": ("tol = 1e-6", "tol = []", ["engine[0]", "1 to 1000 values of tol"]),
+    "an engine's value twice": ("tol = 1e-6", "tol = [1e-6, 1e-6]", ["engine[0]", "value of tol once"]),
+    "a text among tolerances": ("tol = 1e-6", 'tol = [1e-6, "a"]', ["engine[0].tol", "a valid number", "'a'"]),
+    "no seeds": ("seed = 3", "seed = []", ["run.seed", "at least one value"]),
+    "a seed twice": ("seed = 3", "seed = [3, 3]", ["run.seed", "each value once"]),
+    "a list where none can be": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
     "a list where none makes sense": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
     "a list of an engine": ("tol = 1e-6", "tol = [1e-6, 1e-7]", ["engine[0].tol", "table [[engine]] of its own"]),
     "a list of names": (
