@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip import sim
+from stickslip.pipeline.ends import Ends, end_of
 from stickslip.pipeline.engine_table import EngineTable
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.quantity import Distribution, FromFile, Value, short, word
+from stickslip.pipeline.quantity import BELT, END, FILE, Distribution, Named, Value, short, word
 from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.systems import SystemFile, SystemFunction, make, read
@@ -74,6 +75,8 @@ class Member:
     z0: Value
     w0: Value
     start_draw: int | None
+    #: The dataset at whose ends it starts, if it does.
+    start_from: Ends | None
     t_end: float
     seed: int
     #: Its part of work that is done once for several members; no part of what it is.
@@ -91,8 +94,13 @@ class Member:
         return {"kappa": self.kappa} | leaf | ({} if self.degree is None else {"degree": self.degree})
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
-        """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
-        if isinstance(value, FromFile):
+        """A number as it is; of a distribution its draw, of a file or another run's end its array, shape (n,)."""
+        if value == BELT:
+            return self.system().belt_speed
+        if value == END:
+            assert self.start_from is not None
+            return end_of(self.start_from, self)[purpose - START_Z]
+        if isinstance(value, Named):
             assert isinstance(self.origin, SystemFile)
             return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
         return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
@@ -107,8 +115,7 @@ class Member:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
         keys = {"leaf": self.leaf, "damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
         return (
-            "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution | FromFile))
-            or None
+            "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution | Named)) or None
         )
 
     def system(self) -> sim.System:
@@ -173,8 +180,8 @@ class Member:
 
 #: What a system does not depend on, at one value.
 _OF_A_RUN: dict[str, Any] = dict.fromkeys(
-    ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "z0", "w0", "start_draw", "t_end")
-)
+    ["member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "t_end", "z0", "w0", "start_draw"]
+) | {"start_from": None}
 _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
 #: The others.
 _OF_A_SYSTEM = tuple(one.name for one in fields(Member) if one.compare and one.name not in _OF_A_RUN)
@@ -262,8 +269,8 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
     of_file: dict[str, Any] = {}
     if isinstance(origin, SystemFile):
         of_file = {"kappa": origin.scale}
-        of_file |= {"friction": FromFile()} if "friction" in origin.arrays else {}
-        of_file |= {"damping": FromFile(), "rho": None} if "damping" in origin.arrays else {}
+        of_file |= {"friction": FILE} if "friction" in origin.arrays else {}
+        of_file |= {"damping": FILE, "rho": None} if "damping" in origin.arrays else {}
     changes = [_Change()]
     if scene.perturbation is not None:
         table = scene.perturbation
@@ -280,6 +287,9 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
             continue
         of_system = place.at | of_file
         z0, w0, seed = of_system.pop("z"), of_system.pop("w"), of_system.pop("seed")
+        if w0 == BELT and of_system["belt_speed"] is not None:
+            w0 = of_system["belt_speed"]
+        start_from = scene.ends if END in (z0, w0) else None
         parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
         for draw, of_engine in words[engine].items():
             member = partial(
@@ -296,6 +306,7 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
                 z0=z0,
                 w0=w0,
                 start_draw=place.start_draw,
+                start_from=start_from,
                 t_end=scene.run.t_end,
                 seed=seed,
                 engine=engine.name,
@@ -304,7 +315,9 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
                 picked_for=engine.picked_for,
             )
             cost = _shared_cost(scene, member(member_id="", matrix=0), engine)
-            yield before, "-".join([*place.words, *change.words, *of_engine]), partial(member, shared_cost=cost)
+            started = [] if start_from is None else [start_from.word]
+            after = "-".join([*place.words, *started, *change.words, *of_engine])
+            yield before, after, partial(member, shared_cost=cost)
 
 
 def _shared_cost(scene: Scene, member: Member, engine: EngineTable) -> float:

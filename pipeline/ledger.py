@@ -85,6 +85,14 @@ class Manifest(BaseModel):
             raise ValueError(f"expected the packing of {len(self.earlier) + 1} scenes, got {len(self.packing)}")
         return self
 
+    @property
+    def digest(self) -> str:
+        """Of all data."""
+        digest = hashlib.sha256()
+        for name, shard in sorted(self.shards.items()):
+            digest.update(f"{name} {shard.sha256}".encode())
+        return digest.hexdigest()
+
     def to_bytes(self) -> bytes:
         """JSON that begins with a digest of the rest, a line a shard, sorted: the same shards give the same bytes."""
         head = self.model_dump(exclude={"shards"}, exclude_none=True)

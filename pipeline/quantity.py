@@ -49,18 +49,22 @@ class Distribution:
 
 
 @dataclass(frozen=True, slots=True)
-class FromFile:
-    """A number for each block that the file of the system holds."""
+class Named:
+    """A number for each block that a word stands for."""
 
+    word: str
     size: float = 0.0
-    word: str = "file"
 
     def __str__(self) -> str:
-        return "file"
+        return self.word
+
+
+#: What the file of the system holds; the speed of the belt; where the same member of another dataset ended.
+FILE, BELT, END = Named("file"), Named("belt"), Named("end")
 
 
 #: What one run has.
-Value: TypeAlias = float | int | Distribution | FromFile
+Value: TypeAlias = float | int | Distribution | Named
 
 #: What a key holds: a tuple is a list of the file, of which each value is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -91,7 +95,7 @@ def as_written(quantity: Quantity) -> Any:
     """A quantity as TOML and JSON have it."""
     if isinstance(quantity, tuple):
         return [as_written(value) for value in quantity]
-    if isinstance(quantity, FromFile):
+    if isinstance(quantity, Named):
         return str(quantity)
     return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
 
@@ -105,7 +109,7 @@ class _Key:
 
     laws: tuple[str, ...] = ()
     least: int | None = None
-    may_be_of_file: bool = False
+    words: tuple[Named, ...] = ()
 
     def read(self, given: object) -> Quantity:
         """A quantity from what the file holds."""
@@ -120,10 +124,11 @@ class _Key:
         return found
 
     def _value(self, given: object, whole: object) -> Value:
-        if isinstance(given, Distribution | FromFile):
+        if isinstance(given, Distribution | Named):
             given = as_written(given)
-        if given == "file" and self.may_be_of_file and given is whole:
-            return FromFile()
+        for one in self.words:
+            if given == one.word and given is whole:
+                return one
         number = _number(given)
         if number is not None and self._bears(number):
             return number
@@ -189,8 +194,8 @@ class _Key:
             for law in self.laws
         ]
         items = {"anyOf": [one, *drawn]} if drawn else one
-        of_file = [{"const": "file"}] if self.may_be_of_file else []
-        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *of_file]}
+        named = [{"const": one.word} for one in self.words]
+        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *named]}
 
 
 def _number(given: object) -> float | None:
@@ -213,7 +218,8 @@ def _number_in(text: str) -> bool:
 AnyNumber = Annotated[Quantity, _Key()]
 Scale = Annotated[Quantity, _Key(least=0)]
 BlockScale = Annotated[Quantity, _Key(("uniform",), least=0)]
-BlockNumber = Annotated[Quantity, _Key(tuple(LAWS), may_be_of_file=True)]
+Displacement = Annotated[Quantity, _Key(tuple(LAWS), words=(FILE, END))]
+Velocity = Annotated[Quantity, _Key(tuple(LAWS), words=(FILE, BELT, END))]
 
 
 # ---------------------------------------------------------------------------------------------- the grid

@@ -39,6 +39,7 @@ __all__ = [
     "by_threshold",
     "dask_members",
     "dataset",
+    "ends",
     "events",
     "members",
     "n_stick",
@@ -241,6 +242,11 @@ def series(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]
 def all_events(path: Where) -> Recorded[sim.EventSeries]:
     """Events by member_id; empty if they are not recorded."""
     return Recorded(path, "event_t", _EVENT_COLUMNS, _event_series)
+
+
+def ends(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """z and w at the end by member_id; empty if they are not recorded."""
+    return Recorded(path, "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"])))
 
 
 def separations(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:

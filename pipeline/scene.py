@@ -16,12 +16,15 @@ from typing import Any
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
+from stickslip.pipeline.ends import Ends, check, look_at_dataset, place_beside
 from stickslip.pipeline.engine_table import Engines, EngineTable
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.quantity import (
+    BELT,
+    END,
+    FILE,
     Axis,
     Distribution,
-    FromFile,
     Quantity,
     Value,
     as_written,
@@ -44,7 +47,7 @@ from stickslip.pipeline.tables import (
     PerturbationTable,
     RecordTable,
     RunTable,
-    StartTable,
+    Start,
     TwinsTable,
 )
 from stickslip.pipeline.toml import (
@@ -81,7 +84,7 @@ class Scene(StrictTable):
     about: str = Field(default="", description="what the scene is for")
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     system: SystemTable
-    start: StartTable
+    start: Start
     run: RunTable
     engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")
     perturbation: PerturbationTable | None = None
@@ -100,9 +103,32 @@ class Scene(StrictTable):
             If they are no scene; one line a problem.
         """
         tables = plain(tables)
-        tables.get("system", {}).update(_look(tables, Path(), ""))
         with explained(type(self), ""):
-            super().__init__(**tables)
+            super().__init__(**_merged(tables, _look(tables, Path(), "")))
+        check(self)
+
+    def changed(self, **tables: Any) -> Scene:
+        """A copy with other keys, as in ``scene.changed(run={"t_end": 50.0})``; None leaves a key out.
+
+        Keys of a table that are not given stay; engines are given as a whole.
+
+        Raises
+        ------
+        SceneError
+            If that is no scene; one line a problem.
+        """
+        own = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        own["system"] = {key: value for key, value in own["system"].items() if key not in ("files", "module")}
+        own["start"] = {key: value for key, value in own["start"].items() if key != "ends"}
+        for name, given in tables.items():
+            old = own.get(name)
+            own[name] = {**old, **given} if isinstance(old, dict) and isinstance(given, dict) else given
+        own = plain(own)
+        with explained(type(self), ""):
+            scene = type(self).model_validate(_merged(own, _look(own, self._folder, "")))
+        scene._folder = self._folder
+        check(scene)
+        return scene
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # `as_scene` goes another way
 
@@ -124,7 +150,7 @@ class Scene(StrictTable):
     def records(self) -> tuple[str, ...]:
         """Which of the optional parts of a dataset there are."""
         thresholds = any(engine.settings.get("thresholds") for engine in self.engines)
-        drawn = (one for quantity in self.quantities.values() for one in values(quantity))
+        drawn = (one for quantity in self.quantities.values() for one in values(quantity) if one != BELT)
         in_files = any(file.arrays for file in self.system.known_files.values())
         asked = {
             "file": self.system.coupling == OF_FILE,
@@ -132,6 +158,7 @@ class Scene(StrictTable):
             "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None or in_files,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
+            "end": self.record.end,
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
             "separation": self.record.separation is not None,
@@ -166,7 +193,7 @@ class Scene(StrictTable):
             )
         for key, array in (("z", "z0"), ("w", "w0")):
             lacking = [name for name, file in self.system.known_files.items() if array not in file.arrays]
-            if isinstance(getattr(self.start, key), FromFile) and (lacking or self.system.coupling != OF_FILE):
+            if getattr(self.start, key) == FILE and (lacking or self.system.coupling != OF_FILE):
                 where = lacking[0] if lacking else f'coupling = "{self.system.coupling}"'
                 raise ValueError(
                     f"start.{key}: expected a file with the array `{array}`, got {where} without; write a number"
@@ -217,6 +244,7 @@ class Scene(StrictTable):
     def start_draws(self, at: Mapping[str, Value | None]) -> Sequence[int | None]:
         """The draws of the start, by number, that are run at a point of the grid; None: nothing is drawn."""
         is_drawn = isinstance(at["z"], Distribution) or isinstance(at["w"], Distribution)
+        is_drawn = is_drawn or (self.start.draws is not None and END in (at["z"], at["w"]))
         return range(self.start.draws or 1) if is_drawn else (None,)
 
     def _changes_apply(self) -> None:
@@ -292,6 +320,13 @@ class Scene(StrictTable):
         return SystemFunction(self.system.coupling, module.sha256, str(self._folder.resolve()), module.is_sparse)
 
     @property
+    def ends(self) -> Ends | None:
+        """The dataset at whose ends members start, if any do."""
+        if self.start.dataset is None or self.start.ends is None:
+            return None
+        return Ends(self.start.dataset, self.start.ends.sha256, place_beside(self.start.dataset, self._folder))
+
+    @property
     def folder(self) -> Path:
         """Where the files are looked for that it names."""
         return self._folder
@@ -320,6 +355,9 @@ class Scene(StrictTable):
             del keys["system"]["path"]
         if self.system.module is not None:
             keys["system"]["module"] = self.system.module.sha256
+        if self.start.ends is not None:
+            keys["start"]["ends"] = self.start.ends.sha256
+            del keys["start"]["dataset"]
         for axis in self.axes:  # the order in the file means nothing
             for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
                 table = keys["start" if key in ("z", "w") else "run" if key == "seed" else "system"]
@@ -346,17 +384,35 @@ def load_scene(path: str | Path) -> Scene:
     path = Path(path)
     source, name = read_source(path), str(path)
     tables = parse_toml(source, name)
-    found = _look(tables, path.parent, name)
-    if found:
-        seen = written(found, "system.")
-        source = (
-            source.rstrip() + f"\n\n# What was there when this scene was read; written by stickslip.{seen}".encode()
-        )
-    return parse_scene(source, name, path.parent)
+    seen = _look(tables, path.parent, name)
+    if seen:
+        text = "".join(written(found, f"{table}.") for table, found in seen.items())
+        source = source.rstrip() + f"\n\n# What was there when this was read; written by stickslip.{text}".encode()
+    try:
+        scene = parse_scene(source, name, path.parent)
+    except SceneError:
+        if not seen:
+            raise
+        # to a table within a line nothing can be added
+        scene = parse_scene(written(_merged(tables, seen)).encode(), name, path.parent)
+    check(scene)
+    return scene
 
 
-def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
-    """What a scene keeps of the files that it names, by the keys in [system] that hold it."""
+def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {**tables, **{table: {**tables[table], **found} for table, found in seen.items()}}
+
+
+def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
+    """What a scene keeps of what it names, by the tables and the keys that hold it."""
+    seen = {"system": _look_at_systems(tables, folder, name)}
+    start = tables.get("start")
+    if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
+        seen["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+    return {table: found for table, found in seen.items() if found}
+
+
+def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
     system = tables.get("system")
     if not isinstance(system, dict) or "files" in system or "module" in system:
         return {}

@@ -56,6 +56,11 @@ RECORDED = {
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
         _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
     ],
+    "end": [
+        _column("z_end", _list(pa.float64()), "displacement of each block at the end of the run, t_end or earlier"),
+        _column("w_end", _list(pa.float64()), "velocity of each block then"),
+        _column("mode_end", _list(pa.int8()), "mode of each block then: -1 or +1 slips, 0 sticks"),
+    ],
     "growth_rate": [
         _column(
             "growth_rate",
@@ -90,7 +95,7 @@ RECORDED = {
 _MAY_BE_NULL = {
     "damping": {"rho", "friction", "z0", "w0"},
     "drawn": {"rho", "friction", "z0", "w0"},
-    "function": {"kappa", "rho", "friction", "belt_speed"},
+    "function": {"kappa", "rho", "friction", "belt_speed", "w0"},
 }
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PlainSerializer, WrapValidator, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, WrapValidator, model_validator
 
 from stickslip.pipeline.engine_table import Readings
-from stickslip.pipeline.quantity import BlockNumber, Distribution, values
+from stickslip.pipeline.quantity import END, Displacement, Distribution, Velocity, values
 from stickslip.pipeline.toml import (
     Count,
     List,
@@ -26,7 +26,11 @@ from stickslip.sim.engines.contract import Purpose
 def _seeds(given: Any, read: Callable[[Any], int]) -> int | tuple[int, ...]:
     if given == []:
         raise ValueError("expected at least one value, got []; write e.g. `seed = 0`")
-    return distinct(tuple(map(read, given))) if isinstance(given, list | tuple) else read(given)
+    if not isinstance(given, list | tuple):
+        return read(given)
+    seeds = tuple(map(read, given))  # in the order of the file, for `zip`
+    distinct(seeds)
+    return seeds
 
 
 if TYPE_CHECKING:
@@ -41,26 +45,55 @@ else:
     ]
 
 
+class EndsTable(StrictTable):
+    """The dataset at whose ends members start, as it was when the scene was read; see `pipeline.ends`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
 class StartTable(StrictTable):
     """[start]: the state that every block starts from."""
 
-    z: BlockNumber = Field(description="displacement at t = 0", examples=[-0.7])
-    w: BlockNumber = Field(description="velocity at t = 0", examples=[-0.4])
+    z: Displacement = Field(description="displacement at t = 0", examples=[-0.7])
+    w: Velocity = Field(description='velocity at t = 0; "belt": it sticks, or does not slip yet', examples=[-0.4])
     draws: Count | None = Field(
         default=None,
         description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",
         examples=[300],
     )
+    dataset: str | None = Field(
+        default=None,
+        description='dataset, beside the scene, at whose ends the same members start; z and w are "end" then',
+        examples=["runs/first"],
+    )
+    ends: Annotated[EndsTable | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the dataset was when the scene was read: written by stickslip"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _ends_of_a_dataset(cls, given: Any) -> Any:
+        return {"z": "end", "w": "end", **given} if isinstance(given, dict) and "dataset" in given else given
 
     @model_validator(mode="after")
-    def _only_what_is_drawn(self) -> Self:
-        if self.draws is not None and not any(
-            isinstance(one, Distribution) for one in (*values(self.z), *values(self.w))
-        ):
+    def _only_what_applies(self) -> Self:
+        starts = (*values(self.z), *values(self.w))
+        if (END in starts) != (self.dataset is not None):
+            raise ValueError('dataset: expected with z or w = "end", and only with these; write both, or none')
+        if self.dataset is not None and self.ends is None:
+            raise ValueError("ends: expected what `load_scene` and the command write, found nothing; use these")
+        if self.draws is not None and END not in starts and not any(isinstance(one, Distribution) for one in starts):
             raise ValueError(
                 "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
             )
         return self
+
+
+def _rest(given: object) -> object:
+    return {"z": 0.0, "w": "belt"} if given == "rest" else given
+
+
+Start = Annotated[StartTable, BeforeValidator(_rest, json_schema_input_type=Literal["rest"] | StartTable)]
 
 
 class RunTable(StrictTable):
@@ -106,6 +139,11 @@ class RecordTable(StrictTable):
     """[record]: what is kept beside the change points of n_stick, which always are."""
 
     events: bool = Field(default=False, description="whether to keep every event", examples=[False])
+    end: bool = Field(
+        default=False,
+        description="whether to keep the state at the end, at which runs of another scene can start",
+        examples=[True],
+    )
     growth_rate: bool = Field(
         default=False,
         description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",

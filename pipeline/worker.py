@@ -20,7 +20,7 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
-from stickslip.pipeline.quantity import Distribution, FromFile
+from stickslip.pipeline.quantity import Distribution, Named
 from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
@@ -54,7 +54,18 @@ class Result:
 
 
 #: What determines numbers beside `sim`: which draws and settings a member has, and what of its run is kept.
-_ROOMS = ("design", "engine_table", "quantity", "scene", "schema", "system_table", "systems", "tables", "worker")
+_ROOMS = (
+    "design",
+    "ends",
+    "engine_table",
+    "quantity",
+    "scene",
+    "schema",
+    "system_table",
+    "systems",
+    "tables",
+    "worker",
+)
 _DETERMINING = [Path(__file__).with_name(f"{room}.py") for room in _ROOMS]
 
 
@@ -103,7 +114,7 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 def _parameters(member: Member) -> dict[str, Any]:
     own = zip(_PARAMETERS, _of_member(member), strict=True)
     settings = {name: value for name, value in member.settings if name in _SETTINGS}
-    found = {name: None if isinstance(one, (Distribution, FromFile)) else one for name, one in own}
+    found = {name: None if isinstance(one, (Distribution, Named)) else one for name, one in own}
     return found | settings | dict(member.parameters)
 
 
@@ -115,6 +126,8 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
     found = _measured(run)
     if "growth_rate" in recording.parts:
         found["growth_rate"] = _growth_rate(member.of_system)
+    if "end" in recording.parts:
+        found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, member.system().belt_speed)}
     if "events" in recording.parts:
         found |= _events(run.events)
     if base is not None:
@@ -155,6 +168,13 @@ def _events(series: sim.EventSeries) -> dict[str, Any]:
         "event_mode": series.mode,
         "initial_mode": series.initial_mode,
     }
+
+
+def _modes(run: sim.Run, belt_speed: float) -> np.ndarray:
+    """The mode of each block at the end; one that slips after a collapse may have turned round unseen."""
+    mode = run.events.initial_mode.copy()
+    mode[run.events.block] = run.events.mode  # of several of one block the last one stays
+    return np.where(mode == 0, 0, np.where(run.w > belt_speed, 1, -1)).astype(np.int8)
 
 
 def _measured(run: sim.Run) -> dict[str, Any]:

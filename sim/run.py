@@ -122,4 +122,4 @@ class Run:
         rows |= {name.removeprefix("n_"): count for name, count in self.events.counts().items()}
         rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
         rows["products"] = self.stats.n_products
-        return show.table("run", rows)
+        return f"<div>{show.table('run', rows)}{show.picture(self.events)}</div>"

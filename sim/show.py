@@ -5,6 +5,8 @@ The one room of `sim` that knows matplotlib, and it loads it only when something
 
 from __future__ import annotations
 
+import io
+from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -80,6 +82,20 @@ def draw_modes(events: EventSeries, ax: Axes | None) -> Axes:
     share = min(legend.get_window_extent().height / ax.get_window_extent().height, 0.5)
     ax.set_ylim(-0.5, -0.5 + events.n / (1.0 - share))
     return ax
+
+
+def picture(events: EventSeries) -> str:
+    """n_stick(t) above the modes of the blocks, as an HTML image."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    draw_n_stick(events, above, {})
+    draw_modes(events, below)
+    above.set_xlabel("")
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    return f'<img alt="n_stick and modes" src="data:image/png;base64,{b64encode(stream.getvalue()).decode()}"/>'
 
 
 def _stays(events: EventSeries) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stickslip.analysis import Report
     from stickslip.pipeline.storage import Place, Where
     from stickslip.workflows.asking import Asking
+    from stickslip.workflows.progress import Watch
 
 # The rooms below load dask, pyarrow and matplotlib: each command imports what it needs, so that --help is quick.
 
@@ -91,7 +92,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
                 dashboard=arguments.dashboard,
             )
             if asking is not None:
-                _write_report(out, asking)
+                _write_report(out, asking, watch)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
@@ -198,30 +199,32 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
     return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
 
 
-def _write_report(directory: Where, asking: Asking | None = None) -> None:
+def _write_report(directory: Where, asking: Asking | None = None, watch: Watch | None = None) -> None:
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.storage import place_of
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.fresh import is_current, n_to_go
 
     if is_current(directory):
+        if watch is not None:
+            watch.close()
         print(f"report  {place_of(directory).named(PAGE)}, unchanged")
     else:
         with Asking() if asking is None else nullcontext(asking) as processes:
-            _build_report(directory, processes)
+            _build_report(directory, processes, watch)
     to_go, n_members = n_to_go(directory)
     if to_go:
         print(f"note: {to_go} of {n_members} members are still to run")
 
 
-def _build_report(directory: Where, asking: Asking) -> None:
+def _build_report(directory: Where, asking: Asking, watch: Watch | None) -> None:
     gc.disable()  # what is loaded and found stays: no need to look through all of it again and again
     try:
-        from stickslip.workflows.progress import answers
+        from stickslip.workflows.progress import Watch
         from stickslip.workflows.reporting import report
 
-        with answers() as on_answer:
-            built = report(directory, asking, on_answer)
+        with Watch(directory) if watch is None else watch as bar:
+            built = report(directory, asking, bar.answered)
         _publish(built, directory)
     finally:
         gc.enable()

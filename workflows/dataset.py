@@ -64,12 +64,11 @@ class Dataset:
         from stickslip.workflows import reporting
         from stickslip.workflows.asking import Asking
         from stickslip.workflows.fresh import is_current
-        from stickslip.workflows.progress import answers
 
         if is_current(self.path):
             return place_of(self.path).named(PAGE)
-        with Asking() as asking, answers() as on_answer:
-            return reporting.write(reporting.report(self.path, asking, on_answer), self.path)
+        with Asking() as asking, Watch(self.path) as watch:
+            return reporting.write(reporting.report(self.path, asking, watch.answered), self.path)
 
 
 def run_scene(

@@ -6,8 +6,6 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
@@ -32,18 +30,6 @@ _LOOK = 2.0
 def clock(seconds: float) -> str:
     """Seconds as m:ss or h:mm:ss."""
     return str(tqdm.format_interval(max(seconds, 0.0)))
-
-
-@contextmanager
-def answers() -> Iterator[Callable[[int, int], None]]:
-    """A bar of the questions of a report that are answered, on a terminal."""
-    with tqdm(bar_format="report {n_fmt}/{total_fmt} |{bar}| {elapsed}", leave=False, disable=None) as bar:
-
-        def on_answer(n: int, n_all: int) -> None:
-            bar.total, bar.n = n_all, n
-            bar.refresh()
-
-        yield on_answer
 
 
 def in_words(found: Estimate) -> list[str]:
@@ -118,7 +104,10 @@ def _pace(rate: float | None, eta: float | None) -> str:
 
 
 class Watch:
-    """Shows `Progress` of the run into a directory as it comes; a context manager, called with each."""
+    """Shows `Progress` of the run into a directory as it comes, then how its report does; a context manager.
+
+    In a terminal or a notebook it is one bar, elsewhere a line now and then.
+    """
 
     def __init__(self, directory: Where, stream: TextIO | None = None) -> None:
         self._directory = directory
@@ -133,8 +122,13 @@ class Watch:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take leave of the bar; what is printed then stands below it."""
         if self._bar is not None:
             self._bar.close()
+            self._bar = None
 
     def __call__(self, progress: Progress) -> None:
         if self._last is None and progress.n_done and progress.n_done < progress.n_members:
@@ -148,10 +142,20 @@ class Watch:
             for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress
-        if self._stream.isatty():
-            self._draw(progress)
+        if self._has_bar:
+            # measured in cost: members of different size make even progress
+            self._draw(progress.cost_done, progress.cost, self._words(progress))
         else:
             self._line(progress)
+
+    def answered(self, n: int, n_all: int) -> None:
+        """Show how many of a report's questions are answered; nothing of it stays."""
+        if self._has_bar:
+            self._draw(n, n_all, f"report: {n}/{n_all} questions").leave = False
+
+    @property
+    def _has_bar(self) -> bool:
+        return self._stream.isatty() or type(self._stream).__module__.startswith("ipykernel.")
 
     @property
     def elapsed(self) -> float:
@@ -167,14 +171,12 @@ class Watch:
     def _print(self, line: str) -> None:
         tqdm.write(line, file=self._stream)  # above the bar, if there is one
 
-    def _draw(self, progress: Progress) -> None:
+    def _draw(self, done: float, total: float, words: str) -> tqdm:
         if self._bar is None:
-            # measured in cost: members of different size make even progress
-            self._bar = tqdm(
-                total=progress.cost, file=self._stream, bar_format="{percentage:3.0f}% |{bar}| {postfix}"
-            )
-        self._bar.n = progress.cost_done
-        self._bar.set_postfix_str(self._words(progress))
+            self._bar = tqdm(file=self._stream, bar_format="{percentage:3.0f}% |{bar}| {postfix}")
+        self._bar.n, self._bar.total = done, total
+        self._bar.set_postfix_str(words)
+        return self._bar
 
     def _line(self, progress: Progress) -> None:
         now = time.monotonic()

@@ -149,10 +149,10 @@ BAD = {
     "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["1000000", "number of draws"]),
     "number in quotes": ("t_end = 8.0", 't_end = "8e0"', ["run.t_end", "number", "write it without quotes: 8e0"]),
     "count in quotes": ("matrices = 3", 'matrices = "3.5"', ["run.matrices", "integer", "`matrices = 20`"]),
-    "several eps": (
+    "several ways to stick": (
         'stick = "threshold"',
-        "eps = [0.03, 0.01]",
-        ["engine[1].eps", "table [[engine]] of its own"],
+        'stick = ["threshold"]',
+        ["engine[1].stick", "'threshold'"],
     ),
     "date for a number": ("t_end = 8.0", "t_end = 2020-01-01", ["run.t_end", "number"]),
     "table twice, once as a value": ("[system]", "record = 3\n[system]", ["TOML", "correct that line"]),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tomllib
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stickslip.pipeline import Scene, parse_scene
-from stickslip.pipeline.toml import written
+from stickslip.pipeline import Scene, SceneError, load_scene, parse_scene
+from stickslip.pipeline.toml import as_tuple, plain, written
 from stickslip.workflows.scenes import chart_of, shipped
 
 ENSEMBLES = {name: file for name, file in shipped().items() if chart_of(file) is None}
@@ -31,3 +32,52 @@ def test_a_scene_that_is_written_is_read_back(name):
 @given(st.dictionaries(st.text(st.characters(exclude_categories=["Cs"])), VALUES))
 def test_what_is_written_as_toml_is_read_back(tables):
     assert tomllib.loads(written(tables)) == tables
+
+
+TABLES = {
+    "system": {"coupling": "antisymmetric", "n": np.int64(5), "belt_speed": -np.array([0.1, 0.2])},
+    "start": {"z": {"uniform": (-1, 1)}, "w": -0.4, "draws": 2},
+    "run": {"t_end": 5.0, "matrices": 2, "seed": np.arange(2)},
+    "engine": {"name": "sigmoid", "eps": np.array([0.03, 0.1])},
+    "analysis": {"t_burn": 1.0, "dt": 0.5},
+}
+
+
+def test_a_scene_is_built_in_python_and_copied_with_changes():
+    scene = Scene(**TABLES)
+    assert scene.extent == "2 belt_speed x 2 seed x 2 draws of the start x 2 engines"
+    assert parse_scene(scene.source).hash == scene.hash
+    other = scene.changed(run={"t_end": 9.0, "seed": None}, title="longer", engine=[{"name": "coulomb"}])
+    assert (other.run.t_end, other.run.seed, other.run.matrices, other.title) == (9.0, 0, 2, "longer")
+    assert [engine.name for engine in other.engines] == ["coulomb"]
+    assert scene.run.t_end == 5.0
+    assert scene.changed().hash == scene.hash
+    again = Scene(**TABLES | {"system": scene.system, "run": scene.run})
+    assert again.hash == scene.hash
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"run": {"t_end": -1.0, "matrices": 2}},
+        {"system": {"coupling": "antisymetric", "n": 5}},
+        {"system": {"coupling": "file", "path": "nonesuch.npz", "n": 5}},
+        {"system": {"coupling": "nonesuch:draw", "n": 5}},
+        {"run": {"t_end": [5.0, 6.0], "matrices": 2}},
+        {"colour": 3},
+        {"engine": [{"name": "sigmoid", "eps": "0.03"}]},
+        {"analysis": {"t_burn": 9.0, "dt": 0.5}},
+    ],
+)
+def test_errors_in_python_are_those_of_a_file(wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tables = plain(TABLES | wrong)
+    (tmp_path / "mine.toml").write_text(written(tables | {"engine": as_tuple(tables["engine"])}))
+    with pytest.raises(SceneError) as of_file:
+        load_scene("mine.toml")
+    with pytest.raises(SceneError) as of_python:
+        Scene(**tables)
+    assert str(of_python.value) == str(of_file.value).removeprefix("mine.toml: ")
+    with pytest.raises(SceneError) as of_copy:
+        Scene(**TABLES).changed(**wrong)
+    assert str(of_copy.value) == str(of_python.value)

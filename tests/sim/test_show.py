@@ -41,7 +41,7 @@ def cells(thing):
     import xml.etree.ElementTree as ET
 
     table = ET.fromstring(thing._repr_html_().replace("colspan=2", 'colspan="2"'))  # well formed
-    return {row.find("th").text: row.find("td").text for row in table.find("tbody")}
+    return {row.find("th").text: row.find("td").text for row in next(table.iter("tbody"))}
 
 
 def test_tables():
@@ -56,6 +56,14 @@ def test_tables():
         "belt speed v": "-0.2",
     }
     assert "<b>" not in show.table("<b>", {"<b>": "<b>"})
+
+
+def test_a_run_shows_its_picture(clean):
+    import base64
+
+    _, _, image = RUN._repr_html_().partition("data:image/png;base64,")
+    assert base64.b64decode(image.partition('"')[0]).startswith(b"\x89PNG")
+    assert '<img alt="n_stick and modes"' in RUN._repr_html_()
 
 
 @pytest.fixture

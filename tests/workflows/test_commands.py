@@ -497,6 +497,23 @@ def test_progress_in_words(dataset, tmp_path):
     ]
 
 
+def test_one_bar_shows_the_run_and_then_its_report(tmp_path):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    stream = Terminal()
+    tally = Tally(10, 10, {"finished": 10}, 2, 2, 1000, 5.0, 5.0)
+    with Watch(tmp_path, stream) as watch:
+        watch(Progress(**vars(tally), n_resumed=0, cost_resumed=0.0, elapsed=3.0, last_shard=None))
+        watch.answered(3, 8)
+        watch.close()
+        assert stream.getvalue().endswith("\r")  # what follows begins a line
+    shown = stream.getvalue().split("\r")
+    assert any("10/10 members" in line for line in shown)
+    assert any("report: 3/8 questions" in line for line in shown)
+
+
 def test_dry_run_writes_nothing(shipped_scene, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["run", shipped_scene, "--dry-run"]) == 0

@@ -107,11 +107,13 @@ def test_first_scene_does_what_the_page_says(first):
 
 def test_sweeps_do_what_the_page_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for name, scene in zip(("sweep", "starts", "chain", "own", "made"), blocks(page("sweeps"), "toml"), strict=True):
+    for name, scene in zip(
+        ("sweep", "starts", "settled", "on", "chain", "own", "made"), blocks(page("sweeps"), "toml"), strict=True
+    ):
         Path(f"{name}.toml").write_text(scene)
     run_python("sweeps")
     Path("own.py").write_text(blocks(page("sweeps"), "python")[1])
-    assert [main(command) for command in commands("sweeps")] == [0] * 11
+    assert [main(command) for command in commands("sweeps")] == [0] * 13
     said = capsys.readouterr().out
     (grid,) = re.findall(r"`(grid +.*?)`", page("sweeps"))
     assert f"\n{grid}\n" in said

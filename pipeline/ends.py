@@ -1,0 +1,165 @@
+"""Starts that are the ends of another dataset's members: which of them, and the state that they ended in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stickslip.pipeline.errors import SceneError, StoreError
+
+# the rooms below load Arrow, which a scene without such starts does not need
+if TYPE_CHECKING:
+    from stickslip.pipeline.design import Member
+    from stickslip.pipeline.scene import Scene
+
+#: What has to be the same in a member and in the one at whose end it starts.
+_SAME = (
+    "seed",
+    "coupling",
+    "n",
+    "matrix",
+    "origin",
+    *(f"perturbation_{word}" for word in ("reading", "size", "draw")),
+)
+
+#: Of several, the one is taken that is like it in these, the first ones first.
+_ALIKE = ("start_draw", "kappa", "leaf", "degree", "rho", "damping", "friction", "belt_speed", "parameters",
+          "twin_size", "engine", "settings", "ratio_draw")  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """A dataset at whose ends members start: its name beside the scene, a digest of its data, and where it lies."""
+
+    name: str
+    sha256: str
+    at: str = field(compare=False)
+
+    @property
+    def word(self) -> str:
+        """What stands for it in a member's name."""
+        return f"e{self.sha256[:12]}"
+
+
+def place_beside(name: str, folder: Path) -> str:
+    """Where a dataset lies that a scene names: at an address, beside the scene, or above it."""
+    if "://" in name:
+        return name
+    places = (folder, *folder.resolve().parents)
+    return str(next((place / name for place in places if (place / name).is_dir()), folder / name).resolve())
+
+
+def look_at_dataset(name: str, folder: Path) -> str:
+    """The digest of the data of a dataset.
+
+    Raises
+    ------
+    SceneError
+        If there is none.
+    """
+    from stickslip.pipeline.ledger import read_manifest
+
+    try:
+        return read_manifest(place_beside(name, folder)).digest
+    except StoreError as error:
+        raise SceneError(f"start.dataset: {error}") from None
+
+
+def check(scene: Scene) -> None:
+    """See that each member of a scene has an end to start at.
+
+    Raises
+    ------
+    SceneError
+        If one has none, or several.
+    """
+    from stickslip.pipeline.design import expand
+
+    if scene.ends is None:
+        return
+    opened = _opened(scene.ends.at, scene.ends.sha256)
+    for member in expand(scene):
+        name = opened.match(member)
+        outcome = opened.outcomes.get(name)
+        if outcome not in ("finished", "collapsed"):
+            raise SceneError(
+                f"start.dataset: expected members that came to their end, got {name} of {scene.ends.name}, which is "
+                f"{outcome or 'not done'}; rerun its scene, or leave out what starts there"
+            )
+
+
+def end_of(ends: Ends, member: Member) -> tuple[np.ndarray, np.ndarray]:
+    """z and w, each of shape (n,), at the end at which a member starts.
+
+    Raises
+    ------
+    SceneError
+        If the dataset is gone, or not what it was; or as `check`.
+    """
+    opened = _opened(ends.at, ends.sha256)
+    return opened.states[opened.match(member)]
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A dataset with ends: its members by what has to be the same, their outcomes and states."""
+
+    at: str
+    like: Mapping[tuple[Any, ...], Sequence[Member]]
+    outcomes: Mapping[str, str]
+    states: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+    def match(self, member: Member) -> str:
+        """The id of the one at whose end a member starts."""
+        candidates = self.like.get(_same(member), ())
+        for name in _ALIKE:
+            value = getattr(member, name)
+            candidates = [one for one in candidates if getattr(one, name) == value] or candidates
+        if not candidates or (member.start_draw is not None and candidates[0].start_draw != member.start_draw):
+            raise SceneError(
+                f"start.dataset: expected a member of {self.at} of the same system as {member.member_id}, found "
+                f"none; seed, n, matrices and draws must be there too"
+            )
+        if len(candidates) > 1:
+            raise SceneError(
+                f"start.dataset: expected one member of {self.at} to start {member.member_id} from, got "
+                f"{len(candidates)}, {candidates[0].member_id} and {candidates[1].member_id} first; sweep the same "
+                f"keys here, write `draws` for starts that were drawn, or name a smaller dataset"
+            )
+        return candidates[0].member_id
+
+
+def _same(member: Member) -> tuple[Any, ...]:
+    return tuple(getattr(member, name) for name in _SAME)
+
+
+@lru_cache(maxsize=2)
+def _opened(at: str, sha256: str) -> _Opened:
+    from stickslip.pipeline import query
+    from stickslip.pipeline.dataset import open_dataset
+    from stickslip.pipeline.design import expand
+
+    try:
+        opened = open_dataset(at)
+    except StoreError as error:
+        raise SceneError(f"start.dataset: {error}") from None
+    if opened.manifest.digest != sha256:
+        raise SceneError(
+            f"start.dataset: expected {at} as it was when the scene was read (digest {sha256[:12]}), got another "
+            f"(digest {opened.manifest.digest[:12]}); restore it, or run the scene into another directory"
+        )
+    if not opened.scene.record.end:
+        raise SceneError(
+            f"start.dataset: expected a dataset with the ends of its runs, got {at} without; run its scene with "
+            f"`end = true` under [record]"
+        )
+    like: dict[tuple[Any, ...], list[Member]] = {}
+    for member in expand(opened.scene):
+        like.setdefault(_same(member), []).append(member)
+    done = query.table(at, ["member_id", "outcome"]).to_pydict()
+    return _Opened(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(at))
