@@ -84,7 +84,7 @@ class Scene(StrictTable):
     about: str = Field(default="", description="what the scene is for")
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     system: SystemTable
-    start: Start
+    start: Start = Field(description='the state that runs start from; "rest": z = 0, and w as the belt')
     run: RunTable
     engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")
     perturbation: PerturbationTable | None = None

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, WrapValidator, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    WrapValidator,
+    model_validator,
+)
 
 from stickslip.pipeline.engine_table import Readings
 from stickslip.pipeline.quantity import END, Displacement, Distribution, Velocity, values
@@ -51,11 +59,17 @@ class EndsTable(StrictTable):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
+def _either_a_dataset(schema: dict[str, Any]) -> None:
+    """Editors may see a start without z and w, if it names a dataset."""
+    schema |= {"if": {"required": ["dataset"]}, "else": {"required": schema.pop("required")}}
+
+
 class StartTable(StrictTable):
     """[start]: the state that every block starts from."""
 
+    model_config = ConfigDict(json_schema_extra=_either_a_dataset)
     z: Displacement = Field(description="displacement at t = 0", examples=[-0.7])
-    w: Velocity = Field(description='velocity at t = 0; "belt": it sticks, or does not slip yet', examples=[-0.4])
+    w: Velocity = Field(description='velocity at t = 0; "belt": that of the belt', examples=[-0.4])
     draws: Count | None = Field(
         default=None,
         description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",

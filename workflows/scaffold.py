@@ -132,7 +132,8 @@ def _tables(path: str, table: dict[str, Any], known: dict[str, Any]) -> Iterator
         others = dict.fromkeys(re.findall(r'"#/\$defs/(\w+)"', json.dumps(field)))
         below += [(f"{path}{name}.", known[other]) for other in others]
         if not others and name != "name":  # the name of an engine stands in the head of its table
-            default = _default(name, field, name in table.get("required", ()))
+            required = table.get("required", table.get("else", {}).get("required", ()))
+            default = _default(name, field, name in required)
             keys.append(Key(path + name, field["description"], _values(field), default))
     yield head, about, keys
     for inner, other in below:
@@ -154,10 +155,13 @@ def _values(field: dict[str, Any]) -> str:
     """What may be written: choices, or a type with its bounds."""
     from stickslip.pipeline.quantity import LAWS
 
-    if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from
-        laws = [law for choice in field["anyOf"] for law in choice.get("properties", ())]
-        drawn = [f", {{{law} = {LAWS[law]}}}" for law in laws]
-        return f"{_values(field['anyOf'][0])}; or a list{''.join(drawn)}"
+    if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it
+        first, *others = field["anyOf"]
+        ways = ["a list"] if any(choice.get("type") == "array" for choice in others) else []
+        ways += [f"{{{law} = {LAWS[law]}}}" for choice in others for law in choice.get("properties", ())]
+        ways += [json.dumps(choice["const"]) for choice in others if "const" in choice]
+        ways += ["module:function" for choice in others if "pattern" in choice]
+        return f"{_values(first)}; or {', '.join(ways)}"
     if "enum" in field or "const" in field:
         return ", ".join(json.dumps(choice) for choice in field.get("enum", [field.get("const")]))
     if field["type"] == "array":

@@ -76,6 +76,13 @@ def test_every_form_that_the_scene_takes_the_schema_takes(small_scene, tmp_path)
     assert problems(json_schema(Scene), tomllib.loads(text)) == []
 
 
+@pytest.mark.parametrize("start", ['"rest"', '{dataset = "runs/first"}', '{z = "end", w = "belt"}', "{z = 0.0}"])
+def test_the_schema_knows_every_start(start, small_scene):
+    text = re.sub(r"^\[start\]\nz = .*\nw = .*\n", "", small_scene.read_text(), flags=re.MULTILINE)
+    found = problems(json_schema(Scene), tomllib.loads(f"start = {start}\n{text}"))
+    assert bool(found) == (start == "{z = 0.0}")
+
+
 def test_every_key_is_described():
     """What an editor shows beside a key; tables are described by themselves."""
     for schema in [json_schema(Scene), *(json_schema(chart_scene(chart)) for chart in CHARTS)]:
