@@ -117,6 +117,17 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
     assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.8, 1.2)",), ("uniform(0.9, 1.1)",)))
 
 
+def test_parameters_of_a_function_are_swept(swept, settings):
+    data = swept({"kappa": [0.1, 0.2]}, lambda at, matrix: 300 * at["kappa"] + matrix % 2)
+    members = data.members.assign(
+        parameters=data.members["kappa"].map({0.1: "gap = 1; a = 2", 0.2: "gap = 2.5; a = 2"})
+    )
+    answer = sweep.answer(Study(Data(members.assign(kappa=None), data.series), settings))
+    row = changes(answer)["gap"]
+    assert (row["verdict"], row["first_value"], row["second_value"]) == (sweep.RISES, "1", "2.5")
+    assert row["difference"] == pytest.approx(30)
+
+
 def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings):
     members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 5)
     assert sweep.answer(Study(Data(members, series), settings)) is None
