@@ -119,7 +119,8 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
             name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin
         ),
     }  # fmt: skip
-    return _report(facts | {"unit": one.unit}, {"compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched)})
+    facts["unit"] = one.unit
+    return _report(facts, {"compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched)})
 
 
 def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
