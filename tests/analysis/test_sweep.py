@@ -77,6 +77,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     report = build(data, settings, "Grid", "", {})
     assert "rises from friction = 0.8 to 1.2" in report.headline[1]
     assert list(report.figures)[:2] == ["sweep_map", "sweep_mean"]
+    assert "&lt;" not in report.html
 
 
 def test_no_change_is_not_told_as_one(swept, settings, rng):
