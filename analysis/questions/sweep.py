@@ -133,7 +133,7 @@ def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
 def values(group: Group) -> dict[str, Value]:
     """What a group has of each key that may be swept: a number, or the distribution that it is drawn from."""
     drawn, given = (
-        dict(part.split(" = ") for part in (group.key[name] or "").split("; ") if part)
+        dict(part.split(" = ", 1) for part in (group.key[name] or "").split("; ") if part)
         for name in ("drawn", "parameters")
     )
     found: dict[str, Value] = {key: float(text) for key, text in given.items()}
