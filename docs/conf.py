@@ -15,8 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from stickslip.pipeline.dataset import RECORDED_BY
-from stickslip.pipeline.schema import RECORDED, SCHEMA
+from stickslip.pipeline.schema import ASKED_BY, RECORDED, SCHEMA
 from stickslip.workflows.scaffold import key_tables
 
 project = "stickslip"
@@ -98,24 +97,13 @@ class SceneKeys(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(text))
 
 
-#: What has a scene's dataset the columns in `RECORDED`.
-_ASKED = RECORDED_BY | {
-    "file": '`coupling = "file"` under [system]',
-    "function": "`parameters` under [system], each a column of numbers by its name",
-    "graph": '`coupling = "chain"`, or another graph, under [system]',
-    "damping": "`damping` under [system], or in its file",
-    "drawn": "a distribution in [system] or [start], or arrays of a file",
-    "growth_rate": "`growth_rate = true` under [record]",
-}
-
-
 class Columns(SphinxDirective):
     """Every column that a dataset may have, from the fields of its schema."""
 
     def run(self) -> list[nodes.Node]:
         text = _columns("In every dataset:", SCHEMA)
         for name, fields in RECORDED.items():
-            text += _columns(f"With {_ASKED[name]}{':' if fields else '.'}", fields)
+            text += _columns(f"With {ASKED_BY[name]}{':' if fields else '.'}", fields)
         return self.parse_text_to_nodes("\n".join(text))
 
 

@@ -19,7 +19,7 @@ from stickslip.pipeline.design import Task
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError
 from stickslip.pipeline.ledger import Manifest, Shard, planned, read_manifest, stored_scene
 from stickslip.pipeline.scene import Scene
-from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.schema import ASKED_BY, Recording
 from stickslip.pipeline.storage import DATA, SCENE, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
 
@@ -32,12 +32,8 @@ _NULLABLE = {
     pa.string(): pd.StringDtype(),
 }
 
-#: What is there if the scene asks for it: by which line, in which of its tables.
-RECORDED_BY = {
-    "events": "`events = true` under [record]",
-    "separation": "`separation = 5.0` under [record]",
-    "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
-}
+#: What is a table of its own if the scene asks for it, and by which line.
+RECORDED_BY = {name: ASKED_BY[name] for name in ("events", "separation", "thresholds")}
 
 
 @dataclass(frozen=True)

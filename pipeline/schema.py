@@ -91,6 +91,20 @@ RECORDED = {
     ],
 }
 
+#: By which line, in which of its tables, a scene asks for each.
+ASKED_BY = {
+    "file": '`coupling = "file"` under [system]',
+    "function": "`parameters` under [system], each a column of numbers by its name",
+    "graph": '`coupling = "chain"`, or another graph, under [system]',
+    "damping": "`damping` under [system], or in its file",
+    "drawn": "a distribution in [system] or [start], or arrays of a file",
+    "end": "`end = true` under [record]",
+    "growth_rate": "`growth_rate = true` under [record]",
+    "events": "`events = true` under [record]",
+    "separation": "`separation = 5.0` under [record]",
+    "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
+}
+
 #: What is null where a scene gives `damping`, or a distribution, and where a function makes the systems.
 _MAY_BE_NULL = {
     "damping": {"rho", "friction", "z0", "w0"},

@@ -23,7 +23,7 @@ from stickslip.workflows.export import whole
 #: Along which dimension the lists of a dataset lie; `by_threshold`, lists of lists, is not written.
 _SAMPLES = {
     "t": "change", "n_stick": "change", "event_t": "event", "event_block": "event", "event_mode": "event",
-    "initial_mode": "block", "separation": "separation_step",
+    "initial_mode": "block", "z_end": "block", "w_end": "block", "mode_end": "block", "separation": "separation_step",
 }  # fmt: skip
 _ROWS = 65_536  # of a chunk
 

@@ -6,15 +6,20 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from stickslip.pipeline import parse_scene, query, run_ensemble
+from stickslip.pipeline.schema import ASKED_BY, RECORDED, SCHEMA
 from stickslip.workflows.commands import main
+from stickslip.workflows.netcdf import _SAMPLES
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "columns.md").read_text()
 LINES = {re.search(r"import (\w+)", block)[1]: block for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)}
-SOURCE = ensemble([6], 30.0, 3, COULOMB, SIGMOID, rest="[record]\nevents = true", analysis="t_burn = 5.0\ndt = 0.5")
+SOURCE = ensemble(
+    [6], 30.0, 3, COULOMB, SIGMOID, rest="[record]\nevents = true\nend = true", analysis="t_burn = 5.0\ndt = 0.5"
+)
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +72,13 @@ def test_netcdf_holds_a_dataset_whole(kept, exported, engine):
             assert np.array_equal(event_t[k], query.events(kept, member_id).t)
         assert found["change_row_size"].attrs["sample_dimension"] == "change"
         assert found["n_stick"].attrs["long_name"].startswith("number of sticking blocks")
+
+
+def test_every_column_has_its_place_on_the_page_and_in_the_file():
+    assert ASKED_BY.keys() == RECORDED.keys()
+    fields = [*SCHEMA, *(field for some in RECORDED.values() for field in some)]
+    lists = {field.name for field in fields if pa.types.is_list(field.type)}
+    assert lists == {*_SAMPLES, "by_threshold"}
 
 
 def test_a_file_in_the_dataset_is_refused(kept, capsys):
