@@ -217,7 +217,8 @@ class Recording:
 
 def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
     """The Parquet file of some rows, a pure function of them (for given versions of pyarrow)."""
-    columns = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+    kinds = zip(schema.names, schema.types, strict=True)
+    columns = [pa.array([row.get(name) for row in rows], kind) for name, kind in kinds]
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
     floats = ("t.list.element", "event_t.list.element", "separation.list.element")
