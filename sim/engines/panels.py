@@ -23,6 +23,7 @@ PAIR_HEIGHT, SINGLE_PAIR_HEIGHT = 16, 32
 #: What rounding K and a vector to float32, and adding the products up in it, may do to (K x)_i, relative to
 #: sum_j |K_ij| max |x|: three roundings, and a margin for those of the sum.
 ROUGH = 8 * float(np.finfo(np.float32).eps)
+_SINGLE_MAX = float(np.finfo(np.float32).max)
 
 
 def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
@@ -31,9 +32,12 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     Shape (number of panels, n, height).
     """
     n = len(matrix)
+    if n == 0:
+        return np.empty((0, 0, height), dtype)
+    if dtype == np.float32:
+        matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)  # infinity would make 0 times K_ij not a number
     rows = np.zeros((-(-n // height) * height, n), dtype)
-    limit = np.finfo(dtype).max  # no infinity, which would make 0 times K_ij not a number
-    rows[:n] = np.clip(matrix, -limit, limit)
+    rows[:n] = matrix
     return np.ascontiguousarray(rows.reshape(len(rows) // height, height, n).transpose(0, 2, 1))
 
 

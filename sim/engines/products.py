@@ -36,12 +36,16 @@ class Pairs(NamedTuple):
         n = system.n
         none = np.empty((0, 0))
         dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else none
-        sums = system.row_sums[system.row_sums > 0.0]
-        fits = n >= _SMALL and len(sums) > 0 and sums.min() > 1 / _LARGE and sums.max() < _LARGE
-        single = panels(dense if fits else none, SINGLE_PAIR_HEIGHT, np.float32)
+        single = panels(dense if n >= _SMALL and _fits_single(system) else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         rough = single, np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32)
         return cls(panels(dense, PAIR_HEIGHT, np.float64), np.zeros((2, padded)), *rough, np.zeros(n, np.int64))
+
+
+def _fits_single(system: System) -> bool:
+    """Whether what a row of K comes to is well within float32."""
+    sums = system.row_sums[system.row_sums > 0.0]
+    return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
 
 
 @inner
