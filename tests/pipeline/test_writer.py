@@ -68,7 +68,12 @@ def test_rows_hold_parameters_and_results(finished, scene):
         for row in table.to_pylist():
             member = members[row["member_id"]]
             kept = {name: getattr(member, name) for name in member.__slots__} | dict(member.settings)
-            for name in ("settings", "thresholds", "shared_cost"):  # in columns of their own; no part of the data
+            for name in (
+                "settings",
+                "thresholds",
+                "parameters",
+                "shared_cost",
+            ):  # in columns of their own; no part of the data
                 kept.pop(name, None)
             for name in kept.keys() - row.keys():  # columns of other scenes
                 assert kept.pop(name) is None, name
