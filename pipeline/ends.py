@@ -78,10 +78,10 @@ def check(scene: Scene) -> None:
     SceneError
         If one has none, or several.
     """
-    from stickslip.pipeline.design import expand
-
     if scene.ends is None:
         return
+    from stickslip.pipeline.design import expand  # it loads Arrow
+
     opened = _opened(scene.ends.at, scene.ends.sha256)
     for member in expand(scene):
         name = opened.match(member)
