@@ -4,13 +4,14 @@
 
 While no block changes its mode the motion is linear, X' = M X with X = (z, (w - v) / rate, 1), and exp(M t) is taken
 by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |M|: singular, nilpotent, defective
-or undamped systems need no care. What may end the motion, (w - v) of a slipping block and mu -+ F of a sticking one,
-F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch
-is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly: its k-th derivative is
-averaged.
+or undamped systems need no care. What may end the motion, (w - v) of a slipping block and m -+ F of a sticking one,
+m its static friction and F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so no
+crossing and no touch is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly: its
+k-th derivative is averaged.
 
-At an instant every block with w = v is decided anew, all together: by |F| against mu, and at |F| = mu by the first
-derivative of F that does not vanish. A touch after which the block goes on as before is no event.
+At an instant every block with w = v is decided anew, all together: by |F| against m, and at |F| = m by the first
+derivative of F that does not vanish. With m above mu a block that leaves is felt at once, so those that stay are then
+decided again. A touch after which the block goes on as before is no event.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class Case:
     belt_speed: float
     z0: Floats
     w0: Floats
+    static: Floats
 
     @classmethod
     def of(
@@ -63,12 +65,18 @@ class Case:
         belt_speed: float,
         z0: ArrayLike,
         w0: ArrayLike,
+        static: ArrayLike | None = None,
     ) -> Case:
         """From what `sim.System` and `simulate` take; numbers stand for all blocks."""
         matrix = np.array(stiffness, dtype=float)
-        each = (np.broadcast_to(np.asarray(x, dtype=float), len(matrix)).copy() for x in (damping, friction, z0, w0))
-        r, mu, z, w = each
-        return cls(matrix, r, mu, float(belt_speed), z, w)
+        by_block = (damping, friction, z0, w0, friction if static is None else static)
+        r, mu, z, w, m = (np.broadcast_to(np.asarray(x, dtype=float), len(matrix)).copy() for x in by_block)
+        return cls(matrix, r, mu, float(belt_speed), z, w, m)
+
+    @cached_property
+    def is_above(self) -> list[bool]:
+        """Whether the static friction is above the kinetic, by block."""
+        return (self.static > self.friction).tolist()
 
     @property
     def n(self) -> int:
@@ -88,7 +96,7 @@ class Case:
 
         n = self.n
         start = max(np.abs(self.z0).max(), np.abs(self.w0).max(), abs(self.belt_speed))
-        return replace(
+        changed = replace(
             self,
             stiffness=self.stiffness * (1 + u(n, n)),
             damping=self.damping * (1 + u(n)),
@@ -97,6 +105,8 @@ class Case:
             z0=self.z0 + start * u(n),
             w0=self.w0 + start * u(n),
         )
+        drop = (self.static - self.friction) * (1 + u(n)) if any(self.is_above) else 0.0
+        return replace(changed, static=changed.friction + drop)
 
 
 @dataclass
@@ -160,7 +170,7 @@ class _Flow:
         stack = expm(self.generator * np.append(_TAU, 1.0)[:, None, None])
         self._coefficients = np.einsum("kj,jab->kab", _TO_COEFFICIENTS, stack[:-1])
         self.step = stack[-1]
-        # what ends it: m (w - v) of a slipping block; mu - F and mu + F of a sticking one
+        # what ends it: m (w - v) of a slipping block; static friction -+ F of a sticking one
         rows, self.owners = [], []
         for i in range(n):
             if mode[i] != 0:
@@ -172,7 +182,7 @@ class _Flow:
                 for side in (1, -1):
                     row = np.zeros(2 * n + 1)
                     row[:n] = -side * case.stiffness[i]
-                    row[2 * n] = case.friction[i] - side * case.damping[i] * case.belt_speed
+                    row[2 * n] = case.static[i] - side * case.damping[i] * case.belt_speed
                     rows.append(row)
                     self.owners.append((i, side))
             else:  # a free block that rides the belt: w - v either way
@@ -271,11 +281,11 @@ class _Follower:
         self._peak = np.maximum(self._peak, now)
         size = np.maximum(now, _REMEMBERED * self._peak)
         pull = np.abs(case.stiffness) @ size
-        self.small_force = _ROUNDING * (pull + case.friction + np.abs(case.damping * case.belt_speed))
+        self.small_force = _ROUNDING * (pull + case.static + np.abs(case.damping * case.belt_speed))
         self.small_speed = _ROUNDING * (size + pull / case.rate**2)
 
     def flow(self, mode: Sequence[int]) -> _Flow:
-        held = tuple(m == 0 and mu > 0 for m, mu in zip(mode, self.case.friction, strict=True))
+        held = tuple(m == 0 and most > 0 for m, most in zip(mode, self.case.static, strict=True))
         key = (tuple(mode), held)
         if key not in self._flows:
             self._flows[key] = _Flow(self.case, mode, held)
@@ -288,31 +298,35 @@ class _Follower:
         self.orders = {}
         open_: list[int] = []
         for i in touching:
-            if abs(force[i]) > case.friction[i] + small[i]:
+            if abs(force[i]) > case.static[i] + small[i]:
                 self.mode[i] = -1 if force[i] > 0 else 1
                 self.orders[i] = 1
             else:
                 self.mode[i] = 0
-                if abs(force[i]) >= case.friction[i] - small[i]:
+                if abs(force[i]) >= case.static[i] - small[i]:
                     open_.append(i)
+        edge = list(open_)
         rows = case.stiffness / case.rate**2
         small = small / case.rate**2
         while open_:
             flow = self.flow(self.mode)
-            x, found = self.x, 0
+            x, found, felt = self.x, 0, False
             for order in range(1, 2 * n + 2):
                 x = flow.generator @ x / _REACH
                 change = rows @ x[:n]
                 moved = [i for i in open_ if abs(change[i]) > small[i]]
                 for i in moved:
                     open_.remove(i)
-                    side = np.sign(force[i]) if case.friction[i] > 0 else np.sign(change[i])
+                    side = np.sign(force[i]) if case.static[i] > 0 else np.sign(change[i])
                     leaves = change[i] * side > 0
                     self.mode[i] = int(-side) if leaves else 0
-                    self.orders[i] = order + 1 if leaves else order
+                    self.orders[i] = order if not leaves else 1 if case.is_above[i] else order + 1
                     found += leaves
+                    felt = felt or (leaves and case.is_above[i])
                 if found:
                     break  # others feel it, at a higher order
+            if felt:
+                open_ = [i for i in edge if self.mode[i] == 0]
             if not found:
                 for i in open_:
                     self.orders[i] = -1  # it rests there

@@ -60,12 +60,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
                         help=", ".join(FAMILIES))  # fmt: skip
+    parser.add_argument("--static", action="store_true", help="with static friction above the kinetic")
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args(argv)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
     if arguments.case is not None:
-        print(draw(seed, arguments.case).words())
+        print(draw(seed, arguments.case, arguments.static).words())
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     wanted = [list(FAMILIES).index(family) for family in arguments.families]
     every = count() if arguments.case is None else iter([arguments.case])
@@ -74,9 +75,9 @@ def main(argv: list[str] | None = None) -> int:
         numbers = (k for k, _ in zip(numbers, range(arguments.cases), strict=False))
     table, n_wrong, n_cases = _Table(), 0, 0
     start = time.monotonic()
-    judged, until = partial(judge_case, seed), start + 60 * arguments.minutes
+    judged, until = partial(judge_case, seed, is_static=arguments.static), start + 60 * arguments.minutes
     for number, verdict in verdicts(judged, numbers, arguments.workers, until):
-        trial = draw(seed, number)
+        trial = draw(seed, number, arguments.static)
         table.add(trial.engine, trial.family, number, verdict)
         n_cases += 1
         n_wrong += bool(verdict.failures) and trial.engine == "coulomb"

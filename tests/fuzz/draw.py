@@ -35,8 +35,9 @@ class Trial:
         case = self.case
         k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
         settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
+        static = f", static={case.static.tolist()}" if any(case.is_above) else ""
         return (
-            f"system = System({k}, {r}, {mu}, {case.belt_speed!r})\n"
+            f"system = System({k}, {r}, {mu}, {case.belt_speed!r}{static})\n"
             f"run = simulate(system, {z}, {w}, {self.t_end!r}, engine={self.engine!r}{settings})"
         )
 
@@ -189,8 +190,14 @@ def longest(case: Case, t: float) -> float:
     return t
 
 
-def draw(seed: int, number: int) -> Trial:
-    """Case `number` of a seed."""
+def _static(rng: Rng, mu: Floats) -> Floats:
+    """Static friction above the kinetic, of all blocks or some; by a ratio, but where there is no kinetic."""
+    above = rng.choice([0.25, 0.01, 1.0, rng.uniform(0.0, 2.0)], len(mu)) * (rng.random(len(mu)) < 0.8)
+    return mu * (1 + above)
+
+
+def draw(seed: int, number: int, is_static: bool = False) -> Trial:
+    """Case `number` of a seed, with static friction above the kinetic or without."""
     rng = np.random.default_rng([seed, number])
     family = list(FAMILIES)[number % len(FAMILIES)]
     engine = _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
@@ -199,18 +206,22 @@ def draw(seed: int, number: int) -> Trial:
     speeds = [-0.2, 0.2, -1.0, 1.0, 0.0, 30.0, -30.0, rng.normal()]
     v = float(rng.choice(speeds, p=[0.35, 0.12, 0.1, 0.1, 0.1, 0.03, 0.03, 0.17]))
     r, mu = _damping(rng, n), _friction(rng, n)
+    other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
     if family == "integers":
         v = float(rng.integers(-2, 3)) / 2
         r, mu = rng.integers(0, 3, n) / 2, rng.choice([0.0, 1.0, 1.0, 2.0], n)
         z = rng.integers(-2, 3, n) * 1.0
         w = np.where(rng.random(n) < 0.6, v, rng.integers(-2, 3, n) * 1.0)
+        most = mu + other.integers(0, 2, n) / 2 * (mu > 0) if is_static else mu
     elif family == "identical":
         r, mu = np.full(n, r[0]), np.full(n, mu[0])
         kinds = rng.integers(0, rng.integers(1, 3), n)  # one kind of start, or two
-        z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, r, mu, v))
+        most = _static(other, mu[:1]).repeat(n) if is_static else mu
+        z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, r, most, v))
     else:
-        z, w = _start(rng, k, r, mu, v)
-    case = Case(k, r, mu, v, z, w)
+        most = _static(other, mu) if is_static else mu
+        z, w = _start(rng, k, r, most, v)
+    case = Case(k, r, mu, v, z, w, most)
     lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]
     length = rng.choice(lengths, p=[0.25, 0.6, 0.15])
     t_end = longest(case, float(length))

@@ -34,7 +34,7 @@ _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
 _ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
 _CHANGED = 3  # runs with changed start and constants
 
-_EACH = ("damping", "friction", "z0", "w0")
+_EACH = ("damping", "friction", "z0", "w0", "static")
 
 Simulate = Callable[..., Run]
 
@@ -141,18 +141,28 @@ def exact_truth(case: Case, times: Floats, t_end: float, size: float, rng: np.ra
     return Truth(case, times, state, unit, _modes(path), [_modes(other) for other in others])
 
 
+def _hidden(static: float, kinetic: float) -> float:
+    """c > 1/2 with which the largest l + c l (1 - l^2) is static over kinetic; 0 if they are one."""
+    if static == kinetic:
+        return 0.0
+    return float(np.roots([4.0, 12.0, 12.0 - 27.0 * (static / kinetic) ** 2, 4.0]).real.max())
+
+
 def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Generator, size: float = 1e-6) -> Truth:
     """By LSODA of ODEPACK at tolerances that two runs agree upon."""
 
     def state(case: Case, tol: float) -> Floats:
         n, k, r, mu, v = case.n, case.stiffness, case.damping, case.friction, case.belt_speed
+        c = np.array([_hidden(*pair) for pair in zip(case.static, mu, strict=True)])
 
         def f(x: Floats, _: float) -> Floats:
             w = x[n:]
-            return np.concatenate((w, -r * w - k @ x[:n] - mu * np.tanh((w - v) / delta)))
+            lam = np.tanh((w - v) / delta)
+            return np.concatenate((w, -r * w - k @ x[:n] - mu * lam * (1 + c * (1 - lam * lam))))
 
         def jacobian(x: Floats, _: float) -> Floats:
-            slope = mu / delta / np.cosh(np.clip((x[n:] - v) / delta, -300, 300)) ** 2
+            rise = 1 / np.cosh(np.clip((x[n:] - v) / delta, -300, 300)) ** 2
+            slope = mu / delta * rise * (1 + c * (3 * rise - 2))
             return np.block([[np.zeros((n, n)), np.eye(n)], [-k, -np.diag(r + slope)]])
 
         start = np.concatenate((case.z0, case.w0))
@@ -240,7 +250,7 @@ class _Judge:
         """None, and a failure, if the run does not end or gives up."""
         case = truth.case
         k = csc_array(case.stiffness) if sparse else case.stiffness
-        system = System(k, case.damping, case.friction, case.belt_speed)
+        system = System(k, case.damping, case.friction, case.belt_speed, case.static)
         settings = self.trial.settings | settings
         if truth.delta is not None:
             settings["ratio"] = truth.delta / self.trial.settings["eps"]
@@ -312,8 +322,8 @@ class _Judge:
             modes = np.array([series.mode_at(t) for t in truth.times[known]]).reshape(-1, case.n)
             sticks, slips = (np.abs(y) < band - spare) & ~free, np.abs(y) > np.where(free, 0, band) + spare
             if name is None:
-                sticks &= force < case.friction - doubt
-                slips |= (force > case.friction + doubt) & (np.abs(y) > spare)
+                sticks &= force < case.friction - doubt  # between the two frictions the past decides
+                slips |= (force > case.static + doubt) & (np.abs(y) > spare)
             wrong = (sticks[known] & (modes != 0)) | (slips[known] & (modes != np.sign(y[known])))
             if wrong.any():
                 k, i = np.argwhere(wrong)[0]

@@ -20,10 +20,10 @@ _MEMORY = 4 << 30  # bytes of address space beyond what the process starts with
 Judged = Callable[[int], Verdict]
 
 
-def judge_case(seed: int, number: int) -> Verdict:
+def judge_case(seed: int, number: int, is_static: bool = False) -> Verdict:
     """Of one case; the run goes on if the fuzz itself fails."""
     try:
-        return judge(draw(seed, number))
+        return judge(draw(seed, number, is_static))
     except Exception as error:  # noqa: BLE001  reported as a failure of the case
         return Verdict(failures=[f"the fuzz itself: {type(error).__name__}: {error}"])
 

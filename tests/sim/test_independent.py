@@ -132,3 +132,26 @@ def test_sensitivity_is_that_of_the_motion():
     forgets = sensitivity(Case.of([[1.0]], 2, 0, 0, 1, 1), 30.0, rng)
     assert 1 < grows.at_end < 10  # relative to what the run reaches; t / 2 for the rate
     assert forgets.at_end < 1e-6
+
+
+@pytest.mark.parametrize(("drop", "v"), [(0.3, -0.2), (0.01, 0.5), (2.0, -1.0)])
+def test_the_period_of_one_block_with_static_friction(drop, v):
+    """K = 1, R = 0: stuck over 2 drop at the belt's speed, then the larger part of a circle."""
+    path = follow(Case.of([[1.0]], 0.0, 1.0, v, 0.0, v, 1.0 + drop), 150.0)
+    exits = np.array(path.t)[np.array(path.mode) != 0]
+    period = 2 * drop / abs(v) + 2 * (np.pi - np.arctan(drop / abs(v)))
+    np.testing.assert_allclose(np.diff(exits), period, rtol=0, atol=1e-12)
+
+
+def test_a_block_that_leaves_with_a_jump_takes_along_what_it_holds_at_the_edge():
+    """Both at F = -static with F' = 0; F'' = 0 unless the other leaves, which pulls: then the second follows.
+
+    Block 0 is pushed outward at the second order by a third, which slips; block 1 feels block 0 alone.
+    """
+    k = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    z = np.array([1.5, 0.0, 1.5])  # F_0 = -z_2, F_1 = -z_0
+    case = Case.of(k, 0.0, [1.0, 1.0, 0.0], 0.0, z, 0.0, [1.5, 1.5, 0.0])
+    held = follow(case, 1.0)
+    assert (list(held.initial_mode), held.t) == ([0, 0, 0], [])  # nothing moves: all rest at the edge
+    k[2, 2] = -0.1  # block 2 is pushed outward: its z grows at the second order
+    assert list(follow(Case.of(k, 0.0, [1.0, 1.0, 0.0], 0.0, z, 0.0, [1.5, 1.5, 0.0]), 0.1).initial_mode) == [1, 1, 1]
