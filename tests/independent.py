@@ -6,8 +6,8 @@ While no block changes its mode the motion is linear, X' = M X with X = (z, (w -
 by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |M|: singular, nilpotent, defective
 or undamped systems need no care. What may end the motion, (w - v) of a slipping block and m -+ F of a sticking one,
 m its static friction and F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so
-no crossing and no touch is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly: its
-k-th derivative is averaged.
+no crossing and no touch is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly:
+its k-th derivative is averaged.
 
 At an instant every block with w = v is decided anew, all together: by |F| against m, and at |F| = m by the first
 derivative of F that does not vanish. With m above mu a block that leaves is felt at once, so those that stay are then
