@@ -32,6 +32,7 @@ class Coulomb(Engine):
     about = "exact, event-driven."
     kernels = "coulomb_steps"
     takes_damping_matrix = False
+    takes_static = True
 
     tol: float = setting(1e-10, TOL)
 

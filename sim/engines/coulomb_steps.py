@@ -4,10 +4,12 @@ Between events a sticking block moves with the belt (z linear in t: nothing to i
 a linear law: `stickslip.sim.engines.taylor` expands them all. The next event is the first root of
 
     sigma (w - v)     of a slipping block,
-    mu + sigma F      of a sticking one, F = R v + K z = -mu lambda, for either sigma.
+    m + sigma F       of a sticking one, F = R v + K z = -mu lambda, for either sigma;
+
+m is the static friction, mu if there is no other.
 
 A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.engines.roots`, which misses no
-root. At an event every block with w = v is decided anew from |F| against mu; when they are equal (every exit
+root. At an event every block with w = v is decided anew from |F| against m; when they are equal (every exit
 starts there) the first coefficient of F that does not vanish decides, order by order, while the series is
 being built: until a block is decided its motion is the same under either mode, so simultaneous events, folds,
 cusps and tangencies of any order need no case of their own.
@@ -97,7 +99,7 @@ class _Search(NamedTuple):
 @inner
 def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
-    damping, friction, v = law.damping, law.friction, law.belt_speed
+    damping, static, v = law.damping, law.static, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     zeros, side = expansion.zeros, expansion.side
     reach, poly, found = search.reach, search.poly, search.found
@@ -131,7 +133,7 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
                 block = i
             continue
         force = damping[i] * v + forces[0, i]
-        if side[i] == 0 and max(abs(force), abs(force + forces[1, i] * h)) + reach[i] < friction[i]:
+        if side[i] == 0 and max(abs(force), abs(force + forces[1, i] * h)) + reach[i] < static[i]:
             continue
         for sigma in (-1, 1):
             skip = zeros[i] if side[i] == sigma or side[i] == UNDECIDED_BOTH else 0
@@ -139,7 +141,7 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
             if degree < 1:
                 continue
             if skip == 0:
-                poly[0] = friction[i] + sigma * force
+                poly[0] = static[i] + sigma * force
             else:
                 poly[0] = sigma * forces[skip, i]
             power = h
@@ -206,7 +208,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = law.damping[i] * v + expansion.forces[0, i]
-            concerned = concerned or abs(force) >= law.friction[i] - force_rounding(law, i, z_max)
+            concerned = concerned or abs(force) >= law.static[i] - force_rounding(law, i, z_max)
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0
@@ -315,5 +317,11 @@ def integrate(task: Task, tol: float) -> Run:
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        shortest=np.divide(_TOUCH * math.sqrt(tol), system.rates, out=np.zeros(system.n), where=system.rates > 0),
+        # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
+        shortest=np.divide(
+            _TOUCH * math.sqrt(tol),
+            system.rates,
+            out=np.zeros(system.n),
+            where=(system.rates > 0) & (system.static == system.friction),
+        ),
     )

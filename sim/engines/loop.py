@@ -41,12 +41,15 @@ class Law(NamedTuple):
     row_sums: Floats
     damping: Floats
     friction: Floats
+    static: Floats
     belt_speed: float
 
     @classmethod
     def of(cls, system: System) -> Law:
         pairs = Pairs.of(system)
-        return cls(system.columns, pairs, system.row_sums, system.damping, system.friction, system.belt_speed)
+        return cls(
+            system.columns, pairs, system.row_sums, system.damping, system.friction, system.static, system.belt_speed
+        )
 
 
 class Events(NamedTuple):

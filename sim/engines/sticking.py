@@ -1,6 +1,10 @@
 """Which blocks stick: under the exact law those at the belt's speed, decided from |F| against mu, all at once.
 
-Where |F| = mu, as at every exit, the first coefficient of the series of F that does not vanish decides. Under the
+In the place of mu stands the static friction m, if that is above the kinetic. Where |F| = m, as at every exit, the
+first coefficient of the series of F that does not vanish decides. A block whose m is the kinetic friction leaves with
+w' = 0, as it sticks; one with m above leaves with a jump of w', which the others feel from the second order of F on.
+If that is found there or later, all that is at the edge is decided anew, with that block gone: so those that leave
+while the others stick leave together, and those that stay are then asked what they do without them. Under the
 smoothed law it is a matter of definition: those in a band around the belt's speed, and, or not, |F| below static
 friction.
 """
@@ -18,41 +22,46 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 @inner
 def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
-    """What rounding may do to |F_i| - mu_i, |z| being at most z_max."""
-    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.friction[i])
+    """What rounding may do to |F_i| - m_i, |z| being at most z_max."""
+    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.static[i])
 
 
 @inner
 def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide every block with w = v from |F| against mu; returns how many have |F| = mu and stay undecided."""
-    damping, friction, v = law.damping, law.friction, law.belt_speed
+    """Decide every block with w = v from |F| against m; returns how many have |F| = m and stay undecided."""
+    damping, static, v = law.damping, law.static, law.belt_speed
     forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
-    zeros, side = expansion.zeros, expansion.side
+    zeros, side, leaves = expansion.zeros, expansion.side, expansion.leaves
     n_undecided = 0
     for i in range(len(mode)):
         zeros[i] = 0
         side[i] = 0
         if touching[i] or mode[i] == 0:
-            mu = friction[i]
+            most = static[i]
             force = damping[i] * v + forces[0, i]
             slack = force_rounding(law, i, z_max)
-            if abs(force) > mu + slack:
+            if leaves[i] != 0 or abs(force) > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
+                side[i] = leaves[i]
             else:
                 mode[i] = 0
-                if abs(force) >= mu - slack:
+                if abs(force) >= most - slack:
                     n_undecided += 1
                     zeros[i] = IDENTICALLY_ZERO
-                    side[i] = UNDECIDED_BOTH if mu <= slack else (-1 if force > 0.0 else 1)
+                    side[i] = UNDECIDED_BOTH if most <= slack else (-1 if force > 0.0 else 1)
     return n_undecided
 
 
 @inner
 def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide blocks with |F| = mu whose F has its first coefficient at order k; returns how many that are."""
+    """Decide blocks with |F| = m whose F has its first coefficient at order k.
+
+    Returns how many that are, and whether to begin again because one of them leaves with a jump.
+    """
     forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
-    n_decided = 0
+    friction, static, leaves = law.friction, law.static, expansion.leaves
+    n_decided, again = 0, False
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
@@ -63,9 +72,18 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
                 if push * side[i] > 0.0:
                     mode[i] = side[i]
                     zeros[i] = k + 1
+                    if static[i] > friction[i]:
+                        zeros[i] = 1
+                        expansion.series[2, i] = 0.5 * (static[i] - friction[i]) * side[i]
+                        if k > 1:
+                            leaves[i] = side[i]
+                            again = True
                 else:
                     zeros[i] = k
-    return n_decided
+    if again:
+        for i in range(len(mode)):
+            expansion.touching[i] = expansion.touching[i] or side[i] != 0
+    return n_decided, again
 
 
 @inner

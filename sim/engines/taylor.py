@@ -48,6 +48,7 @@ class Expansion(NamedTuple):
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
     touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
+    leaves: NDArray[np.int8]  #: the side to which a block at the edge of its stick interval is known to leave, else 0
     zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
     side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
     column: Floats
@@ -63,7 +64,8 @@ class Expansion(NamedTuple):
         series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
         zeros, side = np.zeros(n, np.int64), np.zeros(n, np.int64)
         rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(2)
-        return cls(series, forces, mode, np.zeros(n), mode == 0, zeros, side, *rows)
+        leaves = np.zeros(n, np.int8)
+        return cls(series, forces, mode, np.zeros(n), mode == 0, leaves, zeros, side, *rows)
 
 
 @inner
@@ -88,6 +90,18 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
     the number of products.
     """
+    n_products = 0
+    while True:
+        order, h, allowed, n_more = _expand(law, expansion, z, w, target, remaining, tol, rate)
+        n_products += n_more
+        if order > 0:
+            expansion.leaves[:] = 0
+            return order, h, allowed, n_products
+
+
+@inner
+def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+    """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
     damping, friction, v = law.damping, law.friction, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     touching, sizes = expansion.touching, expansion.sizes
@@ -118,9 +132,14 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
             else:
                 two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
         if n_undecided > 0:
-            n_undecided -= settle_by_order(law, k, largest(series[k]), expansion)
+            n_decided, again = settle_by_order(law, k, largest(series[k]), expansion)
+            if again:
+                return 0, 0.0, 0.0, k + 1 + (k + 1) % 2
+            n_undecided -= n_decided
             for i in range(n):
                 slips[i] = 1.0 if mode[i] != 0 else 0.0
+            if k == 1:
+                sizes[1] = largest(series[2])
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
@@ -171,24 +190,23 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
 
     `span` is the length of the window, over which an error `allowed` of w becomes one of z.
     """
-    columns, row_sums, damping, friction = law.columns, law.row_sums, law.damping, law.friction
-    v = law.belt_speed
+    columns, row_sums, damping, v = law.columns, law.row_sums, law.damping, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     zeros, side = expansion.zeros, expansion.side
     column, change, last = expansion.column, expansion.change, expansion.last
     i = block
     n = len(mode)
-    mu = friction[i]
+    mu, most = law.friction[i], law.static[i]
     force = damping[i] * v + forces[0, i]
     rate_error = row_sums[i] * allowed
     doubt = _DOUBT * (rate_error * span + force_rounding(law, i, largest(series[0])))
     new = -1 if force > 0.0 else 1
     if mode[i] == 0:
-        if abs(abs(force) - mu) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
+        if abs(abs(force) - most) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
             return 0.0
-    elif abs(force) < mu - doubt:
+    elif abs(force) < most - doubt:
         new = 0
-    elif abs(force) <= mu + doubt:
+    elif abs(force) <= most + doubt:
         return 0.0
 
     if len(columns.dense) == 0:
@@ -206,7 +224,7 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
         if new != 0:
             c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
             if k == 0:
-                c = 0.0 if was_stuck else c - 0.5 * mu * new
+                c = 0.5 * (most - mu) * new if was_stuck else c - 0.5 * mu * new
         change[k + 2] = c - series[k + 2, i]
         series[k + 2, i] = c
         if k + 2 <= order - 2:
@@ -215,7 +233,7 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
     slips[i] = 1.0 if new != 0 else 0.0
     zeros[:] = 0
     side[:] = 0
-    zeros[i] = 0 if new == 0 else (2 if was_stuck else 1)
+    zeros[i] = 0 if new == 0 else (2 if was_stuck and most == mu else 1)
 
     last[:] = 0.0
     passed_on = 0.0
