@@ -40,9 +40,9 @@ def test_the_balance_closes_over_ten_thousand_events(coupling):
     seed = secrets.randbits(32)
     print("seed", seed)
     if coupling == "chain":
-        system = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0)
+        system = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0, static=1.5)
         rng, t_end = np.random.default_rng(seed), 400.0
-        start = rng.normal(size=30), rng.normal(size=30)
+        start = rng.normal(size=30), np.full(30, -0.2)
     else:
         system, t_end, start = draw_system("antisymmetric", 150, seed, kappa=0.25), 800.0, (-0.7, -0.4)
     run, found = run_with_energy(system, *start, t_end, tol=1e-14, stop_early=False)
@@ -107,11 +107,9 @@ def test_a_run_without_stick_has_no_episodes():
 def test_one_block_with_static_friction_has_an_episode_a_period():
     """It goes once round its circle of radius (d^2 + v^2)^(1/2), from z = 1 + d to 1 - d: 2 d, and the belt's way."""
     system, drop = System([[1.0]], 0.0, static=1.3), 0.3
-    settings = {"engine": "sigmoid", "eps": 1e-4, "rtol": 1e-8, "atol": 1e-8}
-    first = simulate(system, 0.0, -0.2, 42.0, **settings)
-    run = simulate(system, 0.0, -0.2, 42.0, t_eval=spans(first.events).ravel(), **settings)
-    found = episodes(run, -0.2)
+    first = simulate(system, 0.0, -0.2, 42.0)
+    found = episodes(simulate(system, 0.0, -0.2, 42.0, t_eval=spans(first.events).ravel()), -0.2)
     slips = 2 * (np.pi - np.arctan(drop / 0.2))
     assert len(found) == 5
-    np.testing.assert_allclose(found.duration, slips, rtol=2e-3)
-    np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=2e-3)
+    np.testing.assert_allclose(found.duration, slips, rtol=1e-9)
+    np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)

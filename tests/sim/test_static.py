@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
-from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.theory import blowup, folds, slow_time, strata
 from stickslip.sim.theory.laws import Coulomb, hidden_term, turning_point
+from tests.fuzz.draw import draw
+from tests.fuzz.judge import judge
+from tests.independent import Case, follow
 
 # the system
 
@@ -71,14 +73,6 @@ def test_what_is_written_for_one_friction_says_so(call):
     system = System([[1.0, 0.2], [-0.2, 1.0]], 0.1, 1.0, static=[1.0, 1.25])
     with pytest.raises(ValueError, match=r"static: expected the kinetic friction, .* got 1.25 above 1 at block 1"):
         call(system)
-
-
-@pytest.mark.parametrize("engine", [name for name, kind in ENGINES.items() if not kind.takes_static])
-def test_an_engine_without_it_says_so(engine):
-    with pytest.raises(
-        ValueError, match=f"static: .* the one friction that engine='{engine}' takes, got 1.3 above 1"
-    ):
-        simulate(System([[1.0]], 0.0, static=1.3), 0.0, 0.0, 1.0, engine=engine)
 
 
 # the sigmoid engine
@@ -160,3 +154,117 @@ def test_what_the_law_strays_from_its_tangent_is_bounded(ratio):
 def test_a_block_with_static_friction_alone_is_refused():
     with pytest.raises(ValueError, match=r"static: engine='sigmoid' .* got 1 above 0 at block 1"):
         simulate(System(np.eye(2), 0.0, [1.0, 0.0], static=1.0), 0.0, 0.0, 1.0, engine="sigmoid")
+
+
+# the exact engine
+
+
+@pytest.mark.parametrize(("drop", "v"), [(0.3, -0.2), (0.01, 0.5), (2.0, -1.0)])
+def test_the_period_of_one_block(drop, v):
+    events = simulate(System([[1.0]], 0.0, 1.0, v, static=1.0 + drop), 0.0, v, 300.0, tol=1e-13).events
+    exits = events.t[events.mode != 0]
+    assert np.array_equal(events.mode, np.resize([-np.sign(v), 0], len(events)))
+    assert len(exits) > 30
+    np.testing.assert_allclose(np.diff(exits), period(drop, abs(v)), rtol=0, atol=1e-12)
+
+
+def test_a_block_on_the_belt_sticks_up_to_its_static_friction():
+    """K = 1, R = 0, v = -0.2: on the belt it sticks while |z| <= 1.3; off the belt only kinetic friction counts."""
+    system = System([[1.0]], 0.0, static=1.3)
+    for z, mode in (
+        (1.2, 0),
+        (1.3, 0),
+        (1.31, -1),
+        (-1.2, 0),
+        (-1.3, 1),
+        (-1.31, 1),
+    ):  # at 1.3 the belt takes it back
+        assert simulate(system, z, -0.2, 0.1).events.initial_mode[0] == mode
+    slips = simulate(system, -1.2, -0.2 + 1e-9, 0.5).events  # two futures: this one is off the belt
+    assert (slips.initial_mode[0], len(slips)) == (1, 0)
+
+
+def test_a_run_goes_on_from_its_end_exactly():
+    """Also from an instant at which a block leaves: the state alone says what it does."""
+    system = System([[1.0]], 0.0, static=1.3, belt_speed=-0.25)
+    whole = simulate(system, 0.0, -0.25, 60.0, tol=1e-13)
+    middle = float(whole.events.t[4])
+    first = simulate(system, 0.0, -0.25, middle, tol=1e-13)
+    second = simulate(system, first.z, first.w, 60.0, t_start=middle, tol=1e-13)
+    assert second.events.initial_mode[0] == 1
+    np.testing.assert_allclose(second.events.t, whole.events.t[5:], rtol=0, atol=1e-11)
+
+
+def test_twins_leave_together():
+    k = np.eye(3) * 1.5 - 0.25
+    events = simulate(System(k, 0.1, static=1.4), 0.1, -0.2, 60.0).events
+    t = events.t.reshape(-1, 3)
+    assert len(t) > 10
+    assert np.array_equal(t, t[:, :1].repeat(3, axis=1))
+    assert events.block.tolist() == [0, 1, 2] * len(t)
+
+
+@pytest.mark.parametrize("push", [-0.1, 0.0, 0.1])
+def test_a_block_that_leaves_with_a_jump_takes_along_what_it_holds_at_the_edge(push):
+    """Blocks 0 and 1 at F = -static with F' = F'' = 0; a third that slips pushes 0 out or in at the second order.
+
+    If 0 leaves, with w' = 0.5, block 1, which feels it alone, leaves too.
+    """
+    k = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, push]])
+    z, mu, static = np.array([1.5, 0.0, 1.5]), [1.0, 1.0, 0.0], [1.5, 1.5, 0.0]
+    run = simulate(System(k, 0.0, mu, 0.0, static), z, 0.0, 0.1)
+    other = follow(Case.of(k, 0.0, mu, 0.0, z, 0.0, static), 0.1)
+    assert run.events.initial_mode.tolist() == list(other.initial_mode)
+    assert run.events.initial_mode.tolist()[:2] == ([1, 1] if push < 0 else [0, 0])
+    np.testing.assert_allclose(run.z, other.z, atol=1e-12)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1e-3])
+def test_a_tangency_at_the_static_friction_is_no_exit(beyond):
+    """F of a stuck block is a free one's z = -1.5 cos t: from its static friction back, or from a little beyond."""
+    k, mu, static = np.array([[0.0, 1.0], [0.0, 1.0]]), [1.0, 0.0], [1.5 - beyond, 0.0]
+    z = [0.0, -1.5]
+    t_end = 5.0 if beyond else 3.0  # at pi it touches the other side: there rounding decides
+    events = simulate(System(k, 0.0, mu, 0.0, static), z, 0.0, t_end, tol=1e-13).events
+    t, mode = (x[events.block == 0] for x in (events.t, events.mode))
+    assert events.initial_mode[0] == (1 if beyond else 0)
+    if beyond:  # it slips to the right, back to rest where the push of F is spent, and then to the left
+        other = follow(Case.of(k, 0.0, mu, 0.0, z, 0.0, static), 5.0)
+        assert mode.tolist() == [m for m, block in zip(other.mode, other.block, strict=True) if block == 0]
+        np.testing.assert_allclose(
+            t, [at for at, block in zip(other.t, other.block, strict=True) if block == 0], rtol=0, atol=1e-10
+        )
+    else:
+        assert not len(t)
+
+
+def test_static_friction_without_kinetic():
+    """It slips freely, with damping alone, and comes back to the belt inside its static friction."""
+    events = simulate(System([[1.0]], 0.2, 0.0, -0.2, static=0.5), 0.0, -0.2, 40.0, tol=1e-13).events
+    other = follow(Case.of([[1.0]], 0.2, 0.0, -0.2, 0.0, -0.2, 0.5), 40.0)
+    assert events.mode.tolist() == other.mode == [1, 0] * 5
+    np.testing.assert_allclose(events.t, other.t, rtol=0, atol=1e-11)
+
+
+def test_cases_of_the_fuzz():
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    for number in (1, 3, 4, 8, 10, 14):
+        verdict = judge(draw(seed, number, is_static=True))
+        assert verdict.failures == []
+
+
+@pytest.mark.parametrize("n", [1, 2, 20])
+def test_the_smoothed_law_tends_to_the_exact_one(n):
+    """A chain from rest on the belt through its first exits; the worst error of z and w, which falls as eps^(2/3)."""
+    rng = np.random.default_rng(n)
+    system = draw_system("chain", n, 0, kappa=0.7, leaf=1.0, rho=0.2, static=1.3)
+    z, t_end = rng.uniform(-0.3, 0.3, n), 7.5
+    exact = simulate(system, z, -0.2, t_end, tol=1e-13)
+    errors, widths = [], np.array([1e-2, 1e-3, 1e-4, 1e-5])
+    for eps in widths:
+        run = simulate(system, z, -0.2, t_end, eps=eps, **FINE)
+        errors.append(max(np.abs(run.z - exact.z).max(), np.abs(run.w - exact.w).max()))
+    print(n, len(exact.events), errors)
+    assert len(exact.events) > 0
+    assert 0.55 < np.polyfit(np.log(widths[1:]), np.log(errors[1:]), 1)[0] < 0.8
