@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
+from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.theory import blowup, folds, slow_time, strata
 from stickslip.sim.theory.laws import Coulomb, hidden_term, turning_point
@@ -268,3 +269,9 @@ def test_the_smoothed_law_tends_to_the_exact_one(n):
     print(n, len(exact.events), errors)
     assert len(exact.events) > 0
     assert 0.55 < np.polyfit(np.log(widths[1:]), np.log(errors[1:]), 1)[0] < 0.8
+
+
+def test_an_engine_that_takes_one_friction_alone_says_so(monkeypatch):
+    monkeypatch.setattr(ENGINES["coulomb"], "takes_static", False)
+    with pytest.raises(ValueError, match=r"static: .* that engine='coulomb' takes, got 1.3 above 1 at block 0"):
+        simulate(System([[1.0]], 0.0, static=1.3), 0.0, 0.0, 1.0)
