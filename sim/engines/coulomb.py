@@ -20,7 +20,8 @@ class Coulomb(Engine):
     ----------
     tol : float
         Truncation error of w in a step, relative to the largest of |w|, |v| and what w changes by in the step. The
-        error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only.
+        error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only. What is
+        above 1e-3 is taken for 1e-3: looser runs would cost more.
 
     Raises
     ------

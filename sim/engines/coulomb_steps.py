@@ -64,6 +64,8 @@ _CRAWL = 1e-6
 #: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
 #: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
 _TOUCH = 4.0
+#: The loosest tolerance that is worked with. A looser one leaves events undecided: they end windows, and cost more.
+_LOOSEST = 1e-3
 #: The motion after a collapse is that of the modes if a bound of their rounding, some hundred times what it comes to,
 #: is below the tolerance, or below this.
 _FOLLOWED = 1e-10
@@ -299,7 +301,7 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
 
 def integrate(task: Task, tol: float) -> Run:
     """Run a task to the tolerance `tol`; IntegrationError if events accumulate at one instant."""
-    system = task.system
+    system, tol = task.system, min(tol, _LOOSEST)
     require_diagonal_damping(system, "engine='coulomb'")
     law, v = Law.of(system), system.belt_speed
     rate = float(system.rates.max())  # bounds |eigenvalues|

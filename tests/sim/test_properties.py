@@ -539,6 +539,14 @@ def test_sticks_that_are_short_for_their_block_alone_are_events():
     np.testing.assert_allclose(run.events.t, found.t, atol=1e-6)
 
 
+def test_the_loosest_tolerances_are_one():
+    """Looser runs would cost more."""
+    system = draw_system("antisymmetric", n=20, seed=0)
+    loose, bound = (simulate(system, -0.7, -0.4, 20.0, tol=tol) for tol in (9e-3, 1e-3))
+    assert loose.stats == bound.stats
+    assert np.array_equal(loose.events.t, bound.events.t)
+
+
 # Against an engine that shares nothing with it
 
 
