@@ -143,9 +143,10 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
     of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None
+    seen = after.value - before.value  # of shares; their test adds runs, and its centre is no difference of any two
     try:
         absolute = equivalence_test(*(of or mean_difference(one.of, a, b, paired)), one.margin)
-        row |= _named("difference", Estimate(absolute.difference, *absolute.interval(confidence)))
+        row |= _named("difference", Estimate(seen if of else absolute.difference, *absolute.interval(confidence)))
         row["p_absolute"] = absolute.p_different
         test = equivalence_test(*(of or relative_difference(one.of, a, b, paired)), one.margin)
     except Undefined as why:
@@ -153,7 +154,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     half = student.quantile(confidence, test.dof) * test.error  # within the margins where equivalence is shown
     return (
         row
-        | _named("relative", Estimate(test.difference, *test.interval(confidence)))
+        | _named("relative", Estimate(seen if of else test.difference, *test.interval(confidence)))
         | {"narrow_low": test.difference - half, "narrow_high": test.difference + half}
         | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}
     )

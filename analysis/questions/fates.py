@@ -272,7 +272,7 @@ def shares(systems: Sequence[Row]) -> Figure:
 
 
 def _by_system(ax: Any, systems: Sequence[Row]) -> None:
-    names = [str(row["system"]) for row in systems]
+    names = [str(row["system"]).replace(", ", "\n") for row in systems]
     if len({row["n"] for row in systems}) == len(systems):
         names = [str(row["n"]) for row in systems]
         ax.set_xlabel("blocks, n")

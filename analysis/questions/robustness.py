@@ -56,7 +56,6 @@ def answer(study: Study) -> Answer | None:
         "robustness_runs": frame(_RUNS, [row for one in judged for row in one.run_rows()]),
     }
     lead = judged[0]
-    ends = [study.ends[member][0] for member in lead.members]
     facts: dict[str, Any] = {
         "setting": lead.setting.label,
         "t_burn": study.settings.t_burn,
@@ -66,8 +65,13 @@ def answer(study: Study) -> Answer | None:
         "matrices": lead.matrices,
         "replicates": [one.change.size for one in lead.replicates],
         "basis": lead.basis,
-        "n_runs": len(ends),
+        "n_runs": len(lead.members),
         "n_moving": len(lead.sums),
+        "gone": {
+            str(one.change): gone
+            for one in lead.setting.comparisons
+            if (gone := sum(pair.changed not in lead.sums for pair in one.pairs))
+        },
         "others": [(one.setting.label, one.lack, one.rows) for one in judged[1:]],
     }
     if lead.lack:

@@ -125,7 +125,7 @@ def test_the_fates_of_two_laws_are_not_added_up(planted):
     assert counts == {"exact": (12, 0), "sigmoid": (4, 8)}
     said = WORDS.answer(found.facts)
     assert (
-        "12 of 12 runs at n = 200, exact are in motion at t = 1000 (76% to 100%), 4 of 12 at n = 200, sigmoid" in said
+        "12 of 12 runs at n = 200, exact are in motion at t = 1000 (76% to 100%); 4 of 12 at n = 200, sigmoid" in said
     )
     assert "16" not in said
     assert "8 ran away" not in said
