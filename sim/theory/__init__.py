@@ -1,1 +1,1 @@
-"""What explains, and no engine needs: folds and strata, other friction laws, the blow-up, slow time."""
+"""What explains: folds and strata, other friction laws, the blow-up, slow time."""
