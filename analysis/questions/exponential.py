@@ -15,7 +15,7 @@ from stickslip.analysis.stats import pool
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
 from stickslip.analysis.stats.dispersion import difference, dispersion, moments
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma_difference, over_matrices
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness, line, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated_steps
@@ -28,7 +28,8 @@ MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
-    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gap": F, "gap_at": I,
+    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma_over_rotation": F,
+    "gamma_over_rotation_low": F, "gamma_over_rotation_high": F, "gap": F, "gap_at": I,
     "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "line": F, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
@@ -72,6 +73,7 @@ def answer(study: Study) -> Answer:
         "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_close": abs(off) <= CLOSE, "rows": rows,
         "over": {key: Estimate(*(lead[f"over_{key}{end}"] for end in ("", "_low", "_high")))
                  for key in ("pool", "rotation")},
+        "gamma": Estimate(*(lead[f"gamma_over_rotation{end}"] for end in ("", "_low", "_high"))),
         "n": group.key["n"], "rivals": others, "best": max(known, key=lambda row: row["gain"], default=None),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures={"over_fit": partial(over_fit, drawn)})
@@ -127,12 +129,15 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
                 sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
     sums = sums[group.counts.sum(axis=1) > 0]
     seen = sums[:, 0] > 0
-    value, over = dispersion(sums[seen], settings.confidence).value, Estimate()
+    value, over, of_gamma = dispersion(sums[seen], settings.confidence).value, Estimate(), Estimate()
     if value is not None:
-        over = over_matrices(difference, np.hstack([moments(counts), sums])[seen], settings.confidence)
+        both = np.hstack([moments(counts), sums])[seen]
+        over = over_matrices(difference, both, settings.confidence)
+        of_gamma = over_matrices(gamma_difference, both[:, [1, 0, 4, 3]], settings.confidence)
     return {
         "rotation": None if value is None else 1 + value, "over_rotation": over.value,
-        "over_rotation_low": over.low, "over_rotation_high": over.high,
+        "over_rotation_low": over.low, "over_rotation_high": over.high, "gamma_over_rotation": of_gamma.value,
+        "gamma_over_rotation_low": of_gamma.low, "gamma_over_rotation_high": of_gamma.high,
     }  # fmt: skip
 
 

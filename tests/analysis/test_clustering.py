@@ -8,7 +8,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.answer import records
-from stickslip.analysis.questions import clustering, definitions
+from stickslip.analysis.questions import clustering, definitions, exponential
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.stats.effects import AS_CHANCE, MORE
@@ -124,6 +124,11 @@ def test_exits_that_follow_others_are_seen(planted, rng):
     found = clustering.answer(study_of(planted, runs))
     assert found.facts["pairs"] == MORE
     assert said("clustering", found).strip().startswith("Exits set each other off")
+
+
+def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_made_independent(planted, rng):
+    runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
+    assert exponential.answer(study_of(planted, runs)).facts["gamma"].high < 0
 
 
 def test_the_control_plants_the_share_that_it_says(rng):
