@@ -242,11 +242,16 @@ def test_hash_is_of_what_determines_the_data(scene, source):
         ("seed = 7", "seed = 8"),
         ("z = -0.7", "z = -0.70000001"),
         ("events = true", "events = false"),
+        ("events = true", "events = true\nend = true"),
         ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-9'),
         ("sizes = [0.05, 0.01]", "sizes = [0.05]"),
     ]
     hashes = {parse_scene(edit(source, old, new)).hash for old, new in others}
     assert len(hashes | {scene.hash}) == len(others) + 1
+
+
+def test_a_key_younger_than_a_dataset_does_not_make_it_another_scene(source):
+    assert "end" not in parse_scene(source).data_keys()["record"]
 
 
 def test_tolerances_are_picked_for_what_a_scene_asks(scene, source):
