@@ -238,7 +238,7 @@ def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
         below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="coin")
         top.set_yscale("log")
         top.yaxis.set_minor_locator(NullLocator())
-        top.set_ylabel("share, f")
+        top.set(xlabel="cascade size s", ylabel="share, f")
         margin = 0.08 * (max(ends) - min(ends)) + 0.002
         below.set(ylabel="f / coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
         size_axis(top, largest)
