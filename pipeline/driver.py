@@ -115,7 +115,7 @@ def run_ensemble(
     StoreError
         If the directory cannot be used or written.
     SceneError
-        If a worker of this machine cannot hold the scene's largest system, or a file that systems are read from is
+        If a worker of this machine cannot hold the scene's largest system, or a file that systems come from is
         gone or another; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
@@ -136,8 +136,8 @@ def run_ensemble(
         check_memory(scene, workers)
     with Store(out, scene, scene.source, retry_failed, accept_version) as store:
         for origin in {member.origin for batch, _ in store.todo for member in batch.members}:
-            if isinstance(origin, systems.SystemFile):
-                systems.read(origin)  # as it was, or a word here and not a row for each member
+            if origin is not None:
+                systems.look_again(origin)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}
         tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
         firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)

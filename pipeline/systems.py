@@ -101,6 +101,20 @@ def _read(at: str, sha256: str) -> Mapping[str, Any]:
     return _arrays(at, content)
 
 
+def look_again(origin: SystemFile | SystemFunction) -> None:
+    """See that what systems come from is as it was when the scene was read.
+
+    Raises
+    ------
+    SceneError
+        If it is gone, or another.
+    """
+    if isinstance(origin, SystemFile):
+        read(origin)
+    else:
+        _module_file(origin.name.partition(":")[0], origin.at, origin.sha256)
+
+
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
@@ -248,20 +262,25 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
         ) from error
 
 
+def _module_file(module: str, at: str, sha256: str) -> Path:
+    """The file of a module as it was when the scene was read: in a folder, above it, or installed."""
+    folders = dict.fromkeys((Path(at), *Path(at).parents, Path()))
+    files = [file for folder in folders if (file := _file_of(module, folder)) is not None]
+    file = next((file for file in files if _digest(_content(file)) == sha256), None)
+    if file is None:
+        raise SceneError(
+            f"system.coupling: expected the module {module!r} as it was when the scene was read (sha256 "
+            f"{sha256[:12]}), in {at} or installed, found {'another' if files else 'none'}; on a cluster, "
+            f"let the workers have it there; if it was changed, run the scene into another directory"
+        )
+    return file
+
+
 @lru_cache(maxsize=8)
 def _function(name: str, at: str, sha256: str) -> Callable[..., object]:
     """The function, of a module that is loaded under a name of its own, so that what is on disk is what is called."""
     module, _, attribute = name.partition(":")
-    for folder in dict.fromkeys((Path(at), *Path(at).parents, Path())):
-        file = _file_of(module, folder)
-        if file is not None and _digest(_content(file)) == sha256:
-            break
-    else:
-        raise SceneError(
-            f"system.coupling: expected the module {module!r} as it was when the scene was read (sha256 "
-            f"{sha256[:12]}), in {at} or installed, found {'none' if file is None else 'another'}; on a cluster, "
-            f"let the workers have it there; if it was changed, run the scene into another directory"
-        )
+    file = _module_file(module, at, sha256)
     loaded = types.ModuleType(f"_own_{module}_{sha256[:12]}")
     loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
     sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own

@@ -193,7 +193,7 @@ class Store:
         refusal = StoreError(
             f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of it, "
             f"got that of another (hash {manifest.scene_hash[:12]}){self._difference()}; choose another directory, "
-            f"or restore the scene"
+            f"or restore what differs"
         )
         try:
             stored = stored_scene(self.place)
@@ -221,7 +221,7 @@ class Store:
         differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
         # keys that were written first, then those that follow from them
         keys = sorted(differing, key=lambda key: (key not in written, key))
-        shown = [f"; {key}: {wanted.get(key)!r} here, {stored.get(key)!r} there" for key in keys[:_SHOWN]]
+        shown = [f"; {key}: {_told(wanted.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]]
         return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
 
     def look(self) -> tuple[list[Task], list[Task]]:
@@ -321,6 +321,12 @@ class Store:
                     self._remove(f"{DATA}/{result.name}")
                 raise
         return shard
+
+
+def _told(value: object) -> str:
+    """A value of a scene for an error: of what it names, the beginning of the sha256."""
+    is_digest = isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value)
+    return f"sha256 {value[:12]}" if is_digest else repr(value)
 
 
 def _flat(values: object, key: str = "") -> dict[str, object]:

@@ -107,7 +107,7 @@ def test_a_function_that_changed_is_another_scene(tmp_path, content):
     run_ensemble(load_scene(written(tmp_path)), tmp_path / "out", workers=0)
     before = content(tmp_path / "out")
     file = written(tmp_path, own=OWN.replace("-0.3", "-0.2"))
-    with pytest.raises(StoreError, match=r"system\.module: '[0-9a-f]{64}' here, '[0-9a-f]{64}' there"):
+    with pytest.raises(StoreError, match=r"system\.module: sha256 [0-9a-f]{12} here, sha256 [0-9a-f]{12} there"):
         run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == before
     assert {member.system().belt_speed for member in expand(load_scene(file))} == {-0.2}
@@ -122,6 +122,9 @@ def test_a_module_that_changes_while_it_runs_is_said_by_who_needs_it(tmp_path):
     systems._function.cache_clear()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another; on a cluster"):
         run.system()
+    with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another"):
+        run_ensemble(scene, tmp_path / "out", workers=0)  # a word, and no row of a failed member
+    assert not list((tmp_path / "out").glob("data/*"))
 
 
 def test_the_copy_of_the_scene_in_a_dataset_finds_its_module_above(tmp_path, capsys):

@@ -141,7 +141,7 @@ def test_a_dataset_that_changed_is_another_start(first):
     run_ensemble(load_scene(first / "next.toml"), first / "runs" / "next", workers=0)
     (first / "first.toml").write_text(scene(rest="[record]\nend = true").replace("matrices = 2", "matrices = 3"))
     run_ensemble(load_scene(first / "first.toml"), first / "runs" / "first", workers=0)
-    with pytest.raises(StoreError, match=r"start\.ends: '[0-9a-f]{64}' here, '[0-9a-f]{64}' there"):
+    with pytest.raises(StoreError, match=r"start\.ends: sha256 [0-9a-f]{12} here, sha256 [0-9a-f]{12} there"):
         run_ensemble(load_scene(first / "next.toml"), first / "runs" / "next", workers=0)
 
 

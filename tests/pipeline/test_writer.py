@@ -337,7 +337,7 @@ def test_the_key_that_was_changed_comes_before_what_follows_from_it(copy, source
     keys = [part.partition(":")[0] for part in str(caught.value).split("; ")[1:]]
     written = ["perturbation.sizes", "record.events"]
     picked = ["engine[0].picked_for", "engine[0].tol", "engine[1].atol"]
-    assert keys == [*written, *picked, "and 4 keys more", "choose another directory, or restore the scene"]
+    assert keys == [*written, *picked, "and 4 keys more", "choose another directory, or restore what differs"]
 
 
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):
@@ -535,7 +535,7 @@ def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_p
     assert verify(copy) == []
     run_ensemble(grown, tmp_path / "anew", workers=0)
     assert rows(copy) == rows(tmp_path / "anew")
-    with pytest.raises(StoreError, match="or restore the scene"):  # it does not shrink
+    with pytest.raises(StoreError, match="or restore what differs"):  # it does not shrink
         run_ensemble(scene, copy, workers=0)
     shards(copy)[-1].unlink()
     shards(copy)[0].unlink()
