@@ -325,8 +325,9 @@ class Store:
 
 def _told(value: object) -> str:
     """A value of a scene for an error: of what it names, the beginning of the sha256."""
-    is_digest = isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value)
-    return f"sha256 {value[:12]}" if is_digest else repr(value)
+    if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value):
+        return f"sha256 {value[:12]}"
+    return repr(value)
 
 
 def _flat(values: object, key: str = "") -> dict[str, object]:
