@@ -75,7 +75,8 @@ class SystemFunction:
 def located(name: str, folder: Path) -> Path:
     """Where a file lies that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
-    return next((place / name for place in places if (place / name).is_file()), folder / name)
+    # from the root: a worker may have been started in another directory
+    return next((place / name for place in places if (place / name).is_file()), folder / name).resolve()
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.io
@@ -130,6 +132,15 @@ def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, conte
     systems._read.cache_clear()
     with pytest.raises(SceneError, match=r"K\.npz as it was when the scene was read .* got another"):
         run_ensemble(scene, tmp_path / "new", workers=0)  # changed between the reading and the run
+
+
+def test_a_file_is_found_from_another_directory_than_the_scene_was_read_in(tmp_path, arrays, monkeypatch):
+    monkeypatch.chdir(written(tmp_path, arrays).parent)
+    scene = load_scene(Path("mine.toml"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")  # as a worker that was started there
+    systems._read.cache_clear()
+    assert expand(scene)[0].system().n == 4
 
 
 BAD = {
