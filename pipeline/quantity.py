@@ -173,7 +173,7 @@ class _Key:
     @property
     def _expected(self) -> str:
         number = "a finite number" + ("" if self.least is None else f" >= {self.least}")
-        return f"{number}, a list of such{' or a distribution' if self.laws else ''}"
+        return f"{number}, a list of such or a distribution" if self.laws else f"{number} or a list of such"
 
     @property
     def _write(self) -> str:

@@ -148,7 +148,9 @@ class SystemTable(StrictTable):
                 )
         alone = set(self.n) - {file.n for file in self.files.values()}
         if alone:
-            raise ValueError(f"n: expected the numbers of blocks of the files, got {min(alone)} of none; remove it")
+            raise ValueError(
+                f"n: expected the numbers of blocks of the files, got {min(alone)}, which no file has; remove it"
+            )
 
     def _function_applies(self) -> None:
         if not self.is_own:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import importlib.util
 import io
@@ -24,6 +25,9 @@ from stickslip.sim.system import System
 
 #: What a file may hold beside `stiffness`, one number a block each.
 BY_BLOCK = ("damping", "friction", "z0", "w0")
+
+#: What NumPy's files begin with: an .npz is a zip file.
+_MAGIC = (b"PK", b"\x93NUMPY")
 
 #: The parts of a sparse matrix as `scipy.sparse.save_npz` names them.
 _SPARSE = {"data", "indices", "indptr", "shape", "format"}
@@ -136,6 +140,8 @@ def _arrays(name: str, content: bytes) -> dict[str, Any]:
             from scipy.io import mmread  # takes a tenth of a second to load
 
             return {"stiffness": mmread(stream)}
+        if not content.startswith(_MAGIC):
+            raise ValueError("something else")  # of which NumPy says that it is a pickle
         found = np.load(stream, allow_pickle=False)
         if isinstance(found, np.ndarray):
             return {"stiffness": found}
@@ -198,9 +204,8 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:
-    base = Path(pattern)
-    root, rest = (Path(base.anchor), pattern[len(base.anchor) :]) if base.is_absolute() else (folder, pattern)
-    return sorted(file for file in root.glob(rest) if file.is_file()) if rest else []
+    found = (folder / name for name in glob.glob(pattern, root_dir=folder, recursive=True))
+    return sorted(file for file in found if file.is_file())
 
 
 # ---------------------------------------------------------------------------------------------- functions

@@ -104,6 +104,10 @@ class StartTable(StrictTable):
 
 
 def _rest(given: object) -> object:
+    if isinstance(given, str) and given != "rest":
+        raise ValueError(
+            f'expected "rest" or a table, got {given!r}; write `start = "rest"`, or [start] and its keys'
+        )
     return {"z": 0.0, "w": "belt"} if given == "rest" else given
 
 

@@ -288,9 +288,12 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
     field = fields.get(key) if key is not None else None
     example = f"`{key} = {json.dumps(field.examples[0])}`" if field and field.examples else ""
 
-    if kind == "value_error":  # our own words, which name the key where a whole table was looked at
+    if (
+        kind == "value_error"
+    ):  # our own words, which name the key where a whole table was looked at, if it is one key's
         message = str(detail["ctx"]["error"])
-        return f"{path}: {message}" if key else f"{path}.{message}".lstrip(".")
+        is_whole = key is not None or message.startswith("expected")
+        return f"{path}: {message}" if is_whole else f"{path}.{message}".lstrip(".")
     if kind == "extra_forbidden":
         parent, _, word = path.rpartition(".")
         remedy = did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from collections.abc import Iterable
 from typing import Any, TypeAlias
 
@@ -22,7 +23,7 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
             raise TypeError(f"numbers of type {kind}")
         return np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{name}: expected {expected}, got {value!r} ({error})") from error
+        raise TypeError(f"{name}: expected {expected}, got {reprlib.repr(value)} ({error})") from error
 
 
 def per_block(name: str, value: ArrayLike, n: int) -> Floats:

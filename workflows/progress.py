@@ -53,7 +53,8 @@ def in_words(found: Estimate) -> list[str]:
             f"start   {found.start_seconds:.1f} s of the time, until the workers are there",
         ]
     others = f"; others use the machine too: {found.busy:.1f} s for one of a core" if found.busy > 1.2 else ""
-    lines.append(f"pilot   {found.n_pilot} members, of {found.n_kinds} kinds, in {found.pilot_seconds:.1f} s{others}")
+    kinds = f"{found.n_kinds} kind{'s' * (found.n_kinds > 1)}"
+    lines.append(f"pilot   {found.n_pilot} members, of {kinds}, in {found.pilot_seconds:.1f} s{others}")
     if found.compile_seconds:
         lines.append(f"compile {found.compile_seconds:.0f} s, done now: the run finds the kernels compiled")
     return lines

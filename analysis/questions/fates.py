@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import share_over_matrices
@@ -36,6 +36,7 @@ from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, ST
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
+_DRAWN = ("n", "coupling", "file")  # what draws depend on: along other keys they are shared
 _FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), SILENT: ("went quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), DIVERGED: ("ran away", ORANGE, "^"),
@@ -131,7 +132,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
             "t": {DIVERGED: t_stop, SUSTAINED: t_end}.get(how, t),
             "growth_rate": None if pd.isna(rate) else float(rate),
-            "system": tuple(group.key[name] for name in SYSTEM_KEYS),
+            "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
         }  # fmt: skip
 
 
@@ -152,12 +153,12 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
 
 
 def _share(runs: Sequence[Row], confidence: float) -> Row:
-    """Share of runs in motion at the end; the runs of one unit are not independent."""
+    """Share of runs in motion at the end; the runs of one unit, at each point of a grid, are not independent."""
     if not runs:
         return {"sustained": None, "low": None, "high": None}
-    counts: dict[tuple[Any, ...], list[int]] = {}
+    counts: dict[tuple[object, ...], list[int]] = {}
     for row in runs:
-        held = counts.setdefault((row["system"], row["unit"]), [0, 0])
+        held = counts.setdefault(row["drawn"], [0, 0])
         held[0] += row["fate"] == SUSTAINED
         held[1] += 1
     share, low, high, _ = share_over_matrices(np.array(list(counts.values())), confidence)

@@ -84,7 +84,8 @@ def answer(study: Study) -> Answer | None:
     if not axes:
         return None
     level = study.settings.confidence
-    points = {name: [_point(study, group, place(axes, group)) for group in some] for name, some in found.items()}
+    points = {name: sorted((_point(study, group, place(axes, group)) for group in some), key=_place_in_order)
+              for name, some in found.items()}  # fmt: skip
     rows = [_value_row(point, name, axes, level) for name, some in points.items() for point in some]
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
     for row in contrasts:  # a change is one from nothing too, which has no ratio
@@ -182,6 +183,11 @@ def said(value: Sequence[Value]) -> str:
 def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
     """Numbers before distributions."""
     return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
+
+
+def _place_in_order(point: Point) -> list[list[tuple[bool, float, str]]]:
+    """Along the axes, as their values stand."""
+    return [_order(value) for value in point.at.values()]
 
 
 def _kind(axis: Axis, k: int) -> str:

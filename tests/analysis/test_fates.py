@@ -115,6 +115,14 @@ def test_two_engines_on_one_matrix_are_one_system(planted):
     assert found.facts["share"]["low"] == pytest.approx(0.839, abs=1e-3)
 
 
+def test_points_of_a_sweep_share_their_matrices(planted):
+    data = data_of(planted, [SUSTAINED] * 20)
+    other = data.members.assign(member_id="s" + data.members["member_id"], belt_speed=-0.4)
+    series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
+    found = asked(Data(pd.concat([data.members, other]), series))
+    assert "All 40 runs stayed in motion to t = 1000: at most 16% of such systems stop" in WORDS.answer(found.facts)
+
+
 def test_the_fates_of_two_laws_are_not_added_up(planted):
     data = data_of(planted, [SUSTAINED] * 12)
     other = data_of(planted, [SUSTAINED] * 4 + [DIVERGED] * 8)

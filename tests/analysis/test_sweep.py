@@ -56,7 +56,7 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     assert row["difference_low"] <= 30 <= row["difference_high"] < 31
     assert changes(answer, sweep.GAMMA)["belt_speed"]["verdict"] == sweep.STAYS
     table = answer.tables["sweep"]
-    assert sorted(table["belt_speed"]) == sorted(BELT)
+    assert list(table["belt_speed"]) == sorted(BELT)  # as "first" and "last" are meant
     assert (table["n_units"] == 8).all()
 
 

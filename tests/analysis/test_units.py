@@ -76,6 +76,7 @@ def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
     text = plain(one_system.html.partition("</style>")[2])
     assert "over starts of this system" in text
     assert "from leaving out one start at a time" in text
+    assert "of such starts" in text
     assert "over matrices" not in text
     assert one_system.tables["groups"]["starts"].tolist() == [20]
     several = build(runs_of(planted, rng, [(None, m) for m in range(5)], 4), settings, "Both", "", {})

@@ -37,6 +37,10 @@ def test_rest_is_unstretched_springs_on_the_belt():
         assert (run.events.initial_mode == 0).all()  # |R v| < mu
     assert found.hash == parse_scene(text.replace(START, '[start]\nz = 0.0\nw = "belt"').encode()).hash
     assert parse_scene(found.source).records == ()
+    with pytest.raises(
+        SceneError, match=r"start: expected \"rest\" or a table, got 'belt'; write `start = \"rest\"`"
+    ):
+        parse_scene(at_rest(text).replace('"rest"', '"belt"').encode())
 
 
 def test_blocks_that_are_drawn_may_all_ride_on_the_belt():
