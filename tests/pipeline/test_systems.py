@@ -136,11 +136,11 @@ def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, conte
 
 def test_a_file_is_found_from_another_directory_than_the_scene_was_read_in(tmp_path, arrays, monkeypatch):
     monkeypatch.chdir(written(tmp_path, arrays).parent)
-    scene = load_scene(Path("mine.toml"))
+    member = expand(load_scene(Path("mine.toml")))[0]
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")  # as a worker that was started there
     systems._read.cache_clear()
-    assert expand(scene)[0].system().n == 4
+    assert member.system().n == 4
 
 
 BAD = {
