@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import nbclient
+import nbformat
 import pytest
 
 from stickslip import Dataset
 from stickslip.pipeline import verify
-
-nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "notebook.md").read_text()
 CELLS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
