@@ -3,6 +3,15 @@
 from __future__ import annotations
 
 COULOMB, SIGMOID = 'name = "coulomb"', 'name = "sigmoid"'
+#: How the text of a scene of short runs ends.
+ENDING = """\
+[[engine]]
+name = "coulomb"
+tol = 1e-6
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
 
 
 def ensemble(

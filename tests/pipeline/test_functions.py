@@ -14,6 +14,7 @@ from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, status, verify
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
+from tests.scenes import ENDING
 
 OWN = """\
 import numpy as np
@@ -25,7 +26,8 @@ def draw(n, rng, gap, stiff=STIFF):
     return System(K, damping=rng.uniform(0.1, 0.2, n), friction=rng.uniform(0.8, 1.2, n), belt_speed=-0.3)
 """
 
-SCENE = """\
+SCENE = (
+    """\
 [system]
 coupling = "own:draw"
 n = [3, 4]
@@ -36,13 +38,9 @@ w = -0.4
 [run]
 t_end = 5.0
 matrices = 2
-[[engine]]
-name = "coulomb"
-tol = 1e-6
-[analysis]
-t_burn = 1.0
-dt = 0.5
 """
+    + ENDING
+)
 
 
 def written(folder, text=SCENE, own=OWN):

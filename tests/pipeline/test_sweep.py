@@ -14,7 +14,7 @@ import scipy.sparse
 from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.cluster import check_memory
 from stickslip.workflows.reporting import study_of
-from tests.scenes import COULOMB, ensemble
+from tests.scenes import COULOMB, ENDING, ensemble
 
 GRID = """\
 [system]
@@ -44,7 +44,8 @@ t_burn = 1.0
 dt = 0.5
 """
 
-DRAWN = """\
+DRAWN = (
+    """\
 [system]
 coupling = "antisymmetric"
 n = 3
@@ -58,13 +59,9 @@ draws = 3
 t_end = 5.0
 matrices = 2
 seed = SEED
-[[engine]]
-name = "coulomb"
-tol = 1e-6
-[analysis]
-t_burn = 1.0
-dt = 0.5
 """
+    + ENDING
+)
 
 
 def scene_of(text, *edits):

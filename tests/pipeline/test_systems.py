@@ -12,8 +12,10 @@ import scipy.sparse
 from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
 from stickslip.workflows.commands import main
+from tests.scenes import ENDING
 
-SCENE = """\
+SCENE = (
+    """\
 [system]
 coupling = "file"
 path = "K.npz"
@@ -26,13 +28,9 @@ draws = 2
 [run]
 t_end = 5.0
 matrices = 2
-[[engine]]
-name = "coulomb"
-tol = 1e-6
-[analysis]
-t_burn = 1.0
-dt = 0.5
 """
+    + ENDING
+)
 
 
 @pytest.fixture
