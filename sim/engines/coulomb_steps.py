@@ -294,7 +294,7 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
                 return loop.STALLED, n_recorded
         else:
             counters[loop.N_STALLED] = 0
-        if not max(largest(z), largest(w)) <= bound:
+        if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
 

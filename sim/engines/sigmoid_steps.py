@@ -456,7 +456,7 @@ def _advance(  # type: ignore[no-untyped-def]
         clock[loop.TIME], clock[_KEPT], clock[_SLOW] = t_next, macro, slow
         clock[_STEP] = macro * min(max(factor, _SHRINK), most if grown else 1.0)
         grown = True
-        if not max(largest(z), largest(w)) <= bound:
+        if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
 
