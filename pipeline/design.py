@@ -27,10 +27,13 @@ from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
-MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = range(9)
+MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF, STATIC = range(10)
+
+#: What a draw for each block is for, by the argument of `sim.System` that it gives.
+_ARGUMENTS = {"damping": DAMPING, "friction": FRICTION, "static": STATIC}
 
 #: What a file holds, by what a draw in its place would be for.
-_ARRAYS = {FRICTION: "friction", DAMPING: "damping", START_Z: "z0", START_W: "w0"}
+_ARRAYS = {purpose: name for name, purpose in _ARGUMENTS.items()} | {START_Z: "z0", START_W: "w0"}
 
 #: The readings of a perturbation in a member's name. The data hang on it too.
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
@@ -58,6 +61,7 @@ class Member:
     rho: float | None
     damping: Value | None
     friction: Value | None
+    static: Value | None
     belt_speed: float | None
     parameters: tuple[tuple[str, float], ...]
     matrix: int
@@ -113,9 +117,9 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        keys = {"leaf": self.leaf, "damping": self.damping, "friction": self.friction, "z": self.z0, "w": self.w0}
+        own = {key: getattr(self, key) for key in ("leaf", *_ARGUMENTS)} | {"z": self.z0, "w": self.w0}
         return (
-            "; ".join(f"{key} = {one}" for key, one in keys.items() if isinstance(one, Distribution | Named)) or None
+            "; ".join(f"{key} = {one}" for key, one in own.items() if isinstance(one, Distribution | Named)) or None
         )
 
     def system(self) -> sim.System:
@@ -197,34 +201,21 @@ def _member_of_system(values: tuple[Any, ...]) -> Member:
 def _own_system(values: tuple[Any, ...]) -> sim.System:
     member = _member_of_system(values)
     seed = member._seed(MATRIX)
-    damping = None if member.damping is None else member._by_block(member.damping, DAMPING)
-    friction = None if member.friction is None else member._by_block(member.friction, FRICTION)
+    given: dict[str, Any] = {
+        name: member._by_block(value, purpose)
+        for name, purpose in _ARGUMENTS.items()
+        if (value := getattr(member, name)) is not None
+    }
+    if member.belt_speed is not None:
+        given["belt_speed"] = member.belt_speed
     if isinstance(member.origin, SystemFunction):
         made = make(member.origin, member.n, np.random.default_rng(seed), dict(member.parameters))
-        if damping is None:
-            damping = made.damping if made.cross_damping is None else made.cross_damping + np.diag(made.damping)
-        static = made.static if friction is None else None
-        friction = made.friction if friction is None else friction
-        belt_speed = made.belt_speed if member.belt_speed is None else member.belt_speed
-        return sim.System(made.stiffness, damping, friction, belt_speed, static)
-    assert friction is not None
-    assert member.belt_speed is not None
+        return made.changed(**given)
     if member.origin is not None:
-        if damping is None and member.rho is not None:
-            damping = np.random.default_rng(seed).uniform(member.rho, 2 * member.rho, member.n)
-        assert damping is not None
-        return sim.System(read(member.origin)["stiffness"], damping, friction, member.belt_speed)
-    assert member.kappa is not None
-    return sim.draw_system(
-        member.coupling,
-        member.n,
-        seed,
-        **member.scales,
-        rho=member.rho,
-        damping=damping,
-        friction=friction,
-        belt_speed=member.belt_speed,
-    )
+        if member.rho is not None:
+            given["damping"] = np.random.default_rng(seed).uniform(member.rho, 2 * member.rho, member.n)
+        return sim.System(read(member.origin)["stiffness"], **given)
+    return sim.draw_system(member.coupling, member.n, seed, **member.scales, rho=member.rho, **given)
 
 
 @lru_cache(maxsize=1)
@@ -269,8 +260,8 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
     of_file: dict[str, Any] = {}
     if isinstance(origin, SystemFile):
         of_file = {"kappa": origin.scale}
-        of_file |= {"friction": FILE} if "friction" in origin.arrays else {}
-        of_file |= {"damping": FILE, "rho": None} if "damping" in origin.arrays else {}
+        of_file |= {name: FILE for name in _ARGUMENTS if name in origin.arrays}
+        of_file |= {"rho": None} if "damping" in origin.arrays else {}
     changes = [_Change()]
     if scene.perturbation is not None:
         table = scene.perturbation

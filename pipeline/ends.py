@@ -28,7 +28,7 @@ _SAME = (
 )
 
 #: Of several, the one is taken that is like it in these, the first ones first.
-_ALIKE = ("start_draw", "kappa", "leaf", "degree", "rho", "damping", "friction", "belt_speed", "parameters",
+_ALIKE = ("start_draw", "kappa", "leaf", "degree", "rho", "damping", "friction", "static", "belt_speed", "parameters",
           "twin_size", "engine", "settings", "ratio_draw")  # fmt: skip
 
 

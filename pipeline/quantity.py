@@ -91,6 +91,11 @@ def size(quantity: Quantity) -> float:
     return max(abs(value) if isinstance(value, float | int) else value.size for value in values(quantity))
 
 
+def lowest(value: Value) -> float:
+    """The smallest number that there can be, of none below zero."""
+    return float(value) if isinstance(value, float | int) else value.first if isinstance(value, Distribution) else 0.0
+
+
 def as_written(quantity: Quantity) -> Any:
     """A quantity as TOML and JSON have it."""
     if isinstance(quantity, tuple):

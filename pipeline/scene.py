@@ -29,6 +29,7 @@ from stickslip.pipeline.quantity import (
     Value,
     as_written,
     axes,
+    lowest,
     points,
     size,
     values,
@@ -157,6 +158,7 @@ class Scene(StrictTable):
             "function": self.system.is_own,
             "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None or in_files,
+            "static": self.system.static is not None,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
             "end": self.record.end,
             "growth_rate": self.record.growth_rate,
@@ -210,13 +212,24 @@ class Scene(StrictTable):
                 f"(n x lists x starts x matrices x perturbations x engines); lower `matrices`, the lists or the "
                 f"number of draws"
             )
+        self._static_holds()
         return self
+
+    def _static_holds(self) -> None:
+        """Static friction is at least the kinetic, at every point of the grid; of a file or a function, runs tell."""
+        for _, at in self.points() if self.system.static is not None else ():
+            held, kinetic = at["static"], at["friction"]
+            if held is not None and kinetic is not None and lowest(held) < size(kinetic):
+                raise ValueError(
+                    f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
+                    f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
+                )
 
     @property
     def quantities(self) -> dict[str, Quantity | None]:
         """The keys that may hold lists and distributions: those of [system], its parameters, those of [start]."""
         one, other = self.system, self.start
-        keys = ("kappa", "leaf", "degree", "rho", "damping", "friction", "belt_speed")
+        keys = ("kappa", "leaf", "degree", "rho", "damping", "friction", "static", "belt_speed")
         own = {name: getattr(one, name) for name in keys}
         return own | (one.parameters or {}) | {"z": other.z, "w": other.w}
 

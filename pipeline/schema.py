@@ -52,6 +52,7 @@ RECORDED = {
         _column("degree", pa.float64(), "mean number of neighbours; null if not a network"),
     ],
     "damping": [_column("damping", pa.float64(), "damping R of every block; null if drawn")],
+    "static": [_column("static", pa.float64(), "static friction of every block; null if drawn")],
     "drawn": [
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
         _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
@@ -97,6 +98,7 @@ ASKED_BY = {
     "function": "`parameters` under [system], each a column of numbers by its name",
     "graph": '`coupling = "chain"`, or another graph, under [system]',
     "damping": "`damping` under [system], or in its file",
+    "static": "`static` under [system]",
     "drawn": "a distribution in [system] or [start], or arrays of a file",
     "end": "`end = true` under [record]",
     "growth_rate": "`growth_rate = true` under [record]",

@@ -82,6 +82,11 @@ class SystemTable(StrictTable):
         default=None, description="damping R of every block, in the place of `rho`", examples=[0.0]
     )
     friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
+    static: BlockScale | None = Field(
+        default=None,
+        description="static friction of every block, at least the kinetic; the kinetic if left out",
+        examples=[1.3],
+    )
     belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
     parameters: dict[str, AnyNumber] | None = Field(
         default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
@@ -137,7 +142,7 @@ class SystemTable(StrictTable):
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
             given = {key for key in self.model_fields_set if getattr(self, key) is not None}
-            for array, keys in (("friction", {"friction"}), ("damping", {"damping", "rho"})):
+            for array, keys in (("friction", {"friction"}), ("static", {"static"}), ("damping", {"damping", "rho"})):
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")

@@ -24,7 +24,7 @@ from stickslip.sim.arguments import did_you_mean, per_block
 from stickslip.sim.system import System
 
 #: What a file may hold beside `stiffness`, one number a block each.
-BY_BLOCK = ("damping", "friction", "z0", "w0")
+BY_BLOCK = ("damping", "friction", "static", "z0", "w0")
 
 #: What NumPy's files begin with: an .npz is a zip file.
 _MAGIC = (b"PK", b"\x93NUMPY")
@@ -168,7 +168,8 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
     """What a scene says of a file once it is read, as plain values."""
     arrays = _arrays(name, content)
     try:
-        system = System(arrays["stiffness"], arrays.get("damping", 0.0), arrays.get("friction", 1.0))
+        given = {key: arrays[key] for key in ("friction", "static") if key in arrays}
+        system = System(arrays["stiffness"], arrays.get("damping", 0.0), **given)
         for key in ("z0", "w0"):
             per_block(key, arrays.get(key, 0.0), system.n)
     except (TypeError, ValueError) as error:

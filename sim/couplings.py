@@ -237,9 +237,9 @@ def perturb_system(
     if reading == "relative":
         u, r = _uniform(shape, rng, 1.0, (-1.0, 1.0))
         stiffness = system.stiffness + size * kind.relative(system.stiffness, u)
-        return System(stiffness, system.damping * (1.0 + size * r), system.friction, system.belt_speed, system.static)
+        return system.changed(stiffness=stiffness, damping=system.damping * (1.0 + size * r))
     du, dr = _uniform(shape, rng, size * kappa, (-size * rho, size * rho))
     stiffness, damping = system.stiffness + _on_diagonal(kind.rule(du), np.diag(du)), system.damping + dr
     if reading == "damping matrix":
         damping = _on_diagonal(rng.uniform(-size * rho, size * rho, shape), damping)
-    return System(stiffness, damping, system.friction, system.belt_speed, system.static)
+    return system.changed(stiffness=stiffness, damping=damping)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -192,6 +192,18 @@ class System:
         fastest = np.zeros(self.n)
         np.maximum.at(fastest, group, own)
         return np.asarray(fastest[group])
+
+    def changed(self, **arguments: Any) -> System:
+        """The same blocks with other arguments, by name; a static friction that was left out stays the kinetic."""
+        cross = self.cross_damping
+        own = {
+            "stiffness": self.stiffness,
+            "damping": self.damping if cross is None else cross + np.diag(self.damping),
+            "friction": self.friction,
+            "belt_speed": self.belt_speed,
+            "static": None if self.static is self.friction else self.static,
+        }
+        return System(**{**own, **arguments})
 
     def linearised(self, friction: Floats, slope: Floats) -> System:
         """The same blocks, slipping, with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""

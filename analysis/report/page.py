@@ -30,7 +30,7 @@ _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys(("leaf", "degree", "damping", "friction", "z0", "w0"), F), "drawn": S,
+    **dict.fromkeys(("leaf", "degree", "damping", "friction", "static", "z0", "w0"), F), "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
 }  # fmt: skip
 

@@ -75,6 +75,7 @@ def test_what_the_scene_gives_takes_the_place_of_the_functions(tmp_path):
     )
     for member in expand(load_scene(written(tmp_path, text))):
         system = member.system()
+        assert not system.is_static_above
         assert system.belt_speed == -0.1
         assert not system.damping.any()
         assert (system.friction == 0.5).all() or (system.friction >= 1.0).all()

@@ -234,6 +234,23 @@ def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
     )
 
 
+def test_static_friction_is_swept_and_drawn(seed, tmp_path):
+    keys = "static = [1.2, {uniform = [1.3, 1.5]}]\nfriction = [1.0,"
+    scene = scene_of(DRAWN.replace("SEED", str(seed)), ("friction = [1.0,", keys))
+    members = expand(scene)
+    assert len({member.member_id for member in members}) == len(members) == scene.n_members == 2 * 2 * 2 * 2 * 3
+    plain = {member.member_id for member in expand(scene_of(DRAWN.replace("SEED", str(seed))))}
+    for member in members:
+        system = member.system()
+        expected = 1.2 if member.static == 1.2 else drawn(9, seed, 3, member.matrix).uniform(1.3, 1.5, 3)
+        assert np.array_equal(system.static, np.broadcast_to(expected, 3))
+        assert member.member_id.replace("-static=1.2", "").replace("-static=uniform1.3_1.5", "") in plain
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert sorted(table.static.dropna().unique()) == [1.2]
+    assert (table.drawn.str.contains("static = uniform(1.3, 1.5)", regex=False) == table.static.isna()).all()
+
+
 def test_a_number_may_be_the_damping_itself():
     member = expand(scene_of(DRAWN, ("SEED", "1"), ("damping = {uniform = [0.0, 0.5]}", "damping = 0.0")))[0]
     assert (member.damping, member.rho, member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
@@ -341,6 +358,11 @@ BAD = {
     "a negative deviation": ("w = -0.4", "w = {normal = [0, -1]}", ["start.w", "deviation above 0"]),
     "a friction below 0": ("n = [3, 4]", "n = 3\nfriction = {uniform = [-1, 1]}", ["system.friction", "0 <= low"]),
     "a friction without bound": ("n = [3, 4]", "n = 3\nfriction = {normal = [1, 1]}", ["system.friction", "below 0"]),
+    "a static friction below the kinetic": (
+        "n = [3, 4]",
+        "n = 3\nstatic = [0.9, 1.3]",
+        ["system.static", "at least the kinetic", "got 0.9 with friction = 1.0"],
+    ),
     "a leaf of an ensemble": ("n = [3, 4]", "n = 3\nleaf = 1.0", ["system.leaf", "none with", "remove it"]),
     "a degree of a chain": (
         'coupling = "antisymmetric"\nn = [3, 4]\nkappa = [0.2, 0.1]',
