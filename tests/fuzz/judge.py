@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from scipy.linalg import block_diag, eig
 from scipy.sparse import csc_array
 
 from stickslip.sim import IntegrationError, Run, System, simulate
-from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines import ENGINES, products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Undecided, follow
@@ -342,6 +343,9 @@ class _Judge:
         if run is None:
             return verdict
         self.hold("plain", run, truth)
+        if self.is_exact:
+            with patch.object(products, "_SMALL", 1):  # by default only larger systems have such products
+                self.hold("in float32", self.run("in float32", truth, t_eval=self.times), truth)
         self.hold("stop_early=False", self.run("stop_early=False", truth, t_eval=self.times, stop_early=False), truth)
         bare = self.run("without samples", truth)
         if bare and not (np.array_equal(bare.z, run.z) and np.array_equal(bare.events.t, run.events.t)):
