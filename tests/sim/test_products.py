@@ -28,7 +28,7 @@ def drawn(n_cases):
 
 
 def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monkeypatch):
-    """Only systems of some size are worth them; here all have them, and what they cost is 0.2 at most of 138 cases."""
+    """Only systems of some size are worth them; here all have them, and those of 138 cases cost 0.2 of it at most."""
     n_changed = 0
     for trial, unit in drawn(20):
         case, runs = trial.case, []
