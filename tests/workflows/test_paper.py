@@ -364,14 +364,6 @@ def test_another_sigmoid_matters_if_the_interval_of_what_it_moves_lies_beyond_th
     assert verdict == "not reproduced"
 
 
-def test_a_claim_is_told_where_its_whole_interval_is():
-    assert claims._told(0.51, 0.9, 0.5) == "reproduced"
-    assert claims._told(0.4, 0.9, 0.5) == "cannot be told"
-    assert claims._told(0.1, 0.4, 0.5) == "not reproduced"
-    assert claims._told(0.1, 0.4, 0.5, otherwise="corrected") == "corrected"
-    assert claims._told(None, 0.4, 0.5) == "cannot be told"
-
-
 @pytest.mark.parametrize(("periods", "verdict"), [
     ((19.0, 20.0, 21.0, 20.5, 19.5, 20.0, 20.2, 20.8), "reproduced"),
     ((19.0, 20.0, 28.0, 29.0, 30.0, 23.0, 27.0, 22.0), "cannot be told"),

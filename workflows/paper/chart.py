@@ -18,6 +18,7 @@ from stickslip import sim
 from stickslip.analysis.answer import Recipe
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
+from stickslip.workflows.charts.claims import table
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5
 from stickslip.workflows.paper.figure_6 import BlowUp, SlowEvent, SlowRun
@@ -153,7 +154,7 @@ class PaperScene(ChartScene):
         judged = claims.judge(self, measured)
         corners = [corner for one in measured.parallelograms for corner in one.corners]
         slow = [event for run in measured.slow_runs for event in run.events]
-        tables: dict[str, pd.DataFrame] = {"claims": claims.table(judged)}
+        tables: dict[str, pd.DataFrame] = {"claims": table(judged)}
         tables |= {
             name: frame(rows, of)
             for name, rows, of in (

@@ -1,36 +1,39 @@
-"""The paper's claims, judged by what was measured: facts and verdicts, whose words are in the template.
-
-One rule (`_told`): a claim says that a number lies in a region. It is reproduced if the whole 95% interval does, not
-reproduced if none of it does, and else cannot be told. It is corrected if it is not reproduced, but is after a change
-that is named. What is said to make no difference is judged as everywhere: within a margin, or different from none.
-"""
+"""The paper's claims, judged by what was measured: facts and verdicts, whose words are in the template."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from scipy import special
 
 from stickslip import sim
-from stickslip.analysis.answer import F, I, S, frame
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.questions.robustness import BOUND
-from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, SUSTAINED
 from stickslip.analysis.stats.parting import median_time
+from stickslip.workflows.charts.claims import (
+    CONFIDENCE,
+    CONTRADICTED,
+    CORRECTED,
+    REPRODUCED,
+    UNTOLD,
+    Claim,
+    every,
+    share,
+    told,
+    verdict_of,
+)  # fmt: skip
 from stickslip.workflows.paper import figures_1_2
-from stickslip.workflows.paper.figures_3_to_5 import CONFIDENCE, Row, by_definition, escapes
+from stickslip.workflows.paper.figures_3_to_5 import Row, by_definition, escapes
 from stickslip.workflows.paper.runs import SCALES
 
 if TYPE_CHECKING:
     from stickslip.workflows.paper.chart import Measured, PaperScene
 
-REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
 #: What the paper says: figure 3 (ii), and figure 4 (iv) at 5% and 10%.
 BRINK, PERIOD, STRONG, STRONGEST = 150.0, 20.0, 0.05, 0.1
 NEAR = 1.25  # a time is near another within this factor
@@ -38,11 +41,7 @@ MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
 SAME = 0.05  # of gamma: the paper's, within this share
 CLUSTERED = -0.05  # of gamma over ln 2: what clusters would at least take off
-_TABLE: Mapping[str, str] = {
-    "claim": S, "figure": I, "verdict": S, "found": I, "tried": I, "value": F, "low": F, "high": F,
-}  # fmt: skip
 _QUIET = (COLLAPSED, SILENT)
-Claim = dict[str, Any]
 
 
 def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
@@ -55,39 +54,12 @@ def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
     ]
 
 
-def table(judged: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """The claims in numbers: `found` of `tried`, or a `value`, each with its interval."""
-    return frame(_TABLE, judged)
-
-
-def _verdict(is_so: bool, otherwise: str = CONTRADICTED) -> str:
-    return REPRODUCED if is_so else otherwise
-
-
-def _told(
-    low: float | None, high: float | None, least: float = -np.inf, most: float = np.inf, otherwise: str = CONTRADICTED
-) -> str:
-    """Whether what an interval holds lies in [least, most]; the rule of this module."""
-    if low is None or high is None:
-        return UNTOLD
-    if least <= low and high <= most:
-        return REPRODUCED
-    return otherwise if high < least or low > most else UNTOLD
-
-
-def _all(verdicts: Sequence[str]) -> str:
-    """Of claims that all have to hold."""
-    return next((one for one in (CONTRADICTED, CORRECTED, UNTOLD) if one in verdicts), REPRODUCED)
-
-
 def _median(times: Sequence[float]) -> Estimate:
     return median_time(times, [True] * len(times), CONFIDENCE) if len(times) else Estimate()
 
 
 def _share(rows: Sequence[Row], *of: str) -> Claim:
-    found = sum(row.fate in of for row in rows)
-    low, high = wilson(found, len(rows), CONFIDENCE)
-    return {"found": found, "tried": len(rows), "low": low, "high": high}
+    return share(sum(row.fate in of for row in rows), len(rows))
 
 
 def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
@@ -99,25 +71,25 @@ def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
 
 def one_block(scene: PaperScene, measured: Measured) -> Claim:
     leaves = all(one.exit in one.stick for one in measured.portraits)
-    return {"verdict": _verdict(leaves), "portraits": measured.portraits}
+    return {"verdict": verdict_of(leaves), "portraits": measured.portraits}
 
 
 def corners(scene: PaperScene, measured: Measured) -> Claim:
     off = [corner.misprint for one in measured.parallelograms for corner in one.corners]
-    return {"verdict": _verdict(max(off) < 1e-9, CORRECTED), "low": min(off), "high": max(off)}
+    return {"verdict": verdict_of(max(off) < 1e-9, CORRECTED), "low": min(off), "high": max(off)}
 
 
 def double_exit(scene: PaperScene, measured: Measured) -> Claim:
     corners = [corner for one in measured.parallelograms for corner in one.corners]
     exits = {corner.label for corner in corners if corner.kind == "double exit"}
-    return {"verdict": _verdict(exits == {"+-"}, CORRECTED if exits == {"++"} else UNTOLD)}
+    return {"verdict": verdict_of(exits == {"+-"}, CORRECTED if exits == {"++"} else UNTOLD)}
 
 
 def determinacy(scene: PaperScene, measured: Measured) -> Claim:
     (one,) = measured.uniqueness
     growth = max(one.apart) / figures_1_2.APART
     return {
-        "verdict": _verdict(growth > 10.0 or one.coulomb > 1), "tried": len(one.apart), "value": growth,
+        "verdict": verdict_of(growth > 10.0 or one.coulomb > 1), "tried": len(one.apart), "value": growth,
         "static": one.static, "static_over": figures_1_2.RATIO,
     }  # fmt: skip
 
@@ -133,19 +105,19 @@ def more_come_to_rest(scene: PaperScene, measured: Measured) -> Claim:
     """Most do, and half of these near the paper's time."""
     found = _rest(_of(measured, "long", scene.n[-2:][0]))
     half = _median(found["ends"])
-    return found | {"verdict": _all([found["verdict"], _told(half.low, half.high, BRINK / NEAR, BRINK * NEAR)])}
+    return found | {"verdict": every([found["verdict"], told(half.low, half.high, BRINK / NEAR, BRINK * NEAR)])}
 
 
 def _rest(rows: Sequence[Row]) -> Claim:
-    share, ends = _share(rows, *_QUIET), sorted(row.t_last for row in rows if row.fate in _QUIET)
+    came, ends = _share(rows, *_QUIET), sorted(row.t_last for row in rows if row.fate in _QUIET)
     certified = sum(row.fate == COLLAPSED for row in rows)
-    return share | {"verdict": _told(share["low"], share["high"], MOST), "ends": ends, "certified": certified}
+    return came | {"verdict": told(came["low"], came["high"], MOST), "ends": ends, "certified": certified}
 
 
 def many_keep_on(scene: PaperScene, measured: Measured) -> Claim:
-    share, beyond = _share(_of(measured, "long", scene.n[-1]), SUSTAINED), _of(measured, "long", scene.beyond)
-    return share | {
-        "verdict": _told(share["low"], share["high"], MOST),
+    going, beyond = _share(_of(measured, "long", scene.n[-1]), SUSTAINED), _of(measured, "long", scene.beyond)
+    return going | {
+        "verdict": told(going["low"], going["high"], MOST),
         "n": scene.n[-1],
         "beyond": _share(beyond, DIVERGED),
         "n_beyond": scene.beyond,
@@ -154,11 +126,11 @@ def many_keep_on(scene: PaperScene, measured: Measured) -> Claim:
 
 def some_collapse(scene: PaperScene, measured: Measured) -> Claim:
     rows = _of(measured, "long", scene.n[-1])
-    share, away = _share(rows, *_QUIET), _share(rows, DIVERGED)["found"]
-    verdict = _told(share["low"], share["high"], np.nextafter(0, 1), MOST)
-    if away and not share["found"]:
+    came, away = _share(rows, *_QUIET), _share(rows, DIVERGED)["found"]
+    verdict = told(came["low"], came["high"], np.nextafter(0, 1), MOST)
+    if away and not came["found"]:
         verdict = CORRECTED  # what collapses runs away
-    return share | {"verdict": verdict, "away": away}
+    return came | {"verdict": verdict, "away": away}
 
 
 def _changed(scene: PaperScene, measured: Measured, study: str) -> list[Claim]:
@@ -174,7 +146,7 @@ def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
     means = [(row.mean, bases[row.matrix].mean) for row in rows]
     pairs = np.array([(mean - base, base) for mean, base in means if mean is not None and base])
     moved = over_matrices(ratio, pairs, CONFIDENCE) if fates[SUSTAINED] == len(rows) and len(pairs) else Estimate()
-    alike = _told(moved.low, moved.high, -MARGIN, MARGIN)
+    alike = told(moved.low, moved.high, -MARGIN, MARGIN)
     return {
         "n_runs": len(rows), "quiet": sum(fates[end] for end in _QUIET), "sustained": fates[SUSTAINED],
         "diverged": fates[DIVERGED], "moved": moved.value, "low": moved.low, "high": moved.high,
@@ -201,8 +173,8 @@ def details(scene: PaperScene, measured: Measured) -> Claim:
         fits = all(any(row.fate in ends for row in some) for some, ends in zip(by_n, wanted, strict=True))
         counts = [Counter(row.fate for row in some) for some in by_n]
         readings.append({"coupling": coupling, "fits": fits, "counts": counts})
-    verdicts = [row["alike"] for row in rows] + [_verdict(one["fits"]) for one in readings]
-    return {"verdict": _all(verdicts), "rows": rows, "readings": readings}
+    verdicts = [row["alike"] for row in rows] + [verdict_of(one["fits"]) for one in readings]
+    return {"verdict": every(verdicts), "rows": rows, "readings": readings}
 
 
 # ---------------------------------------------------------------------------------------------- figure 4
@@ -213,9 +185,10 @@ def sensitive(scene: PaperScene, measured: Measured) -> Claim:
     rows = _little_changed(scene, measured)
     apart = [(row.study, row.t_apart) for row in rows if row.t_apart is not None and row.t_apart <= scene.t_shown]
     times = {study: sorted(t for one, t in apart if one == study) for study in ("r", "constants")}
-    low, high = wilson(len(apart), len(rows), CONFIDENCE)
-    return {"verdict": _told(low, high, MOST), "found": len(apart), "tried": len(rows), "low": low, "high": high,
-            "times": times, "size": scene.sizes[0]}  # fmt: skip
+    parted = share(len(apart), len(rows))
+    return parted | {
+        "verdict": told(parted["low"], parted["high"], MOST), "times": times, "size": scene.sizes[0],
+    }  # fmt: skip
 
 
 def robust(scene: PaperScene, measured: Measured) -> Claim:
@@ -229,7 +202,7 @@ def robust(scene: PaperScene, measured: Measured) -> Claim:
     theta = float(np.mean(moved**2) / (2 * fresh.var(ddof=1)))  # over F where a change does what a matrix does
     dof, tail = (len(moved), len(fresh) - 1), (1 - CONFIDENCE) / 2
     low, high = (theta / float(special.fdtri(*dof, p)) for p in (1 - tail, tail))
-    return {"verdict": _told(low, high, most=BOUND), "value": theta, "low": low, "high": high, "tried": len(means)}
+    return {"verdict": told(low, high, most=BOUND), "value": theta, "low": low, "high": high, "tried": len(means)}
 
 
 def _little_changed(scene: PaperScene, measured: Measured) -> list[Row]:
@@ -241,7 +214,7 @@ def oscillations(scene: PaperScene, measured: Measured) -> Claim:
     """Half of the runs have a period near the paper's."""
     found = _dampings(scene, measured, STRONG)
     half = _median(found.get("periods", ()))
-    return found | {"verdict": _told(half.low, half.high, PERIOD / NEAR, PERIOD * NEAR)}
+    return found | {"verdict": told(half.low, half.high, PERIOD / NEAR, PERIOD * NEAR)}
 
 
 def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
@@ -251,7 +224,7 @@ def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
         return found | {"verdict": UNTOLD}
     quiet = _share([row for row in _of(measured, "dampings") if row.size == STRONGEST], *_QUIET)
     otherwise = CORRECTED if found["low"] > MOST else CONTRADICTED
-    return found | {"verdict": _told(quiet["low"], quiet["high"], MOST, otherwise=otherwise)}
+    return found | {"verdict": told(quiet["low"], quiet["high"], MOST, otherwise=otherwise)}
 
 
 def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
@@ -278,7 +251,7 @@ def sigmoid(scene: PaperScene, measured: Measured) -> Claim:
     bases = {row.matrix: row for row in _of(measured, "sigmoids") if row.law == "sigmoid"}
     laws = dict.fromkeys(row.law for row in _of(measured, "sigmoids") if row.law != "sigmoid")
     rows = [{"law": law, **_against([r for r in _of(measured, "sigmoids") if r.law == law], bases)} for law in laws]
-    return {"verdict": _all([row["alike"] for row in rows]), "rows": rows, "tried": len(bases)}
+    return {"verdict": every([row["alike"] for row in rows]), "rows": rows, "tried": len(bases)}
 
 
 # ---------------------------------------------------------------------------------------------- figures 5 and 6
@@ -291,9 +264,10 @@ def gamma(scene: PaperScene, measured: Measured) -> Claim:
     inside = sum(row.low is not None and row.high is not None and row.low <= PAPER_GAMMA <= row.high for row in rows)
     gammas = [row.gamma for row in rows if row.gamma is not None]
     ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
-    told = {_told(row.low, row.high, *ends) for row in rows if row.definition == "length"}
+    by_step = {told(row.low, row.high, *ends) for row in rows if row.definition == "length"}
     return {
-        "verdict": told.pop() if len(told) == 1 else UNTOLD, "rows": rows, "inside": inside, "paper": PAPER_GAMMA,
+        "verdict": by_step.pop() if len(by_step) == 1 else UNTOLD,
+        "rows": rows, "inside": inside, "paper": PAPER_GAMMA,
         "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
         "least": min(gammas, default=None), "most": max(gammas, default=None),
     }  # fmt: skip
@@ -305,25 +279,25 @@ def clusters(scene: PaperScene, measured: Measured) -> Claim:
     if one is None or one.gamma is None or one.low is None or one.high is None:
         return {"verdict": UNTOLD, "value": None}
     value, low, high = (of / LN2 - 1.0 for of in (one.gamma, one.low, one.high))
-    return {"verdict": _told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high,
+    return {"verdict": told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high,
             "clustered": -CLUSTERED}  # fmt: skip
 
 
 def cascade_bound(scene: PaperScene, measured: Measured) -> Claim:
     one = by_definition(measured.cascades, "events")
     largest = one.largest if one else 0
-    return {"verdict": _verdict(largest > scene.n[-1], CORRECTED), "found": largest, "n": scene.n[-1]}
+    return {"verdict": verdict_of(largest > scene.n[-1], CORRECTED), "found": largest, "n": scene.n[-1]}
 
 
 def two_modes(scene: PaperScene, measured: Measured) -> Claim:
     modes = next(one.modes for one in measured.blow_ups if one.law == "modified")
     stable, saddles = ([mode[:2] for mode in modes if mode[2] == is_stable] for is_stable in (True, False))
-    return {"verdict": _verdict(len(stable) == 2), "stable": stable, "saddles": saddles}
+    return {"verdict": verdict_of(len(stable) == 2), "stable": stable, "saddles": saddles}
 
 
 def mode_ends(scene: PaperScene, measured: Measured) -> Claim:
     jumps = [event for run in measured.slow_runs for event in run.events if event.kind == "jump"]
-    return {"verdict": _verdict(not jumps, CORRECTED), "jumps": jumps}
+    return {"verdict": verdict_of(not jumps, CORRECTED), "jumps": jumps}
 
 
 _CLAIMS: Mapping[int, tuple[Callable[[PaperScene, Measured], Claim], ...]] = {

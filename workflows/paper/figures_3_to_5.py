@@ -17,9 +17,9 @@ from scipy.signal import periodogram
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.stats import cascades, escape, estimates, fates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
+from stickslip.workflows.charts.claims import CONFIDENCE
 from stickslip.workflows.paper.runs import Path
 
-CONFIDENCE = 0.95
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
 #: matrices; sampled so often.
 _APART, _APART_WINDOW, _APART_DT = 0.5, 1.0, 0.05

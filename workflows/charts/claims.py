@@ -1,0 +1,57 @@
+"""Claims of others, judged by what was measured: facts and verdicts, whose words are in a chart's template.
+
+One rule (`told`): a claim says that a number lies in a region. It is reproduced if the whole 95% interval does, not
+reproduced if none of it does, and else cannot be told. It is corrected if it is not reproduced, but is after a change
+that is named. What is said to make no difference is judged as everywhere: within a margin, or different from none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip.analysis.answer import F, I, S, frame
+from stickslip.analysis.stats.compare import wilson
+
+REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
+CONFIDENCE = 0.95
+_TABLE: Mapping[str, str] = {
+    "claim": S, "figure": I, "verdict": S, "found": I, "tried": I, "value": F, "low": F, "high": F,
+}  # fmt: skip
+#: The name of a claim, its `verdict`, and the facts that its words need.
+Claim = dict[str, Any]
+
+
+def table(judged: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """The claims in numbers: `found` of `tried`, or a `value`, each with its interval."""
+    return frame(_TABLE, judged)
+
+
+def verdict_of(is_so: bool, otherwise: str = CONTRADICTED) -> str:
+    """Of a claim without an interval."""
+    return REPRODUCED if is_so else otherwise
+
+
+def told(
+    low: float | None, high: float | None, least: float = -np.inf, most: float = np.inf, otherwise: str = CONTRADICTED
+) -> str:
+    """Whether what an interval holds lies in [least, most]; the rule of this module."""
+    if low is None or high is None:
+        return UNTOLD
+    if least <= low and high <= most:
+        return REPRODUCED
+    return otherwise if high < least or low > most else UNTOLD
+
+
+def every(verdicts: Sequence[str]) -> str:
+    """Of claims that all have to hold."""
+    return next((one for one in (CONTRADICTED, CORRECTED, UNTOLD) if one in verdicts), REPRODUCED)
+
+
+def share(found: int, tried: int) -> Claim:
+    """So many of so many independent ones, with the interval of the share; null if there are none."""
+    low, high = wilson(found, tried, CONFIDENCE) if tried else (None, None)
+    return {"found": found, "tried": tried, "low": low, "high": high}
