@@ -18,11 +18,11 @@ Found = TypeVar("Found")
 
 
 class Product:
-    """One product of a matrix with a vector, or with several at once, by numpy (float64)."""
+    """One product of a matrix with a vector, by numpy (float64)."""
 
-    def __init__(self, matrix: NDArray[np.float64], vectors: int = 1) -> None:
-        shape = (len(matrix),) if vectors == 1 else (len(matrix), vectors)
-        self._matrix, self._x, self._out = np.ascontiguousarray(matrix), np.ones(shape), np.empty(shape)
+    def __init__(self, matrix: NDArray[np.float64]) -> None:
+        n = len(matrix)
+        self._matrix, self._x, self._out = np.ascontiguousarray(matrix), np.ones(n), np.empty(n)
         self._n = 16
         while (seconds := self._batch()) < _BATCH:
             self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))

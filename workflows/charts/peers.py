@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -33,10 +34,11 @@ Control = Literal["tolerance", "step"]
 
 
 class Solution(NamedTuple):
-    """z at t_end, shape (n,), and how many products with K that took; None where the method does not say."""
+    """z at t_end, shape (n,), how many products with K that took, and the events; None where the method says none."""
 
     z: Floats
     n_products: int | None = None
+    events: sim.EventSeries | None = None
 
 
 #: From a tolerance (relative and absolute alike), or from the longest step, to the end of a run.
@@ -149,6 +151,11 @@ class Method:
         return self.prepare in (_coulomb, _sigmoid)
 
     @property
+    def can_be_stopped(self) -> bool:
+        """Whether it calls back to Python or, with a fixed step, says before how long it is."""
+        return self.control == "step" or not (self.is_ours or self.package in ("CyRK", "diffrax"))
+
+    @property
     def is_scipy(self) -> bool:
         return self.name.startswith("SciPy")
 
@@ -174,7 +181,7 @@ def _state(problem: Problem, engine: str, **settings: Any) -> Solution:
     )
     if run.outcome != "finished":
         raise MethodError(f"{run.outcome} at t = {run.t_end:g}: {run.reason}")
-    return Solution(run.z, run.stats.n_products)
+    return Solution(run.z, run.stats.n_products, run.events)
 
 
 # ---------------------------------------------------------------------------------------------- the equations
@@ -351,6 +358,54 @@ def _cyrk(method: str) -> Callable[[Problem], Solver]:
     return prepare
 
 
+#: XLA takes its threads from here, read once, when jax is imported.
+_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+#: Steps after which a run that nobody can stop stops itself: some seconds of it.
+_MOST_STEPS = 100_000
+
+
+def _diffrax(problem: Problem) -> Solver:
+    """Tsit5, with the right-hand side, the steps and their control compiled into one function."""
+    os.environ.setdefault("XLA_FLAGS", _ONE_THREAD)
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    system, n = problem.system, problem.system.n
+    stiffness, damping, friction = map(jnp.asarray, (system.stiffness, system.damping, system.friction))
+    delta, v = jnp.asarray(problem.delta), system.belt_speed
+
+    def rate(t: Any, y: Any, args: Any) -> Any:
+        z, w = y[:n], y[n:]
+        return jnp.concatenate([w, -(damping * w + stiffness @ z + friction * jnp.tanh((w - v) / delta))])
+
+    @jax.jit
+    def end(y: Any, tolerance: Any) -> Any:
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(rate),
+            diffrax.Tsit5(),
+            0.0,
+            problem.t_end,
+            None,
+            y,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            max_steps=_MOST_STEPS,
+            throw=False,
+        )
+
+    start = jnp.asarray(problem.start)
+
+    def solve(tolerance: float) -> Solution:
+        found = end(start, tolerance)
+        z = np.asarray(found.ys[0, :n])
+        if found.result != diffrax.RESULTS.successful:
+            raise MethodError(str(found.result))
+        return Solution(z, 6 * int(found.stats["num_steps"]))
+
+    return solve
+
+
 # ---------------------------------------------------------------------------------------------- a fixed step
 
 
@@ -381,6 +436,7 @@ METHODS: tuple[Method, ...] = (
     Method("sigmoid engine", "sigmoid", _sigmoid),
     Method("CyRK DOP853", "sigmoid", _cyrk("DOP853"), "CyRK"),
     Method("CVODE BDF-GMRES", "sigmoid", _cvode, "sksundae"),
+    Method("diffrax Tsit5", "sigmoid", _diffrax, "diffrax"),
     Method("SciPy DOP853", "sigmoid", _scipy("DOP853", with_jacobian=False)),
     Method("SciPy RK45", "sigmoid", _scipy("RK45", with_jacobian=False)),
     Method("SciPy LSODA", "sigmoid", _scipy("LSODA", with_jacobian=True)),
@@ -405,9 +461,14 @@ def method(name: str) -> Method:
     return next(one for one in METHODS if one.name == name)
 
 
+def solved(name: str, setting: float, problem: Problem) -> Solution:
+    """What a method comes to at a tolerance or step, whatever it takes."""
+    return method(name).prepare(replace(problem, patience=math.inf))(setting)
+
+
 def reached(name: str, setting: float, problem: Problem) -> Floats:
-    """z at t_end by a method at a tolerance or step, whatever it takes."""
-    return method(name).prepare(replace(problem, patience=math.inf))(setting).z
+    """z at its t_end."""
+    return solved(name, setting, problem).z
 
 
 def distance(z: Floats, check: Floats) -> float:

@@ -1,4 +1,4 @@
-"""The chart of cost and size: a run of either engine, an ensemble, and what lockstep could save.
+"""The chart of cost and size: a run of either engine, and an ensemble.
 
 Systems of different n are alike if the force that couples a block is: of n - 1 random springs it goes as
 kappa sqrt(n), so kappa goes as 1 / sqrt(n), and events per block and unit of time stay what they are. Runs start
@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
@@ -32,7 +31,7 @@ from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import MATRIX
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
-from stickslip.workflows.charts import ChartScene, Say, Several, Shown
+from stickslip.workflows.charts import ChartScene, Say, Shown
 from stickslip.workflows.charts.cost import Product, timed
 from stickslip.workflows.charts.peers import W0, Z0, Floats, ensemble, random_system, seed_of
 from stickslip.workflows.charts.runner import frame
@@ -120,12 +119,6 @@ class ScalingScene(ChartScene):
     ensemble_t_end: Positive = Field(default=1000.0, description="end of the ensemble's runs", examples=[1000.0])
     members: Count = Field(default=40, description="number of members of the ensemble", examples=[40])
     workers: Count = Field(default=2, description="number of local workers", examples=[2])
-    vectors: Several[Count] = Field(
-        default=(1, 2, 4, 8, 16),
-        min_length=1,
-        description="numbers of vectors that share a product",
-        examples=[[1, 4, 16]],
-    )
 
     def kappa_at(self, n: int) -> float:
         """The scale of the stiffnesses that couples n blocks as strongly as `kappa` couples `KAPPA_AT`."""
@@ -174,30 +167,19 @@ class ScalingScene(ChartScene):
         costs = [told(exact_cost(self, "random", n)) for n in self.n]
         costs += [told(exact_cost(self, "chain", n)) for n in self.chain_n]
         costs += [told(sigmoid_cost(self, n)) for n in self.sigmoid_n]
-        of_ensemble = (row for row in costs if (row.engine, row.n) == ("sigmoid", self.ensemble_n))
-        smooth = next(of_ensemble, None) or told(sigmoid_cost(self, self.ensemble_n))
-        shared = lockstep(self)
-        return Measured(costs, throughput(self, say), shared, smooth)
+        return Measured(costs, throughput(self, say))
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `costs`, `growth`, `throughput`, `lockstep`."""
+        """Tables: `costs`, `growth`, `throughput`."""
         groups = [_group(measured.costs, *which) for which in FITTED]
         fits = [fit for group in groups for fit in group.fits.values()]
-        costs = measured.costs if measured.smooth in measured.costs else [*measured.costs, measured.smooth]
-        facts = {
-            "groups": groups,
-            "confidence": CONFIDENCE,
-            "fits": fits,
-            "costs": costs,
-            "shared": saving(measured.lockstep, measured.smooth),
-        }
+        facts = {"groups": groups, "confidence": CONFIDENCE, "fits": fits}
         tables = {
-            "costs": frame(costs, Cost),
+            "costs": frame(measured.costs, Cost),
             "growth": frame(fits, Growth),
             "throughput": frame(measured.throughput, Throughput),
-            "lockstep": frame(measured.lockstep, Lockstep),
         }
-        return Shown(facts, tables, {"cost_against_size": partial(cost_against_size, groups, measured.lockstep)})
+        return Shown(facts, tables, {"cost_against_size": partial(cost_against_size, groups)})
 
 
 # ---------------------------------------------------------------------------------------------- what is kept
@@ -243,6 +225,13 @@ class Cost:
         return value / whole if value is not None and whole else None
 
     @property
+    def rest(self) -> float | None:
+        """The share of the run that is not products with K, at the price of numpy's; None for chains."""
+        if self.product_seconds is None or self.n_products is None or not self.seconds:
+            return None
+        return max(0.0, 1.0 - self.n_products * self.product_seconds / self.seconds)
+
+    @property
     def is_fitted(self) -> bool:
         """Whether it counts for the exponents: measured, and no system in it came to rest."""
         return self.outcome == "measured" and self.n_rest == 0
@@ -277,27 +266,11 @@ class Throughput:
 
 
 @dataclass(frozen=True)
-class Lockstep:
-    """One product of K with `n_vectors` vectors at once: a row of the table `lockstep`.
-
-    `share` is its time for each vector over that of one product with one vector; medians over the repeats.
-    """
-
-    n: int
-    n_vectors: int
-    seconds: float
-    product_seconds: float
-    share: float
-
-
-@dataclass(frozen=True)
 class Measured:
-    """All that the chart is made of; `smooth` is the sigmoid engine's row at the ensemble's n."""
+    """All that the chart is made of."""
 
     costs: list[Cost]
     throughput: list[Throughput]
-    lockstep: list[Lockstep]
-    smooth: Cost
 
 
 # ---------------------------------------------------------------------------------------------- measuring
@@ -431,19 +404,6 @@ def _timed(row: Cost, pieces: Sequence[_Piece], settings: Settings, repeats: int
 def stored(stiffness: Floats | scipy.sparse.csc_array) -> int:
     """How many entries of K are kept in memory."""
     return int(stiffness.size)
-
-
-def lockstep(scene: ScalingScene) -> list[Lockstep]:
-    """One product of K with several vectors at once, at the ensemble's n."""
-    n = scene.ensemble_n
-    matrix = np.asarray(scene.random(n, 0).stiffness)
-    product, found = Product(matrix), []
-    for m in scene.vectors:
-        several = Product(matrix, m)
-        pairs = [(several.seconds(), product.seconds()) for _ in range(scene.repeats)]
-        share = median(together / (m * one) for together, one in pairs)
-        found.append(Lockstep(n, m, median(t for t, _ in pairs), median(one for _, one in pairs), share))
-    return found
 
 
 def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
@@ -580,21 +540,11 @@ def _group(costs: Sequence[Cost], system: System, engine: Engine) -> Group:
     return group
 
 
-def saving(rows: Sequence[Lockstep], smooth: Cost) -> dict[str, Any]:
-    """What runs that share K could gain at most: of the products of a run, what sharing a product saves."""
-    best = min(rows, key=lambda row: row.share)
-    if smooth.n_products is None or smooth.product_seconds is None or smooth.seconds is None:
-        return {"best": best, "saved": None}
-    share = min(1.0, smooth.n_products * smooth.product_seconds / smooth.seconds)
-    saved = share * (1.0 - min(1.0, best.share))
-    return {"best": best, "share": share, "saved": saved, "factor": 1.0 / (1.0 - saved)}
-
-
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Figure:
-    """Cost against the number of blocks, log-log; and what a product costs each of the vectors that share it.
+def cost_against_size(groups: Sequence[Group]) -> Figure:
+    """Cost against the number of blocks, log-log; and the share of a run that is not products.
 
     A point that does not count for the exponent is hollow; dashed is the fit, dotted the growth claimed.
     """
@@ -616,12 +566,10 @@ def cost_against_size(groups: Sequence[Group], shared: Sequence[Lockstep]) -> Fi
                     ax.text(0.05, 0.97 - 0.08 * i, f"$n^{{{exponent:.2f}}}$", color=CYCLE[k], **place)
             _guide(ax, slope)
         ax = axes[0, -1]
-        ax.axhline(1.0, color=GREY, linestyle=":", linewidth=0.8)
-        vectors = [row.n_vectors for row in shared]
-        ax.plot(vectors, [row.share for row in shared], color="black", marker="o", markersize=3.5)
-        ax.set_xscale("log", base=2)
-        ax.set_xticks(vectors, list(map(str, vectors)))
-        ax.set(title="shared product, for each vector", xlabel="vectors in a product", ylim=(0, None))
+        ax.set(title="share that is not products", xscale="log", xlabel="number of blocks n", ylim=(0, 1))
+        for k, group in enumerate(order):
+            known = [(row.n, row.rest) for row in group.rows if row.rest is not None]
+            ax.plot(*zip(*known, strict=True) if known else ((), ()), color=CYCLE[k], marker="osD"[k], markersize=4)
         legend(figure, 3)
     return figure
 

@@ -6,6 +6,7 @@ an error below what two references agree to is known to be no larger than that, 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,17 +26,18 @@ from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed
 from stickslip.workflows.charts.peers import (
     METHODS,
-    Floats,
     GivenUp,
     Method,
     MethodError,
     Model,
     Problem,
     Ratio,
+    Solution,
     distance,
     methods_of,
     random_problem,
     reached,
+    solved,
     warm,
 )
 from stickslip.workflows.charts.runner import frame
@@ -63,7 +65,7 @@ Outcome = Literal["measured", "failed", "too slow", "absent"]
 class SpeedScene(ChartScene):
     """A scene with ``chart = "speed_accuracy"``; dimensionless but for `seconds_a_run`."""
 
-    libraries = ("scipy", "CyRK", "scikit-sundae")
+    libraries = ("scipy", "CyRK", "scikit-sundae", "diffrax")
 
     chart: Literal["speed_accuracy"] = Field(description="kind of the chart", examples=["speed_accuracy"])
     title: str = Field(default="Speed against accuracy", description="one line for the report's head")
@@ -98,17 +100,17 @@ class SpeedScene(ChartScene):
             ratios: tuple[Ratio | None, ...] = (None, *self.ratios)  # None: the exact law
             for ratio in ratios:
                 problem = self.problem(n, ratio or "one")
-                reference, z = _reference(problem, ratio)
+                reference, known = _reference(problem, ratio)
                 references.append(reference)
                 product = Product(np.asarray(problem.system.stiffness))
                 for method, settings in methods_of(reference.model, self.tolerances, self.steps):
                     row = Cost(n, ratio, reference.model, method.name, None, None, "measured")
                     if not method.is_installed:
                         found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
-                    elif z is None:
+                    elif known is None:
                         found = [replace(row, outcome="failed", reason=f"no reference: {reference.reason}")]
                     else:
-                        found = list(_curve(self, method, problem, z, reference, product, settings, row))
+                        found = list(_curve(self, method, problem, known, reference, product, settings, row))
                     costs += found
                     done = sum(cost.outcome == "measured" for cost in found)
                     say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(settings)}")
@@ -145,6 +147,8 @@ class Cost:
     `ratio` is null for the exact law, which has none; `tolerance` for a method of a fixed step, which has `step`
     instead; both where nothing came to be asked; the numbers where the outcome is not "measured". With `is_bound` the
     error is at most `error`. `computed` counts the products with K that the method says it took, null if it does not.
+    Its events are those of the reference, block by block, before `parted_at`, their times within `apart`; null are
+    both of a method that has no events, and `parted_at` where all are.
     """
 
     n: int
@@ -166,6 +170,8 @@ class Cost:
     seconds_max: float | None = None
     product_seconds: float | None = None
     n_runs: int = 0
+    parted_at: float | None = None
+    apart: float | None = None
 
 
 @dataclass(frozen=True)
@@ -173,7 +179,6 @@ class Reference:
     """What the errors of one law on one problem are taken against: a row of the table `references`.
 
     `floor` is max |z - z_check| at t_end; null, with a reason, if one of the two could not be computed.
-    `n_events` counts the events of the exact law; null for the sigmoid.
     """
 
     n: int
@@ -194,27 +199,43 @@ class Measured:
     references: list[Reference]
 
 
-def _reference(problem: Problem, ratio: str | None) -> tuple[Reference, Floats | None]:
-    """z at t_end as well as it can be had, and how well a second computation agrees."""
+def _reference(problem: Problem, ratio: str | None) -> tuple[Reference, Solution | None]:
+    """The run as well as it can be had, and how well a second computation agrees."""
     model: Model = "coulomb" if ratio is None else "sigmoid"
     (name, tolerance), (check, check_tolerance) = REFERENCES[model]
     found = Reference(problem.system.n, ratio, model, f"{name} at {tolerance:g}", f"{check} at {check_tolerance:g}")
     try:
-        z = reached(name, tolerance, problem)
-        found = replace(found, floor=distance(z, reached(check, check_tolerance, problem)))
-        if model == "coulomb":
-            run = sim.simulate(problem.system, problem.z0, problem.w0, problem.t_end, tol=tolerance)
-            found = replace(found, n_events=run.stats.n_events)
+        known = solved(name, tolerance, problem)
+        floor = distance(known.z, reached(check, check_tolerance, problem))
     except (MethodError, sim.IntegrationError) as error:
-        return replace(found, floor=None, reason=str(error)), None
-    return found, z
+        return replace(found, reason=str(error)), None
+    return replace(found, floor=floor, n_events=None if known.events is None else len(known.events)), known
+
+
+def compared(found: sim.EventSeries, known: sim.EventSeries) -> tuple[float | None, float]:
+    """When the first block's events are no longer the known ones, if ever, and how far their times are off before."""
+    parted, shared = math.inf, []
+    for block in range(known.n):
+        mine, its = (np.flatnonzero(series.block == block) for series in (found, known))
+        n = min(len(mine), len(its))
+        alike = np.append(found.mode[mine[:n]] == known.mode[its[:n]], len(mine) == len(its))
+        shared.append(np.column_stack([found.t[mine[:n]], known.t[its[:n]]]))
+        if not alike.all():
+            first = int(np.argmin(alike))
+            rest = [
+                series.t[events[first]] for series, events in ((found, mine), (known, its)) if first < len(events)
+            ]
+            parted = min(parted, *rest)
+    times = np.vstack(shared)
+    times = times[times.max(axis=1) < parted]
+    return None if parted == math.inf else parted, float(np.abs(times[:, 0] - times[:, 1]).max(initial=0.0))
 
 
 def _curve(
     scene: SpeedScene,
     method: Method,
     problem: Problem,
-    z: Floats,
+    known: Solution,
     reference: Reference,
     product: Product,
     settings: tuple[float, ...],
@@ -232,7 +253,7 @@ def _curve(
         start = time.perf_counter()
         try:
             found, timing = timed(partial(solve, setting), product, scene.repeats, scene.seconds_a_run)
-            error = float(np.abs(found.z - z).max())
+            error = float(np.abs(found.z - known.z).max())
             if not np.isfinite(error):
                 raise MethodError("z at t_end is not finite")
         except (MethodError, sim.IntegrationError) as failure:
@@ -242,6 +263,9 @@ def _curve(
         else:
             took, floor = timing.seconds, reference.floor or 0.0
             cost = replace(cost, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
+            if found.events is not None and known.events is not None:
+                parted_at, apart = compared(found.events, known.events)
+                cost = replace(cost, parted_at=parted_at, apart=apart)
             yield replace(cost, **timing._asdict())
         if took > scene.seconds_a_run:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"

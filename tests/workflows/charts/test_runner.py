@@ -144,7 +144,7 @@ def test_what_ships_explains_its_keys(name):
     [
         ("fig3", "figure 3 of the paper"),
         ("scaling", "7 random systems and 5 chains"),
-        ("speed_accuracy", "12 methods on 6 problems"),
+        ("speed_accuracy", "13 methods on 6 problems"),
         ("stability", "cells and the hard cases"),
         ("statistics", "18 settings of 3 methods on 40 matrices"),
     ],

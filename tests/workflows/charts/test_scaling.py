@@ -16,7 +16,6 @@ from stickslip.workflows.charts import runner, scaling
 from stickslip.workflows.charts.scaling import (
     Cost,
     Group,
-    Lockstep,
     Measured,
     ScalingScene,
     Throughput,
@@ -40,7 +39,6 @@ ensemble_n = 6
 ensemble_t_end = 3.0
 members = 2
 workers = 1
-vectors = [1, 3]
 """
 
 
@@ -69,7 +67,6 @@ def silent(line):
 BAD = {
     "no blocks": ("n = [4, 60, 80, 120]", "n = [4, 0]", "n[1]: expected", "got 0"),
     "no worker": ("workers = 1", "workers = 0", "workers: expected a value greater", "got 0"),
-    "no vector": ("vectors = [1, 3]", "vectors = []", "vectors: expected at least one value", "got []"),
     "tolerance too fine": ("members = 2", "tol = 1e-17", "tol: expected a value greater", "got 1e-17"),
 }
 
@@ -185,22 +182,15 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_process, in_th
     assert "A tiny &lt;chart&gt;" in page
     assert not re.search(r"\b(nan|inf|None)\b", re.sub(r"data:image[^\"]*", "", page))
     assert "https://" not in page
-    tables = {name: pd.read_parquet(out / "report" / f"{name}.parquet") for name in ("costs", "growth", "lockstep")}
+    tables = {name: pd.read_parquet(out / "report" / f"{name}.parquet") for name in ("costs", "growth")}
     costs = tables["costs"].set_index(["system", "engine", "n"]).sort_index()
-    assert len(costs) == 4 + 2 + 3 + 1  # the last: the sigmoid engine at the ensemble's n
+    assert len(costs) == 4 + 2 + 3
     assert costs.products["chain"].isna().all()
     assert costs.n_events["random", "coulomb", 120] == pytest.approx(60, abs=1)
-    assert costs.t["random", "sigmoid"].tolist() == [1.0] * 4
+    assert costs.t["random", "sigmoid"].tolist() == [1.0] * 3
     as_json = json.loads((out / "report" / "tables.json").read_text())
     assert len(as_json["growth"]) == len(tables["growth"]) == 13
-    assert [row["n_vectors"] for row in as_json["lockstep"]] == [1, 3]
     assert as_json["throughput"][0]["n_failed"] == 0
-
-
-def test_the_ensembles_sigmoid_run_is_measured_once(scene, in_process):
-    """It is a row of the list where that holds the ensemble's n."""
-    measured = scene.model_copy(update={"n": (4,), "chain_n": (10,), "sigmoid_n": (6,)}).measure(silent)
-    assert measured.smooth in measured.costs
 
 
 def test_the_ensemble_runs_on_workers(scene, monkeypatch):
@@ -281,8 +271,6 @@ def planted(scene, event=1.0, time=2.0, scatter=(1.0, 1.0, 1.0, 1.0), **changes)
     measured = Measured(
         [rest, *costs, chain, smooth],
         [Throughput("coulomb", "1e-10", 200, 1000.0, 40, 2, 0, 24.0, 30.0)],
-        [Lockstep(200, 1, 1e-6, 1e-6, 1.0), Lockstep(200, 8, 2e-6, 1e-6, 0.25)],
-        smooth,
     )
     return runner.report(scene, runner.Measurement("", {}, replace(measured, **changes)))
 
@@ -332,15 +320,6 @@ def test_throughput_words(scene, line):
     assert "the start is lost in the scatter" in words
 
 
-def test_lockstep_gains_what_sharing_saves_of_the_products(scene, line):
-    """Half the run is products, each a quarter of its price when 8 share: 3/8 saved, a factor of 8/5."""
-    words = line(planted(scene), "lockstep")
-    assert "products at that price are 50% of a sigmoid run" in words
-    assert "save at most 38% of it, a factor of 1.6" in words
-    smooth = Cost("random", "sigmoid", 200, outcome="failed", reason="it broke")
-    assert "not known" in line(planted(scene, smooth=smooth), "lockstep")
-
-
 def test_points_that_do_not_count_are_hollow():
     """Seconds a unit of time are n / 10: the fit passes the three that count."""
     rows = [
@@ -349,10 +328,10 @@ def test_points_that_do_not_count_are_hollow():
     ]  # fmt: skip
     fit = growth([20, 40, 80], [2e-3, 4e-3, 8e-3], "random", "coulomb", "seconds per unit of time", 2.0)
     group = Group("random", "coulomb", rows, {"seconds per unit of time": fit})
-    shares = [Lockstep(200, 1, 1e-6, 1e-6, 1.0), Lockstep(200, 2, 1e-6, 1e-6, 0.6)]
-    _, time, shared = cost_against_size([group], shares).axes
+    rows[0] = replace(rows[0], n_products=6, product_seconds=1e-4)
+    _, time, share = cost_against_size([group]).axes
     hollow = [drawn.get_xdata()[0] for drawn in time.lines if drawn.get_markerfacecolor() == "white"]
     assert hollow == [10]
     (fit,) = (drawn for drawn in time.lines if drawn.get_linestyle() == "--" and len(drawn.get_xdata()) == 3)
     np.testing.assert_allclose(fit.get_ydata(), [2.0, 4.0, 8.0])
-    np.testing.assert_array_equal(shared.lines[-1].get_ydata(), [1.0, 0.6])
+    np.testing.assert_allclose(share.lines[-1].get_xydata(), [[10, 0.4]])

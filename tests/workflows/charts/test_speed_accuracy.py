@@ -18,6 +18,7 @@ from stickslip.workflows.charts.speed_accuracy import (
     Measured,
     Panel,
     Reference,
+    compared,
     error_against_cost,
     products_at,
 )
@@ -38,7 +39,7 @@ seconds_a_run = 60.0
 seed = 1
 """
 
-PEERS = [method for method in METHODS if method.model == "sigmoid"]
+PEERS = [method for method in METHODS if method.model == "sigmoid" and method.is_installed]
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ def without_extra(monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(
         "stickslip.workflows.charts.peers.find_spec",
-        lambda name: None if name in ("CyRK", "sksundae") else find(name),
+        lambda name: None if name in ("CyRK", "sksundae", "diffrax") else find(name),
     )
 
 
@@ -115,8 +116,6 @@ def test_the_jacobian_times_a_vector_is_the_jacobian():
 @pytest.mark.parametrize("method", PEERS, ids=lambda method: method.name)
 def test_every_method_solves_the_same_equations(method):
     """Against the sigmoid engine's neighbour in the list: two codes that share nothing agree at a tight tolerance."""
-    if not method.is_installed:
-        pytest.skip(f"{method.package} is not installed")
     problem = problem_of_three()
     check = peers.method("SciPy Radau")
     z = method.prepare(problem)(1e-9 if method.control == "tolerance" else 1e-4).z
@@ -148,7 +147,7 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in
     assert set(costs.method) == {method.name for method in METHODS}
     measured = costs[costs.outcome == "measured"]
     assert set(costs.outcome) == {"measured", "absent"}
-    assert set(costs.method[costs.outcome == "absent"]) == {"CyRK DOP853", "CVODE BDF-GMRES"}
+    assert set(costs.method[costs.outcome == "absent"]) == {"CyRK DOP853", "CVODE BDF-GMRES", "diffrax Tsit5"}
     assert costs.reason[costs.outcome == "absent"].notna().all()
     assert costs.ratio[costs.model == "coulomb"].isna().all()
     assert (measured.products > 0).all()
@@ -218,6 +217,20 @@ def test_repeats_are_counted_and_their_spread_kept(monkeypatch, scene_file):
     for row in measured.costs:
         assert row.n_runs == 3
         assert 0 < row.products_min <= row.products <= row.products_max
+
+
+def series(*events, n=2):
+    t, block, mode = (np.array(column) for column in zip(*events, strict=True))
+    return sim.EventSeries(t, block, mode.astype(np.int8), np.ones(n, dtype=np.int8), 0.0, 10.0)
+
+
+def test_events_are_compared_block_by_block():
+    known = series((1.0, 0, 0), (1.0, 1, 0), (2.0, 0, 1), (3.0, 1, -1), (5.0, 1, 0))
+    swapped = series((1.0 - 1e-9, 1, 0), (1.0, 0, 0), (2.0, 0, 1), (3.0, 1, -1), (5.0 + 1e-8, 1, 0))
+    assert compared(swapped, known) == (None, pytest.approx(1e-8, rel=1e-6))
+    other = series((1.0 - 1e-9, 1, 0), (1.0, 0, 0), (2.0, 0, 1), (3.5, 1, 1), (5.0 + 1e-8, 1, 0))
+    assert compared(other, known) == (3.0, pytest.approx(1e-9, rel=1e-6))
+    assert compared(series((1.0, 0, 0), (1.0, 1, 0), (2.0, 0, 1), (3.0, 1, -1)), known) == (5.0, 0.0)
 
 
 # ---------------------------------------------------------------------------------------------- the words

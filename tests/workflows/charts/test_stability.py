@@ -1,7 +1,6 @@
 """The chart of stability: its schema, its rule, stability functions against closed forms, its words and its page."""
 
 import json
-import math
 import re
 from dataclasses import replace
 
@@ -13,7 +12,6 @@ from stickslip.workflows.charts import peers
 from stickslip.workflows.charts.hard_cases import Verdict
 from stickslip.workflows.charts.peers import METHODS, GivenUp, Method, MethodError, Solution
 from stickslip.workflows.charts.stability import Cell, Map, Measured, Reference, classified, stability_maps
-from stickslip.workflows.charts.tableaus import TABLEAUS
 from stickslip.workflows.commands import main
 
 TINY = """
@@ -148,64 +146,10 @@ def test_a_step_too_short_and_a_compiled_run_too_long_are_not_started(monkeypatc
     assert slow["planted", 1e3, 1e-6].startswith("not started: took")
 
 
-# ---------------------------------------------------------------------------------------------- theory
-
-
-def test_explicit_limits_are_the_known_ones():
-    """RK4: the real root of 1 - x + x^2/2 - x^3/6 + x^4/24 = 1; the others' from their own polynomials' ends."""
+def test_the_limit_of_rk4_is_its_root():
+    """The real root of 1 - x + x^2/2 - x^3/6 + x^4/24 = 1."""
     root = next(r.real for r in np.roots([1 / 24, -1 / 6, 1 / 2, -1]) if abs(r.imag) < 1e-12)
-    assert root == pytest.approx(2.785293563, abs=1e-9)
-    assert TABLEAUS["RK4"].stable_to == pytest.approx(root, abs=1e-9)
-    assert TABLEAUS["RK45"].stable_to == pytest.approx(3.3066, abs=1e-4)  # Hairer and Wanner II, section IV.2
-    for name in ("RK4", "RK45", "DOP853"):
-        limit = TABLEAUS[name].stable_to
-        assert abs(TABLEAUS[name].factor(0.999 * limit)) < 1 < abs(TABLEAUS[name].factor(1.001 * limit))
-
-
-def pade(x, above, below):
-    """The approximation of exp(-x) by a fraction of polynomials of these degrees."""
-
-    def part(degree, x):
-        weights = [
-            math.perm(degree, j) / (math.perm(above + below, j) * math.factorial(j)) for j in range(degree + 1)
-        ]
-        return sum(weight * x**j for j, weight in enumerate(weights))
-
-    return part(above, -x) / part(below, x)
-
-
-@pytest.mark.parametrize("x", [0.0, 0.3, 2.0, 50.0, 1e6])
-def test_stability_functions_are_their_closed_forms(x):
-    assert TABLEAUS["trapezoid"].factor(x) == pytest.approx((1 - x / 2) / (1 + x / 2), rel=1e-9, abs=1e-12)
-    for name, stages in (("Radau, 3 stages", 3), ("sigmoid engine (Radau, 5 stages)", 5)):
-        assert TABLEAUS[name].factor(x) == pytest.approx(pade(x, stages - 1, stages), rel=1e-6, abs=1e-14)
-    if x < 10:
-        assert TABLEAUS["RK4"].factor(x) == pytest.approx(sum((-x) ** k / math.factorial(k) for k in range(5)))
-
-
-def test_factors_at_infinity():
-    assert TABLEAUS["trapezoid"].factor(math.inf) == -1
-    assert TABLEAUS["Radau, 3 stages"].factor(math.inf) == 0
-    assert TABLEAUS["sigmoid engine (Radau, 5 stages)"].factor(math.inf) == 0
-    assert {t.name for t in TABLEAUS.values() if math.isinf(t.stable_to)} == {
-        "trapezoid", "Radau, 3 stages", "sigmoid engine (Radau, 5 stages)",
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("name", "h", "mild", "stiff"),
-    [
-        ("sigmoid engine (Radau, 5 stages)", 0.2, 9, 5),
-        ("Radau, 3 stages", 0.025, 5, 3),
-        ("RK4", 0.05, 4, None),
-        ("trapezoid", 0.05, 2, None),
-    ],
-)
-def test_orders_not_stiff_and_stiff(name, h, mild, stiff):
-    """Classical order, and for stiffly accurate methods the stage order when h times the stiffness is large."""
-    assert TABLEAUS[name].order(1.0, h) == pytest.approx(mild, abs=0.15)
-    if stiff is not None:
-        assert TABLEAUS[name].order(1e6, h) == pytest.approx(stiff, abs=0.15)
+    assert Map("layer", "RK4", []).limit == (pytest.approx(root, abs=1e-9), 1.0)
 
 
 # ---------------------------------------------------------------------------------------------- end to end
