@@ -1,6 +1,7 @@
 """The physics: a system in, an event series out. No files, no dask, no pandas."""
 
 from stickslip.sim.couplings import COUPLINGS, READINGS, draw_system, perturb_system
+from stickslip.sim.drive import Harmonic, Piecewise
 from stickslip.sim.run import IntegrationError, Run, Samples, Stats
 from stickslip.sim.series import EventSeries
 from stickslip.sim.simulation import simulate
@@ -10,7 +11,9 @@ __all__ = [
     "COUPLINGS",
     "READINGS",
     "EventSeries",
+    "Harmonic",
     "IntegrationError",
+    "Piecewise",
     "Run",
     "Samples",
     "Stats",

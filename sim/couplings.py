@@ -15,6 +15,7 @@ import scipy.sparse
 from numpy.typing import ArrayLike
 
 from stickslip.sim.arguments import Floats, did_you_mean, integer, per_block
+from stickslip.sim.drive import Force, Piecewise
 from stickslip.sim.graphs import GRAPHS, spring_matrix
 from stickslip.sim.system import System
 
@@ -126,8 +127,10 @@ def draw_system(
     rho: float | None = 3.5,
     damping: ArrayLike | None = None,
     friction: ArrayLike = 1.0,
-    belt_speed: float = -0.2,
+    belt_speed: ArrayLike | Piecewise = -0.2,
     static: ArrayLike | None = None,
+    mass: ArrayLike = 1.0,
+    force: Force = None,
 ) -> System:
     """Draw K and R from a named ensemble (section 4 of the paper), or by a named graph (dimensionless).
 
@@ -146,7 +149,7 @@ def draw_system(
         network, at most n - 1.
     damping
         R itself, as in `System`, in the place of what rho gives; K is the same as without.
-    friction, belt_speed, static
+    friction, belt_speed, static, mass, force
         As in `System`.
 
     Raises
@@ -169,7 +172,8 @@ def draw_system(
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
         stiffness = kind.rule(u)
-    return System(stiffness, drawn if damping is None else damping, friction, belt_speed, static)
+    resistance = drawn if damping is None else damping
+    return System(stiffness, resistance, friction, belt_speed, static, mass=mass, force=force)
 
 
 def perturb_system(

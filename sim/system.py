@@ -3,8 +3,9 @@
     z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
 
 A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. Static
-friction above kinetic: a block that sticks is held while |mu_i lambda_i| is at most its static friction.
-Everything is dimensionless: the mass of every block is scaled to one.
+friction above kinetic: a block that sticks is held while |mu_i lambda_i| is at most its static friction. Masses m_i
+stand before z_i'' (else scaled to one), forces from outside f_i(t) on the right side, and each block may have a belt
+of its own, of speed v_i(t). Everything is dimensionless.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from stickslip.sim import show
-from stickslip.sim.arguments import Floats, floats, number, per_block
+from stickslip.sim.arguments import Floats, floats, per_block
+from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, forces
 
 
 class Columns(NamedTuple):
@@ -34,7 +36,7 @@ class Columns(NamedTuple):
 
 @dataclass(frozen=True, eq=False, init=False)
 class System:
-    """n blocks: stiffness K, damping R, friction mu and the speed v of the belt (dimensionless).
+    """n blocks: stiffness K, damping R, friction mu, the speed v of the belt, and what drives them (dimensionless).
 
     Parameters
     ----------
@@ -44,13 +46,23 @@ class System:
         R, the diagonal of the damping matrix C, or C itself, dense.
     friction : float or array_like, shape (n,)
         mu >= 0, kinetic friction; a block with mu = 0 slides freely.
-    belt_speed : float
-        v; the paper takes v < 0.
+    belt_speed : float, array_like, shape (n,), or Piecewise
+        v; the paper takes v < 0. One for all blocks or one for each, constant or piecewise linear in time.
     static : float or array_like, shape (n,), optional
         Static friction, at least the kinetic; left out it is the kinetic.
+    mass : float or array_like, shape (n,)
+        m > 0.
+    force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
+        The force on each block from outside; of a list, the sum.
 
     Attributes
     ----------
+    belt_speed : float, ndarray, shape (n,), or Piecewise
+        A number where all blocks have one belt of constant speed, (n,) where speeds differ, `Piecewise` with values
+        of shape (k, n) where they change.
+    mass : ndarray, shape (n,)
+    force : tuple of Harmonic and Piecewise
+        Its terms, by block: the constant one first, a `Piecewise` of one time, then what changes; empty if none.
     static : ndarray, shape (n,)
         What holds a block that sticks; `friction` itself where it was left out.
     damping : ndarray, shape (n,)
@@ -61,24 +73,29 @@ class System:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type or shape, is not finite, a friction is negative, or a static friction is
-        below the kinetic.
+        If an argument has the wrong type or shape, is not finite, a friction is negative, a static friction is
+        below the kinetic, or a mass is not positive.
     """
 
     stiffness: Floats | scipy.sparse.csc_array
     damping: Floats
     cross_damping: Floats | None
     friction: Floats
-    belt_speed: float
+    belt_speed: Any  # code for one belt of constant speed takes the number
     static: Floats
+    mass: Floats
+    force: tuple[Term, ...]
 
     def __init__(
         self,
         stiffness: ArrayLike | scipy.sparse.sparray | scipy.sparse.spmatrix,
         damping: ArrayLike,
         friction: ArrayLike = 1.0,
-        belt_speed: float = -0.2,
+        belt_speed: ArrayLike | Piecewise = -0.2,
         static: ArrayLike | None = None,
+        *,
+        mass: ArrayLike = 1.0,
+        force: Force = None,
     ) -> None:
         if scipy.sparse.issparse(stiffness):
             matrix = scipy.sparse.csc_array(stiffness)
@@ -105,8 +122,10 @@ class System:
         object.__setattr__(self, "damping", diagonal)
         object.__setattr__(self, "cross_damping", cross)
         object.__setattr__(self, "friction", mu)
-        object.__setattr__(self, "belt_speed", number("belt_speed", belt_speed))
+        object.__setattr__(self, "belt_speed", belt(belt_speed, n))
         object.__setattr__(self, "static", _static(static, mu))
+        object.__setattr__(self, "mass", _mass(mass, n))
+        object.__setattr__(self, "force", forces(force, n))
 
     @cached_property
     def n(self) -> int:
@@ -117,6 +136,48 @@ class System:
     def is_static_above(self) -> bool:
         """Whether any block has a static friction above its kinetic."""
         return self.static is not self.friction and bool((self.static > self.friction).any())
+
+    @cached_property
+    def has_mass(self) -> bool:
+        """Whether any block has a mass other than one."""
+        return bool((self.mass != 1.0).any())
+
+    @cached_property
+    def has_one_belt(self) -> bool:
+        """Whether all blocks have one belt of constant speed."""
+        return isinstance(self.belt_speed, float)
+
+    @cached_property
+    def changes(self) -> bool:
+        """Whether a force or the speed of a belt depends on time."""
+        return isinstance(self.belt_speed, Piecewise) or not all(term.is_constant for term in self.force)
+
+    def force_at(self, times: ArrayLike) -> Floats:
+        """The force from outside at given times, of any shape: that shape, and (n,) behind it."""
+        total = np.zeros((*np.shape(times), self.n))
+        for term in self.force:
+            total += term.at(times)
+        return total
+
+    def belt_speed_at(self, times: ArrayLike) -> Floats:
+        """The speeds of the belts at given times, of any shape: that shape, and (n,) behind it."""
+        moving = isinstance(self.belt_speed, Piecewise)
+        return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
+
+    def changed(self, **arguments: Any) -> System:
+        """The same system but for these arguments."""
+        damping = self.damping if self.cross_damping is None else self.cross_damping + np.diag(self.damping)
+        static = self.static if self.is_static_above else None
+        own = {
+            "stiffness": self.stiffness,
+            "damping": damping,
+            "friction": self.friction,
+            "belt_speed": self.belt_speed,
+            "static": static,
+            "mass": self.mass,
+            "force": self.force,
+        }
+        return System(**own | arguments)
 
     @cached_property
     def columns(self) -> Columns:
@@ -210,13 +271,32 @@ class System:
         damping = self.damping + self.friction * slope
         if self.cross_damping is not None:
             damping = self.cross_damping + np.diag(damping)
-        return System(self.stiffness, damping, self.friction * friction, self.belt_speed)
+        return self.changed(damping=damping, friction=self.friction * friction, static=None)
 
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
         damping = "" if self.cross_damping is None else ", C full"
         static = f", static {show.span(self.static)}" if self.is_static_above else ""
-        return f"System(n={self.n}, K {kind}{damping}{static}, belt_speed={self.belt_speed})"
+        mass = f", mass {show.span(self.mass)}" if self.has_mass else ""
+        force = f", force {self._forces()}" if self.force else ""
+        return f"System(n={self.n}, K {kind}{damping}{static}{mass}{force}, belt_speed={self._belts()})"
+
+    def _belts(self, numbers: str = "") -> str:
+        """Speeds of the belts in a few words."""
+        if self.has_one_belt:
+            return format(self.belt_speed, numbers)
+        if isinstance(self.belt_speed, Piecewise):
+            return f"{show.span(self.belt_speed.values)} in {len(self.belt_speed.times)} times"
+        return show.span(self.belt_speed)
+
+    def _forces(self) -> str:
+        """Forces from outside in a few words."""
+        return " + ".join(
+            f"{show.span(term.amplitude)} cos({show.span(term.frequency)} t)"
+            if isinstance(term, Harmonic)
+            else show.span(term.values) + ("" if term.is_constant else f" in {len(term.times)} times")
+            for term in self.force
+        )
 
     def _repr_html_(self) -> str:
         sparse = "" if isinstance(self.stiffness, np.ndarray) else f", sparse with {self.stiffness.nnz} entries"
@@ -227,7 +307,11 @@ class System:
         }
         if self.is_static_above:
             rows["static friction"] = show.span(self.static)
-        rows["belt speed v"] = f"{self.belt_speed:.6g}"
+        if self.has_mass:
+            rows["mass"] = show.span(self.mass)
+        if self.force:
+            rows["force"] = self._forces()
+        rows["belt speed v"] = self._belts(".6g")
         return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
 
 
@@ -252,10 +336,31 @@ def require_one_friction(system: System, what: str) -> None:
         )
 
 
+def require_one_belt(system: System, what: str) -> None:
+    """ValueError if blocks have masses, forces from outside, or belts of several speeds, naming what cannot do so."""
+    for name, holds, expected, got in (
+        ("mass", not system.has_mass, "1", f"{show.span(system.mass)}"),
+        ("force", not system.force, "none", f"{len(system.force)} of them"),
+        ("belt_speed", system.has_one_belt, "one constant number", system._belts()),
+    ):
+        if not holds:
+            raise ValueError(f"{name}: expected {expected}, all that {what} takes, got {got}; leave it out")
+
+
 def require_plain(system: System, what: str) -> None:
     """ValueError if the system is not that of eq. (10), with a diagonal damping and one friction."""
     require_diagonal_damping(system, what)
     require_one_friction(system, what)
+    require_one_belt(system, what)
+
+
+def _mass(mass: ArrayLike, n: int) -> Floats:
+    """Masses by block."""
+    masses = per_block("mass", mass, n)
+    if not (masses > 0).all():
+        block = int(np.flatnonzero(masses <= 0)[0])
+        raise ValueError(f"mass: expected m > 0, got {masses[block]:g} for block {block}")
+    return masses
 
 
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:

@@ -8,6 +8,8 @@ from .sim.couplings import COUPLINGS as COUPLINGS
 from .sim.couplings import READINGS as READINGS
 from .sim.couplings import draw_system as draw_system
 from .sim.couplings import perturb_system as perturb_system
+from .sim.drive import Harmonic as Harmonic
+from .sim.drive import Piecewise as Piecewise
 from .sim.run import IntegrationError as IntegrationError
 from .sim.run import Run as Run
 from .sim.run import Samples as Samples

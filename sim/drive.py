@@ -1,0 +1,180 @@
+"""What drives the blocks beside a belt of one constant speed: forces from outside, belts whose speeds change.
+
+A force or a speed is one number for all blocks or one for each, constant, harmonic or piecewise linear in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stickslip.sim.arguments import Floats, floats, per_block
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Harmonic:
+    """amplitude cos(frequency t + phase), frequency in radians a unit of time.
+
+    Parameters
+    ----------
+    amplitude, frequency, phase : float or array_like, shape (n,)
+        One for all blocks, or one for each.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is not finite, or no number or row of numbers.
+    """
+
+    amplitude: Floats
+    frequency: Floats
+    phase: Floats
+
+    def __init__(self, amplitude: ArrayLike, frequency: ArrayLike, phase: ArrayLike = 0.0) -> None:
+        for name, value in (("amplitude", amplitude), ("frequency", frequency), ("phase", phase)):
+            array = _finite(name, value, "a number, or one a block")
+            if array.ndim > 1:
+                raise ValueError(f"{name}: expected a number, or one a block, got shape {array.shape}")
+            object.__setattr__(self, name, array)
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""
+        t = np.asarray(times, dtype=np.float64)
+        differ = max(self.amplitude.ndim, self.frequency.ndim, self.phase.ndim)
+        t = t.reshape(t.shape + (1,) * differ)
+        return np.asarray(self.amplitude * np.cos(self.frequency * t + self.phase))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether time plays no part."""
+        return not (self.amplitude * self.frequency).any()
+
+    def __repr__(self) -> str:
+        parts = (f"{name}={_words(getattr(self, name))}" for name in ("amplitude", "frequency", "phase"))
+        return f"Harmonic({', '.join(parts)})"
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Piecewise:
+    """Linear between values at given times, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : array_like, shape (k,)
+        Increasing.
+    values : array_like, shape (k,) or (k, n)
+        One for all blocks, or one for each.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not finite, the times do not increase, or there is not one value a time.
+    """
+
+    times: Floats
+    values: Floats
+
+    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+        t, x = _finite("times", times, "increasing times"), _finite("values", values, "a value at each time")
+        if t.ndim != 1 or len(t) == 0 or not (np.diff(t) > 0).all():
+            raise ValueError(f"times: expected at least one, and each after the one before, got {_words(t)}")
+        if x.ndim not in (1, 2) or len(x) != len(t):
+            raise ValueError(f"values: expected shape ({len(t)},) or ({len(t)}, n), as of the times, got {x.shape}")
+        object.__setattr__(self, "times", t)
+        object.__setattr__(self, "values", x)
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""
+        t = np.asarray(times, dtype=np.float64)
+        values = self.values.reshape(len(self.times), -1)
+        columns = [np.interp(t, self.times, column) for column in values.T]
+        return np.asarray(columns[0] if self.values.ndim == 1 else np.stack(columns, axis=-1))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether time plays no part."""
+        return bool((self.values == self.values[0]).all())
+
+    def __repr__(self) -> str:
+        return f"Piecewise(times={_words(self.times)}, values={_words(self.values)})"
+
+
+#: A force from outside as users give it: its sum, if it is a list of such.
+Term: TypeAlias = Harmonic | Piecewise
+Force: TypeAlias = ArrayLike | Term | Iterable[ArrayLike | Term] | None
+
+
+def constant(value: Floats) -> Piecewise:
+    """What has one value at all times, shape (n,)."""
+    return Piecewise([0.0], value[np.newaxis])
+
+
+def forces(force: Force, n: int) -> tuple[Term, ...]:
+    """The terms of a force on n blocks, each by block: one constant first, if there is one, then what changes."""
+    if force is None or (isinstance(force, list | tuple) and len(force) == 0):
+        return ()
+    is_sum = isinstance(force, list | tuple) and any(isinstance(term, Harmonic | Piecewise) for term in force)
+    fixed, changing = np.zeros(n), list[Term]()
+    for given in force if is_sum else (force,):  # type: ignore[union-attr]
+        if not isinstance(given, Harmonic | Piecewise):
+            fixed += per_block("force", given, n)  # type: ignore[arg-type]
+            continue
+        term = by_block("force", given, n)
+        if term.is_constant:
+            fixed += term.at(0.0)
+        else:
+            changing.append(term)
+    return (*((constant(fixed),) if fixed.any() else ()), *changing)
+
+
+def by_block(name: str, term: Term, n: int) -> Term:
+    """The same, one for each of n blocks: rows of shape (n,)."""
+    if isinstance(term, Harmonic):
+        return Harmonic(
+            *(per_block(f"{name}: {part}", getattr(term, part), n) for part in ("amplitude", "frequency", "phase"))
+        )
+    values = term.values
+    if values.ndim == 1:
+        values = np.repeat(values[:, np.newaxis], n, axis=1)
+    if values.shape[1] != n:
+        raise ValueError(f"{name}: values: expected shape (k,) or (k, {n}), got shape {term.values.shape}")
+    return Piecewise(term.times, values)
+
+
+def belt(belt_speed: ArrayLike | Piecewise, n: int) -> float | Floats | Piecewise:
+    """Speeds of n belts: a number where all have one that does not change, (n,) where they differ, or by block."""
+    if isinstance(belt_speed, Piecewise):
+        moving = by_block("belt_speed", belt_speed, n)
+        assert isinstance(moving, Piecewise)
+        if not moving.is_constant:
+            return moving
+        speed = moving.values[0]
+    elif isinstance(belt_speed, Harmonic):
+        raise TypeError(
+            f"belt_speed: expected a number, {n} numbers or a Piecewise, got {belt_speed!r}; a harmonic force moves"
+            " the blocks instead"
+        )
+    else:
+        speed = per_block("belt_speed", belt_speed, n)
+    if (speed == speed[0]).all():
+        return float(speed[0])
+    return per_block("belt_speed", speed, n)
+
+
+def _finite(name: str, value: ArrayLike, expected: str) -> Floats:
+    array = floats(name, value, expected)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)].flat[0]}")
+    array.flags.writeable = False
+    return array
+
+
+def _words(array: Floats) -> str:
+    """Numbers of an array, a few of them."""
+    if array.ndim == 0:
+        return f"{float(array):g}"
+    return np.array2string(array, separator=", ", threshold=6, edgeitems=2, precision=6).replace("\n", "")
