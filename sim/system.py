@@ -164,21 +164,6 @@ class System:
         moving = isinstance(self.belt_speed, Piecewise)
         return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
 
-    def changed(self, **arguments: Any) -> System:
-        """The same system but for these arguments."""
-        damping = self.damping if self.cross_damping is None else self.cross_damping + np.diag(self.damping)
-        static = self.static if self.is_static_above else None
-        own = {
-            "stiffness": self.stiffness,
-            "damping": damping,
-            "friction": self.friction,
-            "belt_speed": self.belt_speed,
-            "static": static,
-            "mass": self.mass,
-            "force": self.force,
-        }
-        return System(**own | arguments)
-
     @cached_property
     def columns(self) -> Columns:
         """K by columns, the form in which the kernels stream it."""
@@ -263,6 +248,8 @@ class System:
             "friction": self.friction,
             "belt_speed": self.belt_speed,
             "static": None if self.static is self.friction else self.static,
+            "mass": self.mass,
+            "force": self.force,
         }
         return System(**{**own, **arguments})
 
