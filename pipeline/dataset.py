@@ -9,11 +9,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 
 from stickslip.pipeline.design import Task
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError
@@ -23,14 +23,9 @@ from stickslip.pipeline.schema import ASKED_BY, Recording
 from stickslip.pipeline.storage import DATA, SCENE, Directory, Place, Where, place_of
 from stickslip.sim.arguments import did_you_mean
 
-# pandas' plain types have no null but NaN; these do, and keep integers integers
-_NULLABLE = {
-    pa.int32(): pd.Int32Dtype(),
-    pa.int64(): pd.Int64Dtype(),
-    pa.float64(): pd.Float64Dtype(),
-    pa.bool_(): pd.BooleanDtype(),
-    pa.string(): pd.StringDtype(),
-}
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow.dataset as ds
 
 #: What is a table of its own if the scene asks for it, and by which line.
 RECORDED_BY = {name: ASKED_BY[name] for name in ("events", "separation", "thresholds")}
@@ -91,6 +86,8 @@ def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
     StoreError
         If there is no readable dataset at `path`, or a shard is not what was written.
     """
+    import pyarrow.dataset as ds  # it loads pandas
+
     found = open_dataset(path)
     place, known = found.place, found.manifest.shards
     names = sorted(known) if shards is None else list(shards)
@@ -159,12 +156,26 @@ def unreadable(path: Where, error: Exception) -> StoreError:
     return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
 
 
+@cache
+def _nullable() -> dict[pa.DataType, Any]:
+    """Types of pandas that have a null beside NaN, and keep integers integers."""
+    import pandas as pd  # it takes a quarter of a second to load, which no run needs
+
+    return {
+        pa.int32(): pd.Int32Dtype(),
+        pa.int64(): pd.Int64Dtype(),
+        pa.float64(): pd.Float64Dtype(),
+        pa.bool_(): pd.BooleanDtype(),
+        pa.string(): pd.StringDtype(),
+    }
+
+
 def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFrame:
     """A table as a data frame: columns that hold nulls, or those named, have a nullable type (NA, never NaN)."""
     if nullable is None:
         nullable = [name for name in table.column_names if table[name].null_count]
-    found = table.to_pandas(types_mapper=_NULLABLE.get)
-    plain = [field for field in table.schema if field.name not in nullable and field.type in _NULLABLE]
+    found = table.to_pandas(types_mapper=_nullable().get)
+    plain = [field for field in table.schema if field.name not in nullable and field.type in _nullable()]
     return found.astype({field.name: _plain(field.type) for field in plain})
 
 

@@ -27,7 +27,8 @@ from stickslip.pipeline.storage import Where
 from stickslip.pipeline.worker import (
     Result,
     compute,
-    compute_alone,
+    compute_alone_packed,
+    compute_packed,
     is_cold,
     load_kernels,
     one_an_engine,
@@ -225,11 +226,11 @@ def _results(
         connected(client)
         try:
             lost = yield from _submit(
-                client, todo, _compute, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
+                client, todo, compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
             )
             # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
             for _ in range(_ATTEMPTS):
-                lost = yield from _submit(client, lost, _compute_alone, lambda: n_workers, scheduler)
+                lost = yield from _submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
             raise ScheduleError(
                 "expected the scheduler to stay until the end, lost it; start it again, then rerun the scene: "
@@ -321,14 +322,3 @@ def _fetch(future: Future[Any], patience: _Patience) -> Result:
             return future.result(timeout=LOST_TIMEOUT / 2)
         except TimeoutError:
             patience.look()
-
-
-def _compute(task: bytes) -> Result:
-    """A worker's task."""
-    batch, recording = pickle.loads(task)
-    load_kernels(batch.members)
-    return compute(batch, recording)
-
-
-def _compute_alone(task: bytes) -> Result:
-    return compute_alone(*pickle.loads(task))

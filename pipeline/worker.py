@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import pickle
 import socket
 import time
 from collections import Counter
@@ -24,7 +25,7 @@ from stickslip.pipeline.quantity import Distribution, Named
 from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.compile import cache_directory, source_digest
+from stickslip.sim.engines.sources import cache_directory, source_digest
 from stickslip.version import __version__
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
@@ -78,6 +79,13 @@ def compute(batch: Batch, recording: Recording) -> Result:
     """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
     start = time.perf_counter()
     return as_result(batch, recording, [row(member, recording) for member in batch.members], start)
+
+
+def compute_packed(task: bytes) -> Result:
+    """As `compute`, of what is pickled; what a run asks of its workers, which so load this module and no driver."""
+    batch, recording = pickle.loads(task)
+    load_kernels(batch.members)
+    return compute(batch, recording)
 
 
 def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], start: float) -> Result:
@@ -221,6 +229,11 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
     return as_result(batch, recording, rows, start)
 
 
+def compute_alone_packed(task: bytes) -> Result:
+    """As `compute_alone`, of what is pickled."""
+    return compute_alone(*pickle.loads(task))
+
+
 def _row(task: tuple[Member, Recording]) -> dict[str, Any]:
     return row(*task)
 
@@ -258,7 +271,9 @@ def _alone(engine: str) -> Iterator[None]:
     """Be the only process of this machine in here, unless nothing can be locked, or another takes too long."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
-            lock = os.open(cache_directory() / f"{engine}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
+            directory = cache_directory()
+            directory.mkdir(parents=True, exist_ok=True)
+            lock = os.open(directory / f"{engine}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
             held.callback(os.close, lock)
             end = time.monotonic() + _PATIENCE
             while not is_locked(lock) and time.monotonic() < end:

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from stickslip.sim import show
 from stickslip.sim.arguments import Floats, floats, per_block
@@ -220,6 +218,8 @@ class System:
         force = -self.friction * per_block("slip", slip, self.n)
         if isinstance(self.stiffness, np.ndarray):
             return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
+        from scipy.sparse.linalg import splu  # with csgraph it takes a tenth of a second to load
+
         try:
             return np.asarray(splu(self.stiffness).solve(force), dtype=np.float64)
         except RuntimeError as error:  # what SuperLU raises for a singular matrix
@@ -234,6 +234,8 @@ class System:
         own = np.abs(self.damping) + np.sqrt(self.row_sums)
         if isinstance(self.stiffness, np.ndarray) and self.stiffness.all():
             return np.full(self.n, own.max())
+        from scipy.sparse.csgraph import connected_components  # as above
+
         _, group = connected_components(scipy.sparse.csr_array(self.stiffness), directed=True, connection="weak")
         fastest = np.zeros(self.n)
         np.maximum.at(fastest, group, own)

@@ -23,7 +23,6 @@ import pickle
 import uuid
 import warnings
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,29 +30,9 @@ import numba
 from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
+from stickslip.sim.engines.sources import cache_directory
+
 _config: Any = numba.config
-_SOURCES = Path(__file__).parent.parent
-
-
-@cache
-def source_digest(*others: Path) -> str:
-    """Digest of the sources of ``sim`` and of some others, as this process loaded them: the same compute the same."""
-    digest = hashlib.sha256()
-    for source in (*sorted(_SOURCES.rglob("*.py")), *others):
-        digest.update(f"{source.parent.name}/{source.name}".encode())
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _digest() -> str:
-    """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
-    return hashlib.sha256(f"{numba.__version__} {source_digest()}".encode()).hexdigest()[:16]
-
-
-def cache_directory() -> Path:
-    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``."""
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "stickslip" / _digest()
 
 
 def _usable_cache() -> Path | None:

@@ -93,14 +93,14 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
 
 
 def test_batches_whose_workers_died_are_run_again(scene, source, finished, content, tmp_path, monkeypatch):
-    compute = driver._compute
+    compute = driver.compute_packed
 
     def dies(task):
         if pickle.loads(task)[0].name.startswith(("shard-00000", "shard-00002")):
             os._exit(1)
         return compute(task)
 
-    monkeypatch.setattr(driver, "_compute", dies)
+    monkeypatch.setattr(driver, "compute_packed", dies)
     with cluster.local(1) as client:
         result = run_ensemble(scene, tmp_path / "out", workers=0, scheduler=client)
     assert result.is_complete

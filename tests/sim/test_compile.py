@@ -6,7 +6,8 @@ import os
 
 import pytest
 
-from stickslip.sim.engines.compile import _KernelFiles, cache_directory, kernel
+from stickslip.sim.engines.compile import _KernelFiles, kernel
+from stickslip.sim.engines.sources import cache_directory
 
 
 @pytest.fixture

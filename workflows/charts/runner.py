@@ -29,7 +29,7 @@ from stickslip.analysis.report.formats import number, signed
 from stickslip.analysis.report.page import Drawn, draw
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.storage import Place
-from stickslip.sim.engines.compile import source_digest
+from stickslip.sim.engines.sources import source_digest
 from stickslip.workflows.charts import ChartError, ChartScene, load_chart
 
 #: What was measured, beside the report: the page is made from it again while scene and program are the same.

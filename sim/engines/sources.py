@@ -1,0 +1,33 @@
+"""The sources of `sim`, and where the kernels compiled from them are kept: known without loading numba."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+_SOURCES = Path(__file__).parent.parent
+
+
+@cache
+def source_digest(*others: Path) -> str:
+    """Digest of the sources of ``sim`` and of some others, as this process loaded them: the same compute the same."""
+    digest = hashlib.sha256()
+    for source in (*sorted(_SOURCES.rglob("*.py")), *others):
+        digest.update(f"{source.parent.name}/{source.name}".encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _digest() -> str:
+    """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
+    return hashlib.sha256(f"{version('numba')} {source_digest()}".encode()).hexdigest()[:16]
+
+
+def cache_directory() -> Path:
+    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "stickslip" / _digest()
