@@ -1,0 +1,373 @@
+"""The chart `two_blocks`: two equal blocks with static and dynamic friction on a slow belt.
+
+The earthquake model of J. Nussbaum and A. Ruina, Pure Appl. Geophys. 125 (1987) 629-656: leaf springs of stiffness
+one, a coupling spring k between the blocks, the exact law. While both blocks stick the belt loads both alike, so
+that from one episode to the next the state is one number, the difference of stretch D = z_1 - z_2. Dimensionless.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import islice
+from typing import Annotated, Any, Literal, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from stickslip import sim
+from stickslip.analysis.stats import cycles
+from stickslip.analysis.stats.estimates import over_matrices, ratio
+from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
+from stickslip.pipeline.toml import Count, Positive, PositiveNumbers
+from stickslip.sim.episodes import spans
+from stickslip.workflows.charts import ChartScene, Say, Shown
+from stickslip.workflows.charts.claims import CONFIDENCE, Claim, every, share, table, told
+from stickslip.workflows.charts.runner import frame
+
+TOL = 1e-12
+#: Longer than any episode, from a unit of time before it.
+_EPISODE = 100.0
+#: Points of an orbit that are one; the longest cycle looked for; the width of differences. Of D, over the drop.
+_SAME, _LONGEST, _WIDTH = 1e-7, 12, 1e-6
+#: |D| over the drop below which blocks go together, as one.
+_ALIKE = 1e-3
+#: What "almost always" and "in general" say of a share.
+ALMOST_ALWAYS, IN_GENERAL = 0.95, 0.5
+#: Episodes that an orbit is first given to settle, and that its exponent is taken over.
+_SETTLE, _EXPONENT = 100, 160
+
+Kind = Literal["alone in turns", "mirrored", "the same", "together", "longer", "none found"]
+
+
+class Quake(NamedTuple):
+    """One episode: D before and after, how many blocks slipped, and how long until the next one begins."""
+
+    before: float
+    after: float
+    size: int
+    wait: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two blocks; the frictions of the second are `unequal` times those of the first."""
+
+    coupling: float
+    drop: float
+    speed: float
+    unequal: float = 1.0
+
+    @cached_property
+    def system(self) -> sim.System:
+        k, friction = self.coupling, np.array([1.0, self.unequal])
+        stiffness = [[1 + k, -k], [-k, 1 + k]]
+        return sim.System(stiffness, 0.0, friction, -self.speed, static=(1 + self.drop) * friction)
+
+    @property
+    def widest(self) -> float:
+        """The largest |D| at which both blocks can stick."""
+        return 2 * (1 + self.drop) / (1 + 2 * self.coupling)
+
+    def next(self, difference: float) -> Quake:
+        """The episode that follows on a difference D."""
+        system = self.system
+        z = 0.5 * difference * np.array([1.0, -1.0])
+        z += self.speed - (system.static + system.stiffness @ z).min()  # one leaves after a unit of time
+        run = partial(sim.simulate, system, z, -self.speed, tol=TOL, stop_early=False)
+        after = run(_EPISODE)
+        (start, end), *more = spans(after.events)
+        if more or after.n_stick(_EPISODE) < 2:  # the next one has begun
+            after = run(end)
+        left = (system.static + system.stiffness @ after.z).min() / self.speed - (end - after.t_end)
+        size = len(np.unique(after.events.block))
+        return Quake(difference, float(after.z[0] - after.z[1]), size, float(end - start + left))
+
+    def orbit(self, difference: float) -> Iterator[Quake]:
+        while True:
+            yield (quake := self.next(difference))
+            difference = quake.after
+
+
+@dataclass(frozen=True)
+class Together:
+    """The homogeneous cycle of a pair: dD'/dD at D = 0, and that of the closed form (`multiplier`)."""
+
+    coupling: float
+    multiplier: float
+    closed: float
+
+
+@dataclass(frozen=True)
+class End:
+    """The cycle that a start ends in: a row of the table `ends`.
+
+    `share` is |D| at the start, over the largest at which both stick; `difference` the largest |D| of the cycle, over
+    the drop. `n_cycle` episodes in `period`, the
+    blocks that slip in each `sizes`. `multiplier` is that of the map of D over the cycle. `survives`: whether the
+    cycle of as many episodes and blocks is there when the friction of one block is a little larger; null where that
+    was not tried.
+    """
+
+    coupling: float
+    share: float
+    kind: Kind
+    n_cycle: int | None = None
+    difference: float | None = None
+    sizes: str | None = None
+    period: float | None = None
+    multiplier: float | None = None
+    survives: bool | None = None
+
+
+@dataclass(frozen=True)
+class Unequal:
+    """Blocks of unequal friction: the cycle found, or the mean of log |dD'/dD| with its interval."""
+
+    coupling: float
+    n_cycle: int | None
+    exponent: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that the chart is made of."""
+
+    together: list[Together]
+    ends: list[End]
+    unequal: list[Unequal]
+
+
+class TwoBlocksScene(ChartScene):
+    """A scene with ``chart = "two_blocks"``; dimensionless, leaf springs and kinetic friction are one."""
+
+    chart: Literal["two_blocks"] = Field(description="kind of the chart", examples=["two_blocks"])
+    title: str = Field(default="Two blocks, static and dynamic friction", description="one line for the head")
+    pairs: Count = Field(default=300, description="number of random pairs, each from a random start", examples=[300])
+    coupling: PositiveNumbers = Field(
+        min_length=2, max_length=2,
+        default=(0.1, 10.0), description="least and largest coupling spring, uniform in its logarithm",
+        examples=[[0.1, 10.0]],
+    )  # fmt: skip
+    drop: Positive = Field(default=0.3, description="static less kinetic friction", examples=[0.3])
+    belt_speed: Positive = Field(default=1e-4, description="speed of the belt", examples=[1e-4])
+    episodes: Annotated[int, Field(ge=10)] = Field(
+        default=150, description="episodes after which a cycle has to be found", examples=[150]
+    )
+    asymmetry: Positive = Field(default=0.01, description="share by which one friction is raised", examples=[0.01])
+    tried: Count = Field(default=100, description="number of cycles tried with that asymmetry", examples=[100])
+    unequal: Annotated[float, Field(gt=1)] = Field(
+        default=2.25, description="ratio of the frictions of unequal blocks", examples=[2.25]
+    )
+    unequal_pairs: Count = Field(default=30, description="number of unequal pairs", examples=[30])
+
+    def extent(self) -> str:
+        return f"{self.pairs} random pairs of blocks, {self.unequal_pairs} of unequal blocks"
+
+    def measure(self, say: Say) -> Measured:
+        rng = np.random.default_rng(self.seed)
+        low, high = np.log(self.coupling)
+        pairs = [self.pair(float(np.exp(rng.uniform(low, high)))) for _ in range(self.pairs)]
+        starts = [float(pair.widest * rng.uniform(-1, 1)) for pair in pairs]
+        together = [homogeneous(pair) for pair in pairs]
+        say(f"{len(together)} homogeneous cycles")
+        ends: list[End] = []
+        for k, (pair, start) in enumerate(zip(pairs, starts, strict=True), start=1):
+            ends.append(end(pair, start, self.episodes, self.asymmetry if k <= self.tried else None))
+            if k % 50 == 0 or k == len(pairs):
+                say(f"{k} of {len(pairs)} starts")
+        unequal = [
+            chaos(self.pair(float(np.exp(rng.uniform(low, high))), self.unequal), float(rng.uniform(-1, 1)))
+            for _ in range(self.unequal_pairs)
+        ]
+        return Measured(together, ends, unequal)
+
+    def pair(self, coupling: float, unequal: float = 1.0) -> Pair:
+        return Pair(coupling, self.drop, self.belt_speed, unequal)
+
+    def show(self, measured: Measured) -> Shown:
+        """Tables: `claims`, `ends`, `homogeneous`, `unequal`."""
+        judged = [{"claim": claim.__name__} | claim(measured) for claim in _CLAIMS]
+        facts = {"claims": judged, "kinds": kinds(measured)}
+        tables = {
+            "claims": table(judged), "ends": frame(measured.ends, End),
+            "homogeneous": frame(measured.together, Together), "unequal": frame(measured.unequal, Unequal),
+        }  # fmt: skip
+        return Shown(facts, tables, {"two_blocks": partial(draw, self, measured)})
+
+
+# ---------------------------------------------------------------------------------------------- measuring
+
+
+def multiplier(coupling: float, drop: float, speed: float) -> float:
+    """dD'/dD of two blocks that go together, for a slow belt: (drop / speed) omega |sin(pi omega)|.
+
+    With omega = sqrt(1 + 2 k), the frequency of their difference. A block that is ahead by D slips for a time of
+    (1 + 2 k) D / speed before the belt has the other slip too. By then it has drop times that as its velocity, and
+    the difference swings on at omega for a time of pi. It is 0 at k = (m^2 - 1) / 2, m = 2, 3, ...
+    """
+    omega = np.sqrt(1 + 2 * coupling)
+    return float(drop / speed * omega * abs(np.sin(np.pi * omega)))
+
+
+def homogeneous(pair: Pair) -> Together:
+    """Where the belt, not the block that leaves first, takes the other one along: there D' is linear in D."""
+    small = 0.01 * pair.speed**2 / (pair.coupling * pair.drop * (1 + 2 * pair.coupling))
+    return Together(
+        pair.coupling, abs(pair.next(small).after) / small, multiplier(pair.coupling, pair.drop, pair.speed)
+    )
+
+
+def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None) -> End:
+    """Which cycle a start ends in, how stable it is, and whether it outlives an asymmetry."""
+    found = _cycle(pair, start, episodes)
+    at = abs(start) / pair.widest
+    if found is None:
+        return End(pair.coupling, at, "none found")
+    n = len(found)
+    differences, sizes = [quake.before for quake in found], sorted(quake.size for quake in found)
+    slopes = [cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in found]
+    survives = None
+    if asymmetry is not None:
+        other = _cycle(Pair(pair.coupling, pair.drop, pair.speed, 1 + asymmetry), differences[0], 4 * _LONGEST)
+        survives = other is not None and sorted(quake.size for quake in other) == sizes
+    return End(
+        pair.coupling, at, _kind(differences, sizes, pair.drop), n, max(map(abs, differences)) / pair.drop,
+        ", ".join(map(str, sizes)), sum(quake.wait for quake in found), abs(float(np.prod(slopes))), survives,
+    )  # fmt: skip
+
+
+def _cycle(pair: Pair, start: float, episodes: int) -> list[Quake] | None:
+    """The episodes of the cycle that a start ends in; None if it is in none by then."""
+    orbit: list[Quake] = []
+    for quake in islice(pair.orbit(start), episodes):
+        orbit.append(quake)
+        n = cycles.period([[one.before, one.size * pair.drop] for one in orbit], _SAME * pair.drop, _LONGEST)
+        if n is not None:
+            return orbit[-n:]
+    return None
+
+
+def _kind(differences: list[float], sizes: list[int], drop: float) -> Kind:
+    if max(map(abs, differences)) < _ALIKE * drop:
+        return "together"
+    if len(differences) == 1:
+        return "the same"
+    if sizes == [1, 1]:
+        return "alone in turns"
+    return "mirrored" if sizes == [2, 2] else "longer"
+
+
+def chaos(pair: Pair, start: float) -> Unequal:
+    """The exponent of an orbit over its steps after it settled, if it is in no cycle."""
+    orbit = list(islice(pair.orbit(start * pair.widest / pair.unequal), _SETTLE + _EXPONENT))
+    n = cycles.period([quake.before for quake in orbit], _SAME * pair.drop, _LONGEST)
+    if n is not None:
+        return Unequal(pair.coupling, n)
+    slopes = [
+        cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in orbit[_SETTLE:]
+    ]
+    sums = np.array([[np.log(max(abs(one), 1e-12)), 1.0] for one in slopes])
+    mean = over_matrices(ratio, sums.reshape(-1, 8, 2).sum(axis=1), CONFIDENCE)
+    return Unequal(pair.coupling, None, mean.value, mean.low, mean.high)
+
+
+# ---------------------------------------------------------------------------------------------- claims
+
+
+def unstable(measured: Measured) -> Claim:
+    found = share(sum(one.multiplier > 1 for one in measured.together), len(measured.together))
+    off = [abs(one.multiplier / one.closed - 1) for one in measured.together]
+    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "off": float(np.median(off)),
+                    "least": min(one.multiplier for one in measured.together)}  # fmt: skip
+
+
+def no_smoothing(measured: Measured) -> Claim:
+    found = share(sum(one.kind not in ("together", "none found") for one in measured.ends), len(measured.ends))
+    return found | {"verdict": told(found["low"], found["high"], IN_GENERAL)}
+
+
+def two_cycles(measured: Measured) -> Claim:
+    """One episode again and again, or two in turns, and both are there."""
+    counted = Counter(one.n_cycle for one in measured.ends if one.kind != "together")
+    found = share(counted[1] + counted[2], len(measured.ends))
+    each = [share(counted[n], len(measured.ends)) for n in (2, 1)]
+    verdicts = [told(found["low"], found["high"], ALMOST_ALWAYS)]
+    verdicts += [told(one["low"], one["high"], np.nextafter(0, 1)) for one in each]
+    return found | {"verdict": every(verdicts), "each": each}
+
+
+def structurally_unstable(measured: Measured) -> Claim:
+    """One kind of cycle is gone with the symmetry; the others mostly stay."""
+    tried = [one for one in measured.ends if one.survives is not None]
+    alone, others = ([one for one in tried if (one.kind == "alone in turns") == is_so] for is_so in (True, False))
+    gone, stay = (share(sum(bool(one.survives) == is_so for one in some), len(some))
+                  for is_so, some in ((False, alone), (True, others)))  # fmt: skip
+    apart = [abs(one.multiplier - 1) for one in measured.ends if one.kind == "alone in turns" and one.multiplier]
+    return gone | {
+        "verdict": every([told(gone["low"], gone["high"], IN_GENERAL), told(stay["low"], stay["high"], IN_GENERAL)]),
+        "stay": stay, "apart": max(apart, default=None),
+    }  # fmt: skip
+
+
+def only_cycles(measured: Measured) -> Claim:
+    found = share(sum(one.n_cycle is not None for one in measured.ends), len(measured.ends))
+    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS)}
+
+
+def chaos_if_unequal(measured: Measured) -> Claim:
+    """For some couplings a positive exponent, for others a cycle."""
+    chaotic = [one for one in measured.unequal if one.low is not None and one.low > 0]
+    found = share(len(chaotic), len(measured.unequal))
+    periodic = share(sum(one.n_cycle is not None for one in measured.unequal), len(measured.unequal))
+    some = np.nextafter(0, 1)
+    return found | {
+        "verdict": every([told(one["low"], one["high"], some) for one in (found, periodic)]), "periodic": periodic,
+        "exponents": [one.exponent for one in chaotic],
+    }  # fmt: skip
+
+
+_CLAIMS = (unstable, no_smoothing, two_cycles, structurally_unstable, only_cycles, chaos_if_unequal)
+
+
+def kinds(measured: Measured) -> list[dict[str, Any]]:
+    """By kind of cycle: how many starts end in it, with what multipliers, at which couplings."""
+    rows = []
+    for kind, _ in Counter(one.kind for one in measured.ends).most_common():
+        some = [one for one in measured.ends if one.kind == kind]
+        slopes = [one.multiplier for one in some if one.multiplier is not None]
+        rows.append({
+            "kind": kind, **share(len(some), len(measured.ends)),
+            "least": min(slopes, default=None), "most": max(slopes, default=None),
+            "first": min(one.coupling for one in some), "last": max(one.coupling for one in some),
+        })  # fmt: skip
+    return rows
+
+
+def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
+    """The multiplier of the homogeneous cycle over the coupling, and where each start ends."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = subplots(1, 2, 3.2)
+        left, right = axes[0]
+        low, high = scene.coupling
+        k = np.geomspace(low, high, 2000)
+        closed = [multiplier(one, scene.drop, scene.belt_speed) for one in k]
+        left.loglog(k, closed, color=GREY, linewidth=0.8, label="closed form")
+        left.loglog([one.coupling for one in measured.together], [one.multiplier for one in measured.together],
+                    ".", color=CYCLE[0], markersize=3, label="exact engine")  # fmt: skip
+        left.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="stable below")
+        left.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
+        left.legend(loc="lower left", fontsize=7)
+        for colour, row in zip(CYCLE, kinds(measured), strict=False):
+            some = [one for one in measured.ends if one.kind == row["kind"]]
+            right.semilogx([one.coupling for one in some], [one.share for one in some], "o", color=colour,
+                           markersize=3, label=row["kind"])  # fmt: skip
+        right.set(title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest")
+        legend(figure, 4, [right])
+    return figure
