@@ -79,6 +79,8 @@ class Data:
         Of members that are a changed copy of another; empty if the scene does not record them.
     thresholds : mapping to mapping of float to ChangePoints
         n_stick of a sigmoid run by threshold, under further definitions |w - v| < threshold r_i eps.
+    episodes : DataFrame, optional
+        A row an episode: member_id, start, end, size, moment. None if the scene does not record them.
     """
 
     members: pd.DataFrame
@@ -86,6 +88,7 @@ class Data:
     events: Mapping[str, Events] = field(default_factory=dict)
     separations: Mapping[str, Separation] = field(default_factory=dict)
     thresholds: Mapping[str, Mapping[float, ChangePoints]] = field(default_factory=dict)
+    episodes: pd.DataFrame | None = None
 
     def __post_init__(self) -> None:
         absent = [name for name in OPTIONAL if name not in self.members]

@@ -190,6 +190,7 @@ class MarginsTable(StrictTable):
 #: What a report can be asked first: the names of `analysis.questions`.
 QuestionName = Literal[
     "sweep",
+    "episodes",
     "cascades",
     "exponential",
     "definitions",

@@ -4,5 +4,6 @@ The order is that of the page.
 """
 
 QUESTIONS = (
-    "sweep", "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity", "robustness",
+    "sweep", "episodes", "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity",
+    "robustness",
 )  # fmt: skip

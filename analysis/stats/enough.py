@@ -8,7 +8,7 @@ import numpy as np
 
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, equivalence_test, verdict
-from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife
+from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
 ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
     "enough", "few matrices", "few cascades", "drifts", "drift unknown",
@@ -54,7 +54,7 @@ def _drift(sums: np.ndarray) -> np.ndarray:
     return (sums[:, 1] - sums[:, 0]) / np.sqrt(sums[:, 2] * sums[:, 3])
 
 
-def basis(rows: np.ndarray, n_cascades: int, confidence: float) -> Basis:
+def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = _drift) -> Basis:
     """Whether there are enough matrices and cascades and no drift.
 
     Drift is excluded where an equivalence test excludes one beyond `MARGIN`, shown where there is one and the
@@ -62,18 +62,19 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float) -> Basis:
 
     Parameters
     ----------
-    rows : ndarray, shape (G, 3)
-        `halves`, one row a matrix.
+    rows : ndarray, shape (G, c)
+        `halves`, one row a matrix, or what `of` takes.
     n_cascades : int
         Complete cascades of all runs.
     confidence : float
+    of : callable
+        The drift from the sums of rows, and their number in a last column.
     """
-    rows = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
     g = len(rows)
     if g < 2:
         return Basis(FEW_MATRICES, g, n_cascades, Estimate(reason="fewer than two matrices"))
     try:
-        value, error = jackknife(_drift, np.column_stack([rows, np.ones(g)]))
+        value, error = jackknife(of, np.column_stack([rows, np.ones(g)]))
     except Undefined as undefined:
         return Basis(FEW_CASCADES, g, n_cascades, Estimate(reason=str(undefined)))
     test = equivalence_test(value, error, g - 1, MARGIN)

@@ -51,7 +51,8 @@ class Family:
     natural : callable
         Internal parameters to the named ones of the table above.
     null : int or None
-        Which internal parameter is 0 for the exponential; None if the family does not hold it.
+        Which internal parameter is 0 for the law that it is held against, as a rule the exponential; None if it does
+        not hold that.
     borders : mapping of (parameter, side) to str
         What the law becomes where internal parameter i runs to its lower (0) or upper (1) bound.
     """
@@ -272,7 +273,8 @@ def derivatives(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of one cascade of each size in the free internal parameters.
 
-    Central differences with steps `STEP` of internal parameters of order one: an error of order 1e-8.
+    Central differences with steps `STEP` of internal parameters of order one: the score, of order four, errs by some
+    1e-12, the information by some 1e-8.
 
     Returns
     -------
@@ -292,7 +294,7 @@ def derivatives(
     centre = at(np.zeros(len(theta)))
     for i in range(f):
         up, down = at(steps[i]), at(-steps[i])
-        score[:, i] = (up - down) / (2 * STEP)
+        score[:, i] = (8 * (up - down) - (at(2 * steps[i]) - at(-2 * steps[i]))) / (12 * STEP)
         information[:, i, i] = -(up - 2 * centre + down) / STEP**2
         for j in range(i):
             mixed = at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i])

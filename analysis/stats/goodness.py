@@ -1,4 +1,4 @@
-"""How well the exponential fits the sizes of cascades: the largest gap of distribution functions, and size by size.
+"""How well a law, as a rule the exponential, fits the sizes of cascades: the largest gap, and size by size.
 
 Everything here works on histograms, one row a matrix, [g, k] cascades of size k: the matrices are the independent
 units, the cascades within one are not.
@@ -12,7 +12,7 @@ import numpy as np
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.families import EXPONENTIAL, maximise
+from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, derivatives, maximise
 
 FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
 #: A size is judged if so many cascades are expected above it. Nothing in the data says where to cut the tail, so the
@@ -22,28 +22,28 @@ FEWEST_SHOWN = 10  # cascades expected of a size for it to be drawn
 REJECTED, NOT_REJECTED, UNDECIDED, UNKNOWN = "rejected", "not rejected", "undecided", "cannot be told"
 
 
-def effective(counts: np.ndarray, values: np.ndarray, sizes: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """What each matrix adds to sum (f(k) - E f) over its cascades, freed of what estimating gamma adds.
+def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:
+    """What each matrix adds to sum (f(k) - E f) over its cascades, freed of what estimating the law adds.
 
-    f is projected off the exponential's own score, k - E k, under the fit: the sum over matrices is unchanged, since
-    the fit makes the sum of that score zero, and the rows are independent to first order.
+    f is projected off the law's own scores (the exponential's: k - E k) under the fit: the sum over matrices is
+    unchanged, since the fit makes the sums of scores zero, and the rows are independent to first order.
 
     Parameters
     ----------
     counts : ndarray, shape (G, K)
     values : ndarray, shape (K, b)
         b functions f of the size.
-    sizes, shares : ndarray, shape (K,)
-        Sizes, and their shares under the fit.
+    fit : Fit
 
     Returns
     -------
     ndarray, shape (G, b)
     """
+    shares = np.exp(fit.log_shares())
     centred = values - shares @ values
-    score = sizes - shares @ sizes
-    slope = (shares * score) @ centred / np.dot(shares, score**2)
-    return counts @ (centred - np.outer(score, slope))
+    scores, _ = derivatives(fit.family, fit.sizes, fit.theta, fit.free)
+    weighted = shares * scores.T
+    return counts @ (centred - scores @ np.linalg.solve(weighted @ scores, weighted @ centred))
 
 
 def sign_flips(n_matrices: int, rng: np.random.Generator) -> np.ndarray:
@@ -88,8 +88,14 @@ class Goodness:
         return NOT_REJECTED if self.p_least > level else UNDECIDED
 
 
-def goodness(sizes: np.ndarray, counts: np.ndarray, confidence: float, rng: np.random.Generator) -> Goodness:
-    """Kolmogorov-Smirnov test of the exponential, its null distribution from the matrices themselves.
+def goodness(
+    sizes: np.ndarray,
+    counts: np.ndarray,
+    confidence: float,
+    rng: np.random.Generator,
+    family: Family = EXPONENTIAL,
+) -> Goodness:
+    """Kolmogorov-Smirnov test of a law, its null distribution from the matrices themselves.
 
     The statistic is the largest gap of observed and fitted distribution function, each in units of its own standard
     error over matrices. Its null distribution comes from turning the sign of each matrix's part of the gaps at
@@ -105,19 +111,20 @@ def goodness(sizes: np.ndarray, counts: np.ndarray, confidence: float, rng: np.r
     confidence : float
     rng : numpy.random.Generator
         For the signs.
+    family : Family
     """
     seen = counts[counts.sum(axis=1) > 0]
     n, total = len(seen), seen.sum()
     try:
-        shares = _fitted(sizes, seen)
+        fit = maximise(family, sizes, seen.sum(axis=0))
     except Undefined as undefined:
         return Goodness(reason=str(undefined))
-    above = total * (1.0 - np.cumsum(shares))
+    above = total * (1.0 - np.cumsum(np.exp(fit.log_shares())))
     judged = np.flatnonzero(above >= CUTS[-1])
     if len(judged) < 2:
         return Goodness(reason="few cascades")
     below = (sizes[:, None] <= sizes[judged]).astype(np.float64)
-    parts = effective(seen, below, sizes, shares) / total
+    parts = effective(seen, below, fit) / total
     gaps = parts.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
     found = Goodness(float(abs(gaps[worst])), int(sizes[judged[worst]]))
@@ -132,11 +139,6 @@ def goodness(sizes: np.ndarray, counts: np.ndarray, confidence: float, rng: np.r
     reach = np.quantile(_studentised(signs[1:], scatter)[:, : counted[1]].max(axis=1), confidence)
     bound = float((np.abs(gaps) + reach * np.sqrt((scatter**2).sum(axis=0)))[: counted[1]].max())
     return replace(found, bound=bound, p_value=p_values[1], p_least=min(p_values), p_most=max(p_values))
-
-
-def _fitted(sizes: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Share of each size under the exponential of all matrices together."""
-    return np.exp(maximise(EXPONENTIAL, sizes, counts.sum(axis=0)).log_shares())
 
 
 def _studentised(signs: np.ndarray, parts: np.ndarray) -> np.ndarray:
@@ -174,9 +176,10 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
     """
     seen = counts[counts.sum(axis=1) > 0]
     n, total = len(seen), seen.sum()
-    shares = _fitted(sizes, seen)
+    fit = maximise(EXPONENTIAL, sizes, seen.sum(axis=0))
+    shares = np.exp(fit.log_shares())
     judged = np.flatnonzero(total * shares >= FEWEST_SHOWN)
-    parts = effective(seen, (sizes[:, None] == sizes[judged]).astype(np.float64), sizes, shares)
+    parts = effective(seen, (sizes[:, None] == sizes[judged]).astype(np.float64), fit)
     parts /= total * shares[judged]
     values = 1.0 + parts.sum(axis=0)
     half = None if n < 2 else student.half_width(confidence, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
@@ -184,8 +187,8 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
     found = []
     for i, k in enumerate(judged):
         ends = (None, None) if half is None else (float(values[i] - half[i]), float(values[i] + half[i]))
-        share, fit = float(pooled[k] / total), float(shares[k])
-        found.append(Quotient(int(sizes[k]), int(pooled[k]), share, fit, float(values[i]), *ends))
+        share, fitted = float(pooled[k] / total), float(shares[k])
+        found.append(Quotient(int(sizes[k]), int(pooled[k]), share, fitted, float(values[i]), *ends))
     return found
 
 

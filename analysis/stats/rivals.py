@@ -1,6 +1,6 @@
-"""Rival laws against the exponential: by how much they describe the sizes better, and whether that is shown.
+"""Rival laws against a base, as a rule the exponential: by how much they are better, and whether that is shown.
 
-A rival that holds the exponential is judged by its extra parameter, one that does not by Vuong's difference of
+A rival that holds the base is judged by its extra parameter, one that does not by Vuong's difference of
 log-likelihoods; the standard error of either comes from the matrices, never from single cascades.
 """
 
@@ -19,18 +19,18 @@ from stickslip.analysis.stats.multiplicity import holm
 
 @dataclass(frozen=True)
 class Rival:
-    """A rival beside the exponential on the same sizes.
+    """A rival beside the base on the same sizes.
 
     Attributes
     ----------
     fit : Fit or None
     gain : float or None
-        Mean log-likelihood of a cascade under the rival minus under the exponential, in nats. A rival that holds the
-        exponential gains something on any data: about 1 / (2 N) on N independent cascades.
+        Mean log-likelihood of a cascade under the rival minus under the base, in nats. A rival that holds the base
+        gains something on any data: about 1 / (2 N) on N independent cascades.
     gain_low, gain_high : float or None
-        Interval over matrices; null for a rival that holds the exponential, where it has none that holds at zero.
+        Interval over matrices; null for a rival that holds the base, where it has none that holds at zero.
     extra : Estimate
-        Of the extra internal parameter (alpha, ln beta or ln r; 0 is the exponential).
+        Of the extra internal parameter, `Family.null`; 0 is the base.
     p_value : float or None
     p_adjusted : float or None
         For having asked all the rivals together (Holm).
@@ -52,11 +52,15 @@ class Rival:
 
 
 def rivals(
-    sizes: np.ndarray, counts: np.ndarray, confidence: float, families: Sequence[Family] = RIVALS
+    sizes: np.ndarray,
+    counts: np.ndarray,
+    confidence: float,
+    families: Sequence[Family] = RIVALS,
+    base: Family = EXPONENTIAL,
 ) -> list[Rival]:
-    """Each rival against the exponential.
+    """Each rival against the base.
 
-    - One that holds the exponential: a jackknife-t interval over matrices of its extra parameter, each matrix left
+    - One that holds the base: a jackknife-t interval over matrices of its extra parameter, each matrix left
       out by one Newton step from the fit; the chi-square of a likelihood ratio would take cascades as independent.
     - One that does not: Vuong's statistic (1989, Econometrica 57, 307) with the differences of log-likelihood summed
       by matrix.
@@ -68,13 +72,14 @@ def rivals(
         As `families.truncate` gives them; matrices without a cascade are left out.
     confidence : float
     families : sequence of Family
+    base : Family
     """
     seen = counts[counts.sum(axis=1) > 0]
     try:
-        base = maximise(EXPONENTIAL, sizes, seen.sum(axis=0))
+        null = maximise(base, sizes, seen.sum(axis=0))
     except Undefined as undefined:
         return [Rival(family, reason=str(undefined)) for family in families]
-    judged = [_against(base, maximise(family, sizes, seen.sum(axis=0)), seen, confidence) for family in families]
+    judged = [_against(null, maximise(family, sizes, seen.sum(axis=0)), seen, confidence) for family in families]
     return _judged(judged, 1 - confidence)
 
 
@@ -85,7 +90,7 @@ def _against(base: Fit, fit: Fit, counts: np.ndarray, confidence: float) -> Riva
     if fit.family.null is None:
         return _vuong(found, base, counts, confidence)
     try:
-        extra = _extra(fit, fit.family.null, counts, confidence)
+        extra = parameter(fit, fit.family.null, counts, confidence)
     except Undefined as undefined:
         return replace(found, reason=str(undefined))
     return replace(found, extra=extra, p_value=_p_value(extra, len(counts), confidence))
@@ -110,8 +115,14 @@ def _p_value(estimate: Estimate, n_matrices: int, confidence: float) -> float:
     return student.two_sided(estimate.value / error, n_matrices - 1) if error else float(estimate.value == 0)
 
 
-def _extra(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
-    """The extra parameter with its jackknife-t interval; parameters on a bound stay there."""
+def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
+    """An internal parameter with its jackknife-t interval over matrices; parameters on a bound stay there.
+
+    Raises
+    ------
+    Undefined
+        If it is on a bound itself, there is one matrix, or the likelihood is flat.
+    """
     if which not in fit.free:
         raise Undefined(f"border: {fit.border}")
     n = len(counts)

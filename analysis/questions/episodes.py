@@ -1,0 +1,411 @@
+"""Episodes: how often, how large, how regular; the law of their moments; by how much all this hangs on the method.
+
+An episode runs from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
+is held against exact events on the same systems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge, told
+from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
+from stickslip.analysis.questions.engines import summary
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import relative_difference
+from stickslip.analysis.stats.episodes import (
+    CLASS,
+    OF_SIZES,
+    QUANTITIES,
+    RATE,
+    RECURRENCE,
+    Catalogue,
+    Laws,
+    completeness,
+    drift,
+    in_classes,
+    laws_of_moments,
+)
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.families import maximise
+from stickslip.analysis.stats.goodness import REJECTED, goodness
+from stickslip.analysis.stats.rivals import parameter, rivals
+from stickslip.analysis.stats.student import half_width
+from stickslip.analysis.style import EXACT, GREEN, GREY, PANEL, SMOOTHED, STYLE
+
+MARGIN = 0.1  # of every statistic, relative: what some twenty systems can exclude
+POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
+    "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
+)  # fmt: skip
+REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
+FEWEST = 10  # episodes from a magnitude on for its rate to be drawn
+_STEP = 2  # classes from point to point of the figures
+_ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first, which is what the others are held against
+_GROUPS: Mapping[str, str] = {
+    "group": S, "n_systems": I, "n_episodes": I, "largest": F, "whole": F,
+    **{f"{name}{end}": F for name in QUANTITIES for end in ("", "_low", "_high")}, "drift": F, "basis": S,
+}  # fmt: skip
+_CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
+_LAWS: Mapping[str, str] = {
+    "of": S, "law": S, "parameters": S, "gain": F, "p_adjusted": F, "against_power_law": S, "gap": F, "p_value": F,
+    "fit": S, "reason": S,
+}  # fmt: skip
+_RATES: Mapping[str, str] = {
+    "group": S, "magnitude": F, "n_episodes": I, "rate": F, "rate_low": F, "rate_high": F, "over": F, "over_low": F,
+    "over_high": F,
+}  # fmt: skip
+
+
+@dataclass
+class _Of:
+    """A group with the episodes of its runs that reached t_end, by unit; and what they come to."""
+
+    group: Group
+    runs: dict[int, list[Catalogue]]
+    sample: Sample
+    row: Row
+
+    @property
+    def label(self) -> str:
+        return self.group.label
+
+    @property
+    def is_judged(self) -> bool:
+        return self.row["basis"] in enough.JUDGED
+
+    def each(self) -> Iterator[Catalogue]:
+        for some in self.runs.values():
+            yield from some
+
+    def magnitudes(self) -> np.ndarray:
+        return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
+
+
+def answer(study: Study) -> Answer | None:
+    """What the episodes of an ensemble are like; None where none were recorded."""
+    table = study.data.episodes
+    if table is None:
+        return None
+    of_member = {str(name): some for name, some in table.groupby("member_id", sort=False)}
+    found = [_Of(group, _runs(study, group, of_member), Sample(), {}) for group in sorted(study.groups, key=_order)]
+    found = [one for one in found if one.runs]
+    level = study.settings.confidence
+    every = [one.magnitudes() for one in found]
+    try:
+        least = completeness(next((some for some in every if len(some)), np.zeros(0)))
+    except Undefined as why:
+        return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack=str(why))
+    for one in found:
+        _fill(one, least, level)
+    judged = [one for one in found if one.is_judged]
+    tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
+    if not judged:
+        best = max(found, key=lambda one: one.row["n_episodes"]).row
+        return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
+    lead = judged[0]
+    contrasts = _contrasts(found, level)
+    rates = _rates(found, lead, least, level)
+    laws, facts = _laws(study, lead, least)
+    settings = [summary(told(rows)) | {"setting": rows[0]["setting"]} for rows in contrasts if told(rows)]
+    facts |= {
+        "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "least": least, "margin": MARGIN,
+        "settings": settings, "agree": [one for one in settings if len(one["agree"]) == len(one["rows"])],
+        "farthest": max(settings, key=_rate_off, default=None), "t_burn": study.settings.t_burn,
+        "refused": [one.row for one in found if not one.is_judged], "n_blocks": lead.group.key["n"],
+    }  # fmt: skip
+    tables |= {
+        "episode_contrasts": frame(_CONTRASTS, [row for rows in contrasts for row in rows]),
+        "episode_laws": frame(_LAWS, laws),
+        "episode_rates": frame(_RATES, rates),
+    }
+    labels = {one.label: (str(one.group.key["engine"]), one is lead) for one in found}
+    figures = {"episode_rates": partial(frequencies, rates, labels)}
+    if settings:
+        figures["episode_rates_over"] = partial(over_reference, rates, labels)
+    else:
+        run = next(one for one in lead.each() if len(one.start))
+        figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
+    return Answer(facts | {"has_pairs": bool(settings)}, tables=tables, figures=figures)
+
+
+def _order(group: Group) -> tuple[Any, ...]:
+    """Exact events first, then by engine, from the finest setting to the coarsest."""
+    fineness = [float(group.key[name] or 0.0) for name in ("eps", "step", *TOLERANCES) if name in group.key]
+    return (_ENGINES.index(group.key["engine"]), *fineness)
+
+
+def _runs(study: Study, group: Group, of_member: Mapping[str, Any]) -> dict[int, list[Catalogue]]:
+    """By unit; a run that recorded no episode has none."""
+    found: dict[int, list[Catalogue]] = {}
+    t_start, n, v = study.settings.t_burn, int(group.key["n"]), group.key["belt_speed"]
+    table = (group.finished[name] for name in ("unit", "member_id", "t_end"))
+    for unit, member_id, t_end in zip(*table, strict=True):
+        columns = np.zeros((4, 0))
+        if member_id in of_member:
+            columns = of_member[member_id][["start", "end", "size", "moment"]].to_numpy(np.float64).T
+            columns = columns[:, (columns[0] >= t_start) & (columns[3] > 0)]
+        start, end, size, moment = columns
+        slip = np.nan if v is None else n * abs(float(v)) * (float(t_end) - t_start)
+        one = Catalogue(t_start, float(t_end), start, end - start, size.astype(np.int64), moment, slip)
+        found.setdefault(int(unit), []).append(one)
+    return found
+
+
+def _fill(one: _Of, least: float, level: float) -> None:
+    """The statistics of a group, each with its interval over units."""
+    for unit, runs in one.runs.items():
+        for run in runs:
+            for name, quantity in QUANTITIES.items():
+                sums = quantity.sums(run, least)
+                if np.isfinite(sums).all():
+                    one.sample.add(name, unit, sums)
+    halves = np.array([sum(run.halves() for run in runs) for runs in one.runs.values()])
+    n_episodes = int(halves.sum())
+    basis = enough.basis(halves, n_episodes, level, drift)
+    sizes = np.concatenate([run.size for run in one.each()])
+    one.row = {
+        "group": one.label, "n_systems": len(one.runs), "n_episodes": n_episodes, "basis": basis.code,
+        "n_matrices": len(one.runs), "n_cascades": n_episodes, "drift": basis.drift.value,
+        "largest": float(one.magnitudes().max()) if n_episodes else None,
+        "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
+    }  # fmt: skip
+    for name, quantity in QUANTITIES.items():
+        found = over_matrices(quantity.of, one.sample.rows(name)[1], level)
+        one.row |= {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+    one.row["regularity"] = _regularity(one.row) if one.row["basis"] in enough.JUDGED else UNKNOWN
+
+
+def _regularity(row: Row) -> str:
+    low, high = row[f"{RECURRENCE}_low"], row[f"{RECURRENCE}_high"]
+    if low is None:
+        return UNKNOWN
+    return REGULAR if high < 1 else CLUSTERED if low > 1 else AS_POISSON if high - low < 2 * MARGIN else UNKNOWN
+
+
+def _contrasts(found: Sequence[_Of], level: float) -> list[list[Row]]:
+    """Of each setting against the first of the same systems, judged together."""
+    systems: dict[tuple[Any, ...], list[_Of]] = {}
+    for one in found:
+        systems.setdefault(tuple(one.group.key[name] for name in SYSTEM_KEYS), []).append(one)
+    statistics = [Statistic(name, quantity.of, MARGIN) for name, quantity in QUANTITIES.items()]
+    made = []
+    for reference, *others in systems.values():
+        if not reference.is_judged:
+            continue
+        some = [
+            [
+                {"setting": other.label, "reference": reference.label}
+                | contrast(statistic, reference.sample, other.sample, True, level)
+                for statistic in statistics
+            ]
+            for other in others
+        ]
+        judge([row for rows in some for row in rows], 1 - level)
+        made += some
+    return made
+
+
+def _rate_off(one: Row) -> float:
+    return max((abs(row["relative"]) for row in one["rows"] if row["quantity"] == RATE), default=0.0)
+
+
+# ---------------------------------------------------------------------------------------------- the law
+
+
+def _laws(study: Study, lead: _Of, least: float) -> tuple[list[Row], dict[str, Any]]:
+    """Which law the moments and the sizes of a group follow, and its exponent."""
+    magnitudes = lead.magnitudes()
+    seen = 10.0 ** magnitudes[magnitudes >= least]
+    n_classes = int(np.floor((magnitudes.max() - least) / CLASS + 1e-9)) + 1
+    by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in lead.runs.values()]
+    counts = np.array([in_classes(some, least, n_classes) for some in by_unit], dtype=np.float64)
+    n = int(lead.group.key["n"])
+    sizes = [np.concatenate([run.size for run in runs]) for runs in lead.runs.values()]
+    by_size = np.array([np.bincount(some, minlength=n + 1)[1:] for some in sizes], dtype=np.float64)
+    rows, facts = _law_rows(study, "moment", laws_of_moments(least, float(seen.mean())), counts)
+    more, of_size = _law_rows(study, "size", OF_SIZES, by_size)
+    return [*rows, *more], {"moments": facts, "sizes": of_size}
+
+
+def _law_rows(study: Study, of: str, laws: Laws, counts: np.ndarray) -> tuple[list[Row], Row]:
+    """Each law with its gain over the power law; the verdict, and the exponent of the power law with a cut-off."""
+    level = study.settings.confidence
+    classes = np.arange(1, counts.shape[1] + 1, dtype=np.float64)
+    rows: list[Row] = []
+    exponent, cut_off, verdict = Estimate(), Estimate(), UNKNOWN
+    try:
+        base = maximise(laws.power, classes, counts.sum(axis=0))
+        others = {one.family.name: one for one in rivals(classes, counts, level, [laws.cut_off, laws.exponential],
+                                                         laws.power)}  # fmt: skip
+    except Undefined as why:
+        return rows, {"exponent": exponent, "law": verdict, "reason": str(why)}
+    for family in (laws.power, laws.cut_off, laws.exponential):
+        rival = others.get(family.name)
+        fit = base if rival is None else rival.fit
+        good = goodness(classes, counts, level, study.generator(f"{of} {family.name}"), family)
+        rows.append({
+            "of": of, "law": family.name, "gain": rival and rival.gain, "p_adjusted": rival and rival.p_adjusted,
+            "parameters": fit and ", ".join(f"{name} = {value:.3g}" for name, value in fit.parameters.items()),
+            "against_power_law": rival and rival.verdict, "gap": good.gap, "p_value": good.p_value,
+            "fit": good.verdict(1 - level), "reason": (rival and rival.reason) or good.reason or None,
+        })  # fmt: skip
+    fit = others[laws.cut_off.name].fit
+    if fit is not None:
+        exponent, cut_off = (_parameter(fit, which, counts, level) for which in (0, 1))
+        verdict = _verdict(rows[1]["fit"], exponent, cut_off, -1.0 if of == "moment" else 0.0)
+    return rows, {"exponent": exponent, "law": verdict, "n": int(counts.sum())}
+
+
+def _parameter(fit: Any, which: int, counts: np.ndarray, level: float) -> Estimate:
+    try:
+        return parameter(fit, which, counts, level)
+    except Undefined as why:
+        return Estimate(float(fit.theta[which]), reason=str(why))
+
+
+def _verdict(fit: str, exponent: Estimate, cut_off: Estimate, exponential: float) -> str:
+    """Of the power law with a cut-off, which holds the two others: without cut-off, and at one exponent."""
+    if fit == REJECTED:
+        return NONE
+    if cut_off.value == 0.0:
+        return POWER
+    if cut_off.low is None or exponent.low is None or exponent.high is None:
+        return UNKNOWN
+    if exponent.low <= exponential <= exponent.high:
+        return EXPONENTIAL if cut_off.low > 0 else UNKNOWN
+    return CUT_OFF if cut_off.low > 0 else POWER
+
+
+# ---------------------------------------------------------------------------------------------- how often, how large
+
+
+def _rates(found: Iterable[_Of], lead: _Of, least: float, level: float) -> list[Row]:
+    """Episodes a unit of time from each magnitude on, and over those of the lead on the same systems."""
+    rows = []
+    edges = least + CLASS * np.arange(0, int((lead.magnitudes().max() - least) / CLASS) + _STEP, _STEP)
+    reference = {edge: _exceeding(lead, edge) for edge in edges}
+    for one in found:
+        for edge in edges:
+            sums = _exceeding(one, edge)
+            n_episodes = int(sum(row[0] for row in sums.values()))
+            if n_episodes < FEWEST:
+                continue
+            rate = over_matrices(ratio, np.array([*sums.values()]), level)
+            over = Estimate()
+            both = sorted(sums.keys() & reference[edge].keys())
+            if one is not lead and len(both) > 1:
+                first, second = (np.array([of[unit] for unit in both]) for of in (reference[edge], sums))
+                over = _over(first, second, level)
+            rows.append({
+                "group": one.label, "magnitude": float(edge), "n_episodes": n_episodes, "rate": rate.value,
+                "rate_low": None if rate.low is None else max(rate.low, 0.0), "rate_high": rate.high,
+                "over": over.value, "over_low": over.low, "over_high": over.high,
+            })  # fmt: skip
+    return rows
+
+
+def _exceeding(one: _Of, magnitude: float) -> dict[int, np.ndarray]:
+    """By unit: episodes of at least that magnitude, and the time in which they were counted."""
+    return {
+        unit: np.array([
+            sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
+            sum(run.t_stop - run.t_start for run in runs),
+        ], dtype=np.float64)
+        for unit, runs in one.runs.items()
+    }  # fmt: skip
+
+
+def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
+    try:
+        value, error, dof = relative_difference(ratio, first, second, True)
+    except Undefined as why:
+        return Estimate(reason=str(why))
+    half = half_width(level, dof) * error
+    return Estimate(1 + value, 1 + value - half, 1 + value + half)
+
+
+def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
+    """A colour an engine, a line a setting."""
+    seen: dict[str, int] = {}
+    looks = {}
+    for label, (engine, _) in labels.items():
+        k = seen[engine] = seen.get(engine, -1) + 1
+        colour = {"coulomb": EXACT, "sigmoid": SMOOTHED}.get(engine, GREEN)
+        looks[label] = {
+            "color": colour, "linestyle": ("-", "--", "-.", ":")[k % 4], "marker": "osDv"[k % 4], "markersize": 3,
+            "markerfacecolor": colour if engine == "coulomb" else "white", "linewidth": 0.9,
+        }  # fmt: skip
+    return looks
+
+
+def _short(label: str) -> str:
+    """A group without its number of blocks, which all share."""
+    return ", ".join(part for part in label.split(", ") if not part.startswith("n ="))
+
+
+def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]], key: str) -> None:
+    for label, look in _look(labels).items():
+        some = [row for row in rows if row["group"] == label and row[key] is not None]
+        if not some:
+            continue
+        x, y = (np.array([row[name] for row in some]) for name in ("magnitude", key))
+        ax.plot(x, y, label=_short(label), **look)
+        known = [row for row in some if row[f"{key}_low"] is not None]
+        low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
+        ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
+    ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
+
+
+def frequencies(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> Figure:
+    """Episodes a unit of time from each magnitude on, a line a group, bands of their intervals.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of the table `episode_rates`.
+    labels : mapping of str to (engine, leads)
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        _lines(ax, rows, labels, "rate")
+        ax.set_yscale("log")
+        lows = [row["rate"] for row in rows if row["rate"]]
+        ax.set(ylabel="episodes a unit of time, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
+        if len(labels) > 1:
+            ax.legend(loc="lower left", fontsize=6.5, handlelength=2.6)
+    return figure
+
+
+def over_reference(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> Figure:
+    """The same over the reference's, on the same systems; parameters as of `frequencies`."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
+        ax.axhline(1.0, color=EXACT, linewidth=1)
+        _lines(ax, rows, labels, "over")
+        seen = [row["over"] for row in rows if row["over"] is not None]
+        ax.set(ylabel="episodes / those of exact events", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
+    return figure
+
+
+def one_catalogue(t: np.ndarray, magnitude: np.ndarray) -> Figure:
+    """Magnitude against time of the episodes of one run, each (m,)."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=PANEL, layout="constrained")
+        ax = figure.subplots()
+        floor = float(magnitude.min()) - 0.1
+        ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
+        ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
+        ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
+    return figure

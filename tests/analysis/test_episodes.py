@@ -1,0 +1,199 @@
+"""Episodes: planted rates, exponents and regularities are found; methods are told apart within systems."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study, build
+from stickslip.analysis.questions import episodes
+from stickslip.analysis.report import page
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.episodes import (
+    QUANTITIES,
+    RATE,
+    RECURRENCE,
+    Catalogue,
+    completeness,
+    in_classes,
+    laws_of_moments,
+)
+from stickslip.analysis.stats.estimates import over_matrices
+from stickslip.analysis.stats.families import maximise
+from stickslip.analysis.stats.rivals import parameter
+
+
+@pytest.fixture(autouse=True)
+def _undrawn(request, monkeypatch):
+    if "drawn" not in request.keywords:
+        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+
+
+@pytest.fixture
+def settings(settings):
+    return replace(settings, t_burn=200.0)
+
+
+def power_law(b, cut_off=None):
+    """Moments from 1 on: a Pareto law with exponent b; beyond a cut-off thinned by exp(-m / cut_off)."""
+
+    def draw(rng, m):
+        kept = np.zeros(0)
+        while len(kept) < m:
+            found = rng.uniform(size=m) ** (-1 / b)
+            kept = np.append(
+                kept, found if cut_off is None else found[rng.uniform(size=m) < np.exp(-found / cut_off)]
+            )
+        return kept[:m]
+
+    return draw
+
+
+def catalogue(rng, rate, moments, t_stop=1000.0):
+    start = np.cumsum(rng.exponential(1 / rate, int(2 * rate * t_stop + 50)))
+    start = start[start < t_stop]
+    moment = moments(rng, len(start))
+    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), np.ones(len(start), int), moment, t_stop)
+
+
+@pytest.fixture
+def planted_episodes(planted, rng):
+    """Runs of some systems under some engines: `moments` draws, `gaps` draws the times between, of mean one."""
+
+    def make(engines, n_matrices=12, rate=0.5, moments=None, gaps=None, n_steps=200):
+        rows, series, table = [], {}, []
+        for matrix in range(n_matrices):
+            of_system = np.exp(0.1 * rng.normal())
+            for name, (key, factor) in engines.items():
+                member = f"m{matrix}-{name}"
+                rows.append(planted.member(member, matrix, **key))
+                series[member] = planted.runs(rng, n_steps, 0.7)
+                apart = (gaps or rng.exponential)(size=int(2 * rate * planted.t_end + 50))
+                start = np.cumsum(apart) / (rate * factor * of_system)
+                start = start[start < planted.t_end - 0.1]
+                moment = (moments or power_law(1.0))(rng, len(start))
+                size = np.minimum(1 + moment.astype(int), 200)
+                table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + 0.05, "size": size,
+                                           "moment": moment}))  # fmt: skip
+        return Data(pd.DataFrame(rows), series, episodes=pd.concat(table, ignore_index=True))
+
+    return make
+
+
+EXACT = {"exact": ({}, 1.0)}
+
+
+def test_a_data_set_without_episodes_is_not_asked(planted, settings):
+    rows, series = planted.ensemble({"coulomb": 0.7}, 4)
+    assert episodes.answer(Study(Data(rows, series), settings)) is None
+
+
+def test_rate_and_exponent_are_found(planted_episodes, settings):
+    facts = episodes.answer(Study(planted_episodes(EXACT), settings)).facts
+    lead = facts["lead"]
+    assert lead["basis"] in enough.JUDGED
+    assert lead[f"{RATE}_low"] < 0.52
+    assert lead[f"{RATE}_high"] > 0.48
+    assert lead["b"] == pytest.approx(1.0, abs=0.1)
+    assert facts["least"] == pytest.approx(0.0)
+    assert facts["moments"]["exponent"].value == pytest.approx(1.0, abs=0.15)
+    assert facts["moments"]["law"] in (episodes.POWER, episodes.UNKNOWN)
+
+
+def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes, settings, rng):
+    found = {
+        name: episodes.answer(Study(planted_episodes(EXACT, rate=2.0, moments=moments), settings)).facts["moments"]
+        for name, moments in {
+            "cut off": power_law(0.5, 30.0),
+            "exponential": lambda rng, m: 1.0 + rng.exponential(20.0, m),
+        }.items()
+    }
+    assert found["cut off"]["law"] == episodes.CUT_OFF
+    assert found["cut off"]["exponent"].low < 0.55
+    assert found["cut off"]["exponent"].high > 0.45
+    assert found["exponential"]["law"] == episodes.EXPONENTIAL
+
+
+def test_intervals_cover(rng):
+    """Of 100 ensembles of twelve systems each: a binomial of 0.95 is below 86 once in 10^4."""
+    planted = {RATE: 0.3 * np.exp(0.005), "b": 1.0, RECURRENCE: 1.0, "law": 0.5}
+    held, laws = dict.fromkeys(planted, 0), laws_of_moments(0.0, 30.0)
+    for _ in range(100):
+        runs = [catalogue(rng, 0.3 * np.exp(0.1 * rng.normal()), power_law(1.0)) for _ in range(12)]
+        for name in (RATE, "b", RECURRENCE):
+            one = QUANTITIES[name]
+            found = over_matrices(one.of, np.array([one.sums(run, 0.0) for run in runs]), 0.95)
+            held[name] += found.low <= planted[name] <= found.high
+        counts = np.array([in_classes(np.log10(power_law(0.5, 30.0)(rng, 200)), 0.0, 25) for _ in range(12)])
+        fit = maximise(laws.cut_off, np.arange(1.0, 26.0), counts.sum(axis=0))
+        found = parameter(fit, 0, counts, 0.95)
+        held["law"] += found.low <= planted["law"] <= found.high
+    print(held)
+    assert min(held.values()) >= 86
+
+
+def test_regularity(planted_episodes, settings, rng):
+    found = {
+        name: episodes.answer(Study(planted_episodes(EXACT, gaps=gaps), settings)).facts["lead"]["regularity"]
+        for name, gaps in {
+            "clock": lambda size: rng.uniform(0.8, 1.2, size),
+            "clusters": lambda size: rng.exponential(1.0, size) ** 2 / 2,
+        }.items()
+    }
+    assert found == {"clock": episodes.REGULAR, "clusters": episodes.CLUSTERED}
+
+
+def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
+    """One keeps the rate, one has a third more, one has none at all."""
+    engines = EXACT | {
+        "fine": (planted.sigmoid | {"eps": 1e-5}, 1.0),
+        "coarse": (planted.sigmoid | {"eps": 1e-3}, 1.33),
+    }
+    data = planted_episodes(engines, rate=3.0, moments=power_law(1.0, 30.0))
+    is_creep = {"eps": 1e-2}
+    rows = data.members[data.members["member_id"].str.endswith("coarse")]
+    creep = rows.assign(**is_creep, member_id=rows["member_id"] + "r")
+    data = Data(
+        pd.concat([data.members, creep], ignore_index=True),
+        dict(data.series) | {f"{name}r": data.series[name] for name in rows["member_id"]},
+        episodes=data.episodes,
+    )
+    answer = episodes.answer(Study(data, settings))
+    found = {one["setting"].split("eps = ")[1].split(",")[0]: one for one in answer.facts["settings"]}
+    rate = {eps: next(row for row in one["rows"] if row["quantity"] == RATE) for eps, one in found.items()}
+    assert rate["1e-05"]["verdict"] == "agree"
+    assert rate["0.001"]["verdict"] == "differ"
+    assert rate["0.001"]["relative"] == pytest.approx(0.33, abs=0.05)
+    assert rate["0.01"]["relative"] == -1
+    assert answer.facts["farthest"]["setting"] == found["0.01"]["setting"]
+    over = answer.tables["episode_rates"].set_index("group")
+    assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
+    words = build(data, replace(settings, question=("episodes",)), "A chain", "", {})
+    assert any("100% fewer episodes" in line for line in words.headline)
+
+
+def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
+    few = episodes.answer(Study(planted_episodes(EXACT, n_matrices=3), settings))
+    rare = episodes.answer(Study(planted_episodes(EXACT, rate=0.01), settings))
+    slow = episodes.answer(
+        Study(
+            planted_episodes(EXACT, gaps=lambda size: np.linspace(0.2, 4.0, size) * rng.exponential(1, size)),
+            settings,
+        )
+    )
+    assert [one.lack for one in (few, rare, slow)] == [enough.FEW_MATRICES, enough.FEW_CASCADES, enough.DRIFTS]
+    for one in (few, rare, slow):
+        assert one.tables["episodes"]["basis"].tolist() == [one.lack]
+
+
+def test_completeness_is_the_fullest_class():
+    assert completeness(np.array([0.31, 0.42, 0.44, 0.47, 0.55, 1.2])) == pytest.approx(0.4)
+
+
+@pytest.mark.drawn
+def test_the_page_draws_its_figures(planted_episodes, planted, settings):
+    engines = EXACT | {"sigmoid": (planted.sigmoid, 1.2)}
+    made = build(planted_episodes(engines), replace(settings, question=("episodes",)), "A chain", "", {})
+    assert {"episode_rates", "episode_rates_over"} <= made.figures.keys()
+    assert "one_catalogue" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
