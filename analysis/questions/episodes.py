@@ -380,7 +380,7 @@ def frequencies(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> 
         _lines(ax, rows, labels, "rate")
         ax.set_yscale("log")
         lows = [row["rate"] for row in rows if row["rate"]]
-        ax.set(ylabel="episodes a unit of time, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
+        ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
         if len(labels) > 1:
             ax.legend(loc="lower left", fontsize=6.5, handlelength=2.6)
     return figure
@@ -395,7 +395,7 @@ def over_reference(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) 
         ax.axhline(1.0, color=EXACT, linewidth=1)
         _lines(ax, rows, labels, "over")
         seen = [row["over"] for row in rows if row["over"] is not None]
-        ax.set(ylabel="episodes / those of exact events", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
+        ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
     return figure
 
 
