@@ -6,6 +6,7 @@ from stickslip.sim.run import IntegrationError, Run, Samples, Stats
 from stickslip.sim.series import EventSeries
 from stickslip.sim.simulation import simulate
 from stickslip.sim.system import System
+from stickslip.sim.weakening import Rational, Stribeck
 
 __all__ = [
     "COUPLINGS",
@@ -14,9 +15,11 @@ __all__ = [
     "Harmonic",
     "IntegrationError",
     "Piecewise",
+    "Rational",
     "Run",
     "Samples",
     "Stats",
+    "Stribeck",
     "System",
     "draw_system",
     "perturb_system",

@@ -19,8 +19,9 @@ import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim import show
-from stickslip.sim.arguments import Floats, floats, per_block
+from stickslip.sim.arguments import Floats, flag, floats, per_block
 from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, forces
+from stickslip.sim.weakening import Weakening
 
 
 class Columns(NamedTuple):
@@ -52,6 +53,12 @@ class System:
         m > 0.
     force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
         The force on each block from outside; of a list, the sum.
+    weakening : Rational or Stribeck, optional
+        How kinetic friction falls with the speed of slip |w - v|, see `stickslip.sim.weakening`; left out: not.
+    back_slip : bool
+        Whether a block may slip either way. If not, none gets ahead of its belt (w < v for v < 0, w > v for v > 0):
+        there friction holds whatever comes, and a block that sticks leaves to the other side alone, to which the
+        belt loads it.
 
     Attributes
     ----------
@@ -61,6 +68,8 @@ class System:
     mass : ndarray, shape (n,)
     force : tuple of Harmonic and Piecewise
         Its terms, by block: the constant one first, a `Piecewise` of one time, then what changes; empty if none.
+    closed : ndarray of int8, shape (n,)
+        The side, -1 or +1, to which a block may not slip; 0 where it may slip either way.
     static : ndarray, shape (n,)
         What holds a block that sticks; `friction` itself where it was left out.
     damping : ndarray, shape (n,)
@@ -83,6 +92,8 @@ class System:
     static: Floats
     mass: Floats
     force: tuple[Term, ...]
+    weakening: Weakening | None
+    closed: NDArray[np.int8]
 
     def __init__(
         self,
@@ -94,6 +105,8 @@ class System:
         *,
         mass: ArrayLike = 1.0,
         force: Force = None,
+        weakening: Weakening | None = None,
+        back_slip: bool = True,
     ) -> None:
         if scipy.sparse.issparse(stiffness):
             matrix = scipy.sparse.csc_array(stiffness)
@@ -124,6 +137,8 @@ class System:
         object.__setattr__(self, "static", _static(static, mu))
         object.__setattr__(self, "mass", _mass(mass, n))
         object.__setattr__(self, "force", forces(force, n))
+        object.__setattr__(self, "weakening", _weakening(weakening))
+        object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
 
     @cached_property
     def n(self) -> int:
@@ -132,8 +147,27 @@ class System:
 
     @cached_property
     def is_static_above(self) -> bool:
-        """Whether any block has a static friction above its kinetic."""
-        return self.static is not self.friction and bool((self.static > self.friction).any())
+        """Whether any block has a static friction above the kinetic that it begins to slip with."""
+        return self.static is not self.friction and bool((self.static > self.slip_friction[0]).any())
+
+    @cached_property
+    def slip_friction(self) -> tuple[Floats, Floats]:
+        """Kinetic friction of a block that begins to slip, and of one whose slip has no bound, shape (n,) each."""
+        if self.weakening is None:
+            return self.friction, self.friction
+        return self.weakening.ends(self.friction, self.static)
+
+    def kinetic(self, slip: ArrayLike) -> Floats:
+        """Kinetic friction at the speeds of slip w - v, shape (..., n)."""
+        near, far = self.slip_friction
+        if self.weakening is None:
+            return near
+        return far + (near - far) * self.weakening.shape(self.weakening.steepness * np.abs(slip))
+
+    @cached_property
+    def back_slip(self) -> bool:
+        """Whether every block may slip either way."""
+        return not self.closed.any()
 
     @cached_property
     def has_mass(self) -> bool:
@@ -242,7 +276,10 @@ class System:
         return np.asarray(fastest[group])
 
     def changed(self, **arguments: Any) -> System:
-        """The same blocks with other arguments, by name; a static friction that was left out stays the kinetic."""
+        """The same blocks with other arguments, by name; a static friction that was left out stays the kinetic.
+
+        Without back slip the closed sides stay what they are, also on another belt.
+        """
         cross = self.cross_damping
         own = {
             "stiffness": self.stiffness,
@@ -252,8 +289,12 @@ class System:
             "static": None if self.static is self.friction else self.static,
             "mass": self.mass,
             "force": self.force,
+            "weakening": self.weakening,
         }
-        return System(**{**own, **arguments})
+        other = System(**{**own, **arguments})
+        if "back_slip" not in arguments:
+            object.__setattr__(other, "closed", self.closed)
+        return other
 
     def linearised(self, friction: Floats, slope: Floats) -> System:
         """The same blocks, slipping, with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""
@@ -265,10 +306,13 @@ class System:
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
         damping = "" if self.cross_damping is None else ", C full"
-        static = f", static {show.span(self.static)}" if self.is_static_above else ""
+        static = f", static {show.span(self.static)}" if (self.static > self.friction).any() else ""
+        weakening = "" if self.weakening is None else f", {self.weakening}"
+        one_way = "" if self.back_slip else ", no back slip"
         mass = f", mass {show.span(self.mass)}" if self.has_mass else ""
         force = f", force {self._forces()}" if self.force else ""
-        return f"System(n={self.n}, K {kind}{damping}{static}{mass}{force}, belt_speed={self._belts()})"
+        terms = f"K {kind}{damping}{static}{weakening}{one_way}{mass}{force}"
+        return f"System(n={self.n}, {terms}, belt_speed={self._belts()})"
 
     def _belts(self, numbers: str = "") -> str:
         """Speeds of the belts in a few words."""
@@ -294,12 +338,16 @@ class System:
             "damping R": show.span(self.damping) + ("" if self.cross_damping is None else ", C full"),
             "friction mu": show.span(self.friction),
         }
-        if self.is_static_above:
+        if (self.static > self.friction).any():
             rows["static friction"] = show.span(self.static)
         if self.has_mass:
             rows["mass"] = show.span(self.mass)
         if self.force:
             rows["force"] = self._forces()
+        if self.weakening is not None:
+            rows["weakening"] = str(self.weakening)
+        if not self.back_slip:
+            rows["back slip"] = "none"
         rows["belt speed v"] = self._belts(".6g")
         return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
 
@@ -336,11 +384,20 @@ def require_one_belt(system: System, what: str) -> None:
             raise ValueError(f"{name}: expected {expected}, all that {what} takes, got {got}; leave it out")
 
 
+def require_constant_friction(system: System, what: str) -> None:
+    """ValueError if kinetic friction falls with speed, or one side is closed, naming what cannot do with it."""
+    if system.weakening is not None:
+        raise ValueError(f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out")
+    if not system.back_slip:
+        raise ValueError(f"back_slip: expected True, all that {what} takes, got False; leave it out")
+
+
 def require_plain(system: System, what: str) -> None:
     """ValueError if the system is not that of eq. (10), with a diagonal damping and one friction."""
     require_diagonal_damping(system, what)
     require_one_friction(system, what)
     require_one_belt(system, what)
+    require_constant_friction(system, what)
 
 
 def _mass(mass: ArrayLike, n: int) -> Floats:
@@ -364,6 +421,29 @@ def _static(static: ArrayLike | None, friction: Floats) -> Floats:
             f" {block}; raise it, or leave it out for the same"
         )
     return held
+
+
+def _weakening(weakening: Weakening | None) -> Weakening | None:
+    """A weakening, or none, as it was given."""
+    if weakening is not None and not isinstance(weakening, Weakening):
+        raise TypeError(f"weakening: expected Rational(rate) or Stribeck(speed), got {weakening!r}; left out: none")
+    return weakening
+
+
+def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
+    """The side to which each block may not slip, from what was given."""
+    if flag("back_slip", back_slip):
+        return np.zeros(n, dtype=np.int8)
+    speeds = belt_speed.values if isinstance(belt_speed, Piecewise) else belt_speed
+    sides = np.broadcast_to(np.sign(np.atleast_2d(speeds)), (np.atleast_2d(speeds).shape[0], n))
+    goes = np.sign(sides.sum(axis=0))
+    turns = (goes == 0) | (sides * goes < 0).any(axis=0)
+    if turns.any():
+        raise ValueError(
+            f"back_slip: expected True for a belt that rests or turns, as that of block {int(np.argmax(turns))}: it"
+            " loads to neither side, or to both; got False"
+        )
+    return goes.astype(np.int8)
 
 
 def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:

@@ -17,6 +17,8 @@ from .sim.run import Stats as Stats
 from .sim.series import EventSeries as EventSeries
 from .sim.simulation import simulate as simulate
 from .sim.system import System as System
+from .sim.weakening import Rational as Rational
+from .sim.weakening import Stribeck as Stribeck
 from .version import __version__ as __version__
 from .workflows.dataset import Dataset as Dataset
 from .workflows.dataset import run_scene as run_scene

@@ -67,7 +67,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     if system.n > _EIGENVALUES_MAX:
         return ""
     modes = _modes(system)
-    if np.isinf(modes.inverse).any():
+    if np.isinf(modes.inverse).any() or not system.back_slip:  # the bar to a slip ahead knows no bound
         return ""
     size = np.abs(modes.inverse @ np.concatenate((z, w)))
     held = np.abs(modes.inverse[:, system.n :]) @ system.static
@@ -82,6 +82,8 @@ def escape(system: System, z: Floats, w: Floats) -> str:
 
 def grows(system: System) -> bool:
     """Whether the all-slip system is unstable (beyond the rounding of its eigenvalues), or too large to tell."""
+    if not system.back_slip:
+        return False
     if system.n > _EIGENVALUES_MAX:
         return True
     modes = _modes(system)
@@ -234,6 +236,8 @@ class Collapse:
         system = self._system
         # w = 0, the rest, is across the belt or in the layer
         if slip * system.belt_speed >= 0 or self._band >= abs(system.belt_speed):
+            return Certificate(False)
+        if system.weakening is not None:  # what slips is not linear
             return Certificate(False)
         if system.n > _EIGENVALUES_MAX or not (modes := _modes(self._linear)).decay:
             return Certificate(False)

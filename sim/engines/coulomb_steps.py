@@ -37,7 +37,7 @@ from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Law, State
 from stickslip.sim.engines.roots import roots
-from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding
+from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, push
 from stickslip.sim.engines.taylor import (
     ORDER_MAX,
     SPAN,
@@ -101,7 +101,7 @@ class _Search(NamedTuple):
 @inner
 def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
-    damping, static, v = law.damping, law.static, law.belt_speed
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     zeros, side = expansion.zeros, expansion.side
     reach, poly, found = search.reach, search.poly, search.found
@@ -135,9 +135,12 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
                 block = i
             continue
         force = damping[i] * v + forces[0, i]
-        if side[i] == 0 and max(abs(force), abs(force + forces[1, i] * h)) + reach[i] < static[i]:
+        most = max(push(closed[i], force), push(closed[i], force + forces[1, i] * h))
+        if side[i] == 0 and most + reach[i] < static[i]:
             continue
         for sigma in (-1, 1):
+            if sigma == closed[i]:
+                continue
             skip = zeros[i] if side[i] == sigma or side[i] == UNDECIDED_BOTH else 0
             degree = order - 2 - skip
             if degree < 1:
@@ -210,7 +213,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = law.damping[i] * v + expansion.forces[0, i]
-            concerned = concerned or abs(force) >= law.static[i] - force_rounding(law, i, z_max)
+            concerned = concerned or push(law.closed[i], force) >= law.static[i] - force_rounding(law, i, z_max)
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0
@@ -242,7 +245,7 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
             order, h, allowed, n_products = expand(law, expansion, z, w, target, remaining, goal.tol, rate)
             counters[loop.N_PRODUCTS] += n_products
             span = h
-            is_open, is_cut = True, False
+            is_open, is_cut = True, len(law.far) > 0 and h < target
         if counters[loop.N_STEPS] == 0:
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
@@ -263,7 +266,7 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
         t_next = t_end if step == remaining else min(t + step, t_end)
         _sample(series, order, t, t_next, state)
         left = h - step
-        is_inside = block >= 0 and left > 0.0
+        is_inside = block >= 0 and left > 0.0 and len(law.far) == 0  # else no event can be carried over
         if is_inside:
             shift(series, order, step)
             shift(expansion.forces, order - 2, step)
@@ -304,12 +307,14 @@ def integrate(task: Task, tol: float) -> Run:
     system, tol = task.system, min(tol, _LOOSEST)
     require_diagonal_damping(system, "engine='coulomb'")
     law, v = Law.of(system), system.belt_speed
-    rate = float(system.rates.max())  # bounds |eigenvalues|
+    _refuse_closed(system.closed * (task.w0 - v))
+    near, far = system.slip_friction
+    rate = float(system.rates.max() + ((near - far) * law.steepness).max())  # bounds |eigenvalues|
     goal = _Goal(task.t_end, tol, rate)
     mode = np.sign(task.w0 - v).astype(np.int8)
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
-    expansion, search = Expansion.blank(mode), _Search.of(mode)
+    expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
     return loop.complete(
         task,
         state,
@@ -324,6 +329,16 @@ def integrate(task: Task, tol: float) -> Run:
             _TOUCH * math.sqrt(tol),
             system.rates,
             out=np.zeros(system.n),
-            where=(system.rates > 0) & (system.static == system.friction),
+            where=(system.rates > 0) & (system.static == near),
         ),
     )
+
+
+def _refuse_closed(beyond: Floats) -> None:
+    """ValueError if a block starts ahead of its belt, where no force is large enough to have brought it."""
+    if (beyond > 0.0).any():
+        block = int(np.argmax(beyond))
+        raise ValueError(
+            f"w0: expected no block ahead of its belt with back_slip=False, got block {block} ahead by"
+            f" {beyond[block]:g}; start it at the belt's speed"
+        )

@@ -19,6 +19,7 @@ from stickslip.sim.engines.products import Pairs
 from stickslip.sim.run import IntegrationError, Outcome, Run, Stats
 from stickslip.sim.series import EventSeries, without_returns
 from stickslip.sim.system import Columns, System
+from stickslip.sim.weakening import Stribeck
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -40,15 +41,30 @@ class Law(NamedTuple):
     pairs: Pairs
     row_sums: Floats
     damping: Floats
-    friction: Floats
+    friction: Floats  #: kinetic, of a block that begins to slip
     static: Floats
+    closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
+    far: Floats  #: kinetic friction of a slip without bound, over that; empty if it does not fall with speed
+    steepness: float
+    is_exponential: bool  #: how it falls: exp(-x) or 1 / (1 + x), x = steepness |w - v|
     belt_speed: float
 
     @classmethod
     def of(cls, system: System) -> Law:
-        pairs = Pairs.of(system)
+        near, far = system.slip_friction
+        falls = system.weakening
         return cls(
-            system.columns, pairs, system.row_sums, system.damping, system.friction, system.static, system.belt_speed
+            system.columns,
+            Pairs.of(system),
+            system.row_sums,
+            system.damping,
+            near,
+            system.static,
+            system.closed,
+            np.empty(0) if falls is None else np.divide(far, near, out=np.ones(system.n), where=near > 0),
+            0.0 if falls is None else falls.steepness,
+            isinstance(falls, Stribeck),
+            system.belt_speed,
         )
 
 

@@ -27,9 +27,15 @@ def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
 
 
 @inner
+def push(closed, force):  # type: ignore[no-untyped-def]
+    """What of F drives a block that sticks to a side that is open to it: |F|, where both are."""
+    return abs(force) if closed == 0 else closed * force
+
+
+@inner
 def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
     """Decide every block with w = v from |F| against m; returns how many have |F| = m and stay undecided."""
-    damping, static, v = law.damping, law.static, law.belt_speed
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
     zeros, side, leaves = expansion.zeros, expansion.side, expansion.leaves
     n_undecided = 0
@@ -40,16 +46,20 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
             most = static[i]
             force = damping[i] * v + forces[0, i]
             slack = force_rounding(law, i, z_max)
-            if leaves[i] != 0 or abs(force) > most + slack:
+            drive = push(closed[i], force)
+            if leaves[i] != 0 or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
                 side[i] = leaves[i]
             else:
                 mode[i] = 0
-                if abs(force) >= most - slack:
+                if drive >= most - slack:
                     n_undecided += 1
                     zeros[i] = IDENTICALLY_ZERO
-                    side[i] = UNDECIDED_BOTH if most <= slack else (-1 if force > 0.0 else 1)
+                    if closed[i] != 0:
+                        side[i] = -closed[i]
+                    else:
+                        side[i] = UNDECIDED_BOTH if most <= slack else (-1 if force > 0.0 else 1)
     return n_undecided
 
 

@@ -4,13 +4,20 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
 
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
-and a sticking one c_1 = v and no more. `expand` builds the series with one product an order, two to a pass over K,
-and decides on the way which blocks with w = v stick. `correct` carries them over an event of one block without a
-product.
+and a sticking one c_1 = v and no more. Where friction falls with the speed of slip p = sigma (w - v), mu is a series
+too, near (f + (1 - f) S), f = far / near; its S_k follow from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
+
+    S = 1 / (1 + a p):   S_k = -a S_0 sum_{j=1..k} p_j S_{k-j}
+    S = exp(-a p):       S_k = -(a / k) sum_{j=1..k} j p_j S_{k-j}
+
+`expand` builds the series with one product an order, two to a pass over K, and decides on the way which blocks with
+w = v stick. `correct` carries them over an event of one block without a product, if friction does not fall: what it
+adds to the others is the response of linear laws.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +28,7 @@ from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.panels import ROUGH
 from stickslip.sim.engines.products import two_products, two_rough_products
-from stickslip.sim.engines.sticking import force_rounding, settle, settle_by_order
+from stickslip.sim.engines.sticking import force_rounding, push, settle, settle_by_order
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
@@ -55,9 +62,10 @@ class Expansion(NamedTuple):
     last: Floats
     change: Floats
     sizes: Floats
+    shape: Floats  #: S_k by rows; empty if friction does not fall with speed
 
     @classmethod
-    def blank(cls, mode: NDArray[np.int8]) -> Expansion:
+    def blank(cls, mode: NDArray[np.int8], falls: bool) -> Expansion:
         """No series yet; blocks of mode 0 are to be decided."""
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
@@ -65,7 +73,49 @@ class Expansion(NamedTuple):
         zeros, side = np.zeros(n, np.int64), np.zeros(n, np.int64)
         rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
-        return cls(series, forces, mode, np.zeros(n), mode == 0, leaves, zeros, side, *rows)
+        shape = np.full((ORDER_MAX + 1, n if falls else 0), np.nan)
+        return cls(series, forces, mode, np.zeros(n), mode == 0, leaves, zeros, side, *rows, shape)
+
+
+@inner
+def _fall(law, expansion, k):  # type: ignore[no-untyped-def]
+    """S_k of all blocks."""
+    series, shape, mode = expansion.series, expansion.shape, expansion.mode
+    n = len(mode)
+    if k == 0:
+        for i in range(n):
+            x = law.steepness * mode[i] * (series[1, i] - law.belt_speed)
+            shape[0, i] = math.exp(-x) if law.is_exponential else 1.0 / (1.0 + x)
+        return
+    shape[k] = 0.0
+    for j in range(1, k + 1):
+        weight = j * (j + 1.0) / k if law.is_exponential else j + 1.0
+        for i in range(n):
+            shape[k, i] += weight * series[j + 1, i] * shape[k - j, i]
+    for i in range(n):
+        shape[k, i] *= -law.steepness * mode[i] * (1.0 if law.is_exponential else shape[0, i])
+
+
+@inner
+def _resist(law, expansion, k):  # type: ignore[no-untyped-def]
+    """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
+    series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
+    _fall(law, expansion, k)
+    factor = -1.0 / ((k + 2) * (k + 1))
+    for i in range(len(mode)):
+        falls = law.friction[i] * (1.0 - law.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
+        series[k + 2, i] += slips[i] * factor * falls * mode[i]
+
+
+@inner
+def _known_within(law, expansion):  # type: ignore[no-untyped-def]
+    """How far the series of 1 / (1 + a p) may be of use: half of where a p with the slope that it has is -1."""
+    time = np.inf
+    for i in range(len(expansion.mode)):
+        rise = abs(2.0 * law.steepness * expansion.series[2, i] * expansion.shape[0, i])
+        if rise * time > 0.5:
+            time = 0.5 / rise
+    return time
 
 
 @inner
@@ -117,6 +167,10 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
+    falls = len(law.far) > 0
+    if falls:
+        _resist(law, expansion, 0)
+        target = min(target, _known_within(law, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
     allowed = tol * max(w_max, abs(v), 2.0 * largest(series[2]) * target)
 
@@ -143,6 +197,8 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+        if falls:
+            _resist(law, expansion, k)
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
@@ -150,7 +206,8 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
         # the last term's share of w decides; two in a row, since one can vanish by chance
         if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
             # a polynomial: exact however far
-            return order, target if is_rough else remaining, allowed, n_products
+            is_exact = not is_rough and not (falls and largest(slips) > 0.0)
+            return order, remaining if is_exact else target, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
@@ -204,9 +261,9 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
     if mode[i] == 0:
         if abs(abs(force) - most) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
             return 0.0
-    elif abs(force) < most - doubt:
+    elif push(law.closed[i], force) < most - doubt:
         new = 0
-    elif abs(force) <= most + doubt:
+    elif push(law.closed[i], force) <= most + doubt:
         return 0.0
 
     if len(columns.dense) == 0:

@@ -1,0 +1,91 @@
+"""Kinetic friction that falls as a block slips faster on its belt.
+
+    mu(u) = far + (near - far) shape(steepness |u|),    u = w - v
+
+near is the kinetic friction of a block that begins to slip, far that of one whose slip has no bound; shape falls from
+shape(0) = 1 to 0. A law is a subclass of `Weakening`, and its shape in the engines' own words: a formula in
+`stickslip.sim.engines.friction`, a recurrence in `stickslip.sim.engines.taylor`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from stickslip.sim.arguments import Floats, number
+
+
+class Weakening(ABC):
+    """How kinetic friction falls with the speed of slip."""
+
+    @property
+    @abstractmethod
+    def steepness(self) -> float:
+        """What the speed is multiplied by in the shape: the steepest fall is (near - far) steepness, at no slip."""
+
+    @abstractmethod
+    def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
+        """near and far, shape (n,) each, from the `friction` and `static` of a `System`."""
+
+    @abstractmethod
+    def shape(self, x: Floats) -> Floats:
+        """Of x >= 0, any shape."""
+
+
+@dataclass(frozen=True)
+class Rational(Weakening):
+    """mu / (1 + rate |u|): the law of Carlson and Langer, Phys. Rev. A 40 (1989) 6470.
+
+    Static friction is what it is without weakening: a block that leaves stick drops to mu at once, if that is less.
+    Theirs is static 1, friction 1 - sigma, rate 2 alpha / (1 - sigma), without back slip.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the rate is no number > 0.
+    """
+
+    rate: float
+
+    def __post_init__(self) -> None:
+        number("rate", self.rate, above=0)
+
+    @property
+    def steepness(self) -> float:
+        return self.rate
+
+    def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
+        return friction, np.zeros_like(friction)
+
+    def shape(self, x: Floats) -> Floats:
+        return np.asarray(1.0 / (1.0 + x))
+
+
+@dataclass(frozen=True)
+class Stribeck(Weakening):
+    """mu + (static - mu) exp(-|u| / speed): from the static friction, without a jump, to the kinetic.
+
+    Without a static friction above the kinetic nothing is left of it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the speed is no number > 0.
+    """
+
+    speed: float
+
+    def __post_init__(self) -> None:
+        number("speed", self.speed, above=0)
+
+    @property
+    def steepness(self) -> float:
+        return 1.0 / self.speed
+
+    def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
+        return static, friction
+
+    def shape(self, x: Floats) -> Floats:
+        return np.asarray(np.exp(-x))

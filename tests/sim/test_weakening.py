@@ -1,0 +1,256 @@
+"""Friction that falls with the speed of slip, and blocks that do not get ahead of their belt."""
+
+import secrets
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.theory import folds
+
+# the system
+
+
+def test_the_laws():
+    u = np.array([[0.0], [-0.5], [2.0]])
+    rational = System(np.eye(2), 0.1, [1.0, 0.5], static=1.3, weakening=Rational(3.0))
+    np.testing.assert_allclose(rational.kinetic(u), np.array([1.0, 0.5]) / (1 + 3 * abs(u)), rtol=1e-15)
+    assert rational.is_static_above
+    stribeck = System(np.eye(2), 0.1, [1.0, 0.5], static=1.3, weakening=Stribeck(0.5))
+    mu = np.array([1.0, 0.5])
+    np.testing.assert_allclose(stribeck.kinetic(u), mu + (1.3 - mu) * np.exp(-abs(u) / 0.5), rtol=1e-15)
+    assert not stribeck.is_static_above  # it begins to slip with its static friction
+    assert "static 1.3, Stribeck(speed=0.5), no back slip" in repr(stribeck.changed(back_slip=False))
+    assert "Rational(rate=3.0)" in rational._repr_html_()
+
+
+def test_they_go_where_the_system_goes():
+    system = draw_system("antisymmetric", 4, 0).changed(weakening=Rational(2.0), back_slip=False)
+    other = perturb_system(system, "antisymmetric", 0.01, 1)
+    assert other.weakening == Rational(2.0)
+    assert other.closed.tolist() == [-1] * 4
+
+
+def test_the_closed_side_is_ahead_of_the_belt():
+    assert System(np.eye(2), 0.1, belt_speed=0.3, back_slip=False).closed.tolist() == [1, 1]
+    assert System(np.eye(2), 0.1, belt_speed=[0.3, -0.1], back_slip=False).closed.tolist() == [1, -1]
+    stops = Piecewise([0.0, 1.0], [0.0, -0.2])
+    assert System(np.eye(2), 0.1, belt_speed=stops, back_slip=False).closed.tolist() == [-1, -1]
+    assert System(np.eye(2), 0.1).back_slip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"weakening": 3.0}, TypeError, r"weakening: expected Rational\(rate\) or Stribeck\(speed\), got 3.0"),
+        ({"back_slip": 0}, TypeError, "back_slip: expected True or False, got 0"),
+        ({"back_slip": False, "belt_speed": 0.0}, ValueError, "back_slip: expected True .* that of block 0"),
+        ({"back_slip": False, "belt_speed": [0.1, 0.0]}, ValueError, "back_slip: .* that of block 1"),
+        (
+            {"back_slip": False, "belt_speed": Piecewise([0.0, 1.0], [0.1, -0.1])},
+            ValueError,
+            "back_slip: expected True for a belt that rests, or turns",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        System(np.eye(2), 0.1, **arguments)
+
+
+@pytest.mark.parametrize("law", [Rational, Stribeck])
+@pytest.mark.parametrize("number", [0.0, -1.0, np.inf])
+def test_a_law_has_a_positive_number(law, number):
+    with pytest.raises(ValueError, match=r"(rate|speed): expected a number in \(0, inf\)"):
+        law(number)
+
+
+def test_what_is_written_for_constant_friction_says_so(monkeypatch):
+    with pytest.raises(ValueError, match=r"weakening: expected none, .* got Rational\(rate=1.0\)"):
+        list(folds.folds(System(np.eye(2), 0.1, weakening=Rational(1.0))))
+    monkeypatch.setattr(ENGINES["coulomb"], "takes_weakening", False)
+    with pytest.raises(ValueError, match=r"back_slip: expected True, all that engine='coulomb' takes, got False"):
+        simulate(System(np.eye(2), 0.1, back_slip=False), 0.0, 0.0, 1.0)
+
+
+# against an independent method
+
+
+def follow(system, z0, w0, t_end):
+    """Events (t, block, mode) and the state at the end: DOP853 from event to event, laws written out."""
+    n, v, law = system.n, system.belt_speed, system.weakening
+    mu, static, damping, stiffness = system.friction, system.static, system.damping, system.stiffness
+    ahead = 0.0 if system.back_slip else np.sign(v)
+
+    def kinetic(u):
+        if isinstance(law, Rational):
+            return mu / (1 + law.rate * abs(u))
+        return mu if law is None else mu + (static - mu) * np.exp(-abs(u) / law.speed)
+
+    def pulls(z):  # what drives a block that sticks out, to a side that is open
+        force = damping * v + stiffness @ z
+        return abs(force) if ahead == 0 else ahead * force
+
+    z, w, t, events = np.array(z0, dtype=float), np.array(w0, dtype=float), 0.0, []
+    mode = np.sign(w - v).astype(int)
+    leaves = (mode == 0) & (pulls(z) > static)
+    mode[leaves] = -np.sign(damping * v + stiffness @ z)[leaves]
+
+    def rate(t, y):
+        z, w = y[:n], y[n:]
+        slips = -damping * w - stiffness @ z - kinetic(w - v) * mode
+        return np.concatenate([np.where(mode == 0, v, w), np.where(mode == 0, 0.0, slips)])
+
+    def watch(i):
+        def function(t, y):
+            return mode[i] * (y[n + i] - v) if mode[i] else static[i] - pulls(y[:n])[i]
+
+        function.terminal, function.direction = True, -1
+        return function
+
+    y = np.concatenate([z, w])
+    while True:
+        found = solve_ivp(
+            rate, (t, t_end), y, "DOP853", rtol=1e-12, atol=1e-13, events=[watch(i) for i in range(n)], max_step=0.05
+        )
+        t, y = found.t[-1], found.y[:, -1].copy()
+        if found.status == 0:
+            return events, y[:n], y[n:]
+        i = next(k for k in range(n) if len(found.t_events[k]))
+        side = -int(np.sign((damping * v + stiffness @ y[:n])[i]))
+        was_stuck, y[n + i] = mode[i] == 0, v
+        mode[i] = side if was_stuck or pulls(y[:n])[i] > static[i] else 0
+        events.append((t, i, mode[i]))
+        if was_stuck:  # off the event's own zero
+            found = solve_ivp(rate, (t, t + 1e-6), y, "DOP853", rtol=1e-13, atol=1e-16)
+            t, y = found.t[-1], found.y[:, -1].copy()
+
+
+def one_law(rng):
+    """A law, and a static friction over the kinetic that goes with it."""
+    law = rng.choice(["rational", "stribeck", "none"])
+    if law == "rational":
+        return Rational(10 ** rng.uniform(-0.5, 1.0)), rng.choice([1.0, 1.3])
+    return (Stribeck(10 ** rng.uniform(-1.0, 0.5)), rng.choice([1.2, 2.0])) if law == "stribeck" else (None, 1.3)
+
+
+def one_system(rng, n):
+    """A chain, with a start that is not ahead of the belt."""
+    k, v = rng.uniform(0.3, 2.0), rng.choice([-0.5, -0.2, 0.1, 0.4])
+    matrix = np.diag(np.full(n, k)) + rng.uniform(0.0, 0.4, (n, n))
+    law, ratio = one_law(rng)
+    mu = rng.uniform(0.5, 1.5, n)
+    back_slip = bool(rng.random() < 0.5)
+    system = System(matrix, rng.uniform(0.0, 0.3, n), mu, v, ratio * mu, weakening=law, back_slip=back_slip)
+    return system, rng.uniform(-1.0, 1.0, n), np.where(rng.random(n) < 0.5, v, v - np.sign(v) * rng.uniform(0, 1, n))
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_exact_engine_against_an_independent_method(n):
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    for number in range(8):
+        system, z, w = one_system(np.random.default_rng([seed, number]), n)
+        run = simulate(system, z, w, 15.0, tol=1e-12)
+        events, z_end, w_end = follow(system, z, w, 15.0)
+        print(number, system, len(events))
+        assert [(block, mode) for _, block, mode in events] == list(
+            zip(run.events.block.tolist(), run.events.mode.tolist(), strict=True)
+        )
+        np.testing.assert_allclose(run.events.t, [t for t, _, _ in events], rtol=0, atol=3e-9)
+        np.testing.assert_allclose(run.z, z_end, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(run.w, w_end, rtol=0, atol=1e-9)
+
+
+# the exact engine
+
+
+def test_a_block_without_springs_stops_as_its_closed_form_says():
+    """u' = -mu / (1 + a u): u + a u^2 / 2 falls as mu t. u' = -(mu + (m - mu) exp(-u / s)): so does s log(...)."""
+    u, mu = 0.8, 0.7
+    run = simulate(System([[0.0]], 0.0, mu, 0.1, weakening=Rational(3.0)), 0.0, 0.1 + u, 10.0, tol=1e-13)
+    assert run.events.mode.tolist() == [0]
+    assert run.events.t[0] == pytest.approx((u + 1.5 * u * u) / mu, rel=1e-12)
+    system = System([[0.0]], 0.0, mu, 0.1, 1.5, weakening=Stribeck(0.3))
+    stop = simulate(system, 0.0, 0.1 + u, 10.0, tol=1e-13).events.t[0]
+    assert stop == pytest.approx(0.3 / mu * np.log((mu * np.exp(u / 0.3) + 1.5 - mu) / 1.5), rel=1e-12)
+
+
+@pytest.mark.parametrize("law", [Rational(4.0), Stribeck(0.2)])
+def test_renumbering_mirror_and_units(law):
+    rng = np.random.default_rng(secrets.randbits(32))
+    chain = draw_system("chain", 8, secrets.randbits(32), kappa=0.5, leaf=1.0, rho=0.1, static=1.5)
+    system = chain.changed(weakening=law, back_slip=False, stiffness=chain.stiffness.toarray())
+    z = rng.uniform(-0.5, 0.5, 8)
+    run = simulate(system, z, -0.2, 12.0, tol=1e-12)
+    assert len(run.events) > 10
+    order = rng.permutation(8)
+    other = system.changed(stiffness=system.stiffness[np.ix_(order, order)], damping=system.damping[order])
+    np.testing.assert_allclose(simulate(other, z[order], -0.2, 12.0, tol=1e-12).z, run.z[order], rtol=0, atol=1e-8)
+    mirror = system.changed(belt_speed=0.2, back_slip=False)
+    np.testing.assert_allclose(simulate(mirror, -z, 0.2, 12.0, tol=1e-12).z, -run.z, rtol=0, atol=1e-13)
+    # lengths times 3, and forces
+    scaled_law = Rational(law.rate / 3) if isinstance(law, Rational) else Stribeck(law.speed * 3)
+    scaled = system.changed(friction=3.0, static=4.5, belt_speed=-0.6, weakening=scaled_law)
+    np.testing.assert_allclose(simulate(scaled, 3 * z, -0.6, 12.0, tol=1e-12).z, 3 * run.z, rtol=0, atol=1e-8)
+    middle = 5.0
+    first = simulate(system, z, -0.2, middle, tol=1e-12)
+    second = simulate(system, first.z, first.w, 12.0, t_start=middle, tol=1e-12)
+    np.testing.assert_allclose(second.z, run.z, rtol=0, atol=1e-8)
+
+
+def test_a_law_that_hardly_falls_is_constant_friction():
+    system = draw_system("antisymmetric", 20, 0, static=1.2)
+    plain = simulate(system, -0.7, -0.4, 20.0)
+    weak = simulate(system.changed(weakening=Rational(1e-11)), -0.7, -0.4, 20.0)
+    np.testing.assert_allclose(weak.z, plain.z, rtol=0, atol=1e-7)
+    assert weak.events.mode.tolist() == plain.events.mode.tolist()
+    assert weak.outcome == "finished"  # no certificate holds for friction that is not constant
+
+
+def test_no_block_gets_ahead_of_its_belt():
+    """Pulled ahead with 30 times its static friction it sticks; from the other side it leaves as ever."""
+    system = System([[1.0]], 0.0, 1.0, -0.2, 1.3, back_slip=False)
+    run = simulate(system, 40.0, -0.2, 195.0)
+    assert len(run.events) == 0
+    assert run.events.initial_mode[0] == 0
+    run = simulate(system, 40.0, -0.2, 210.0, tol=1e-13)
+    assert run.events.mode.tolist() == [1]
+    assert run.events.t[0] == pytest.approx(41.3 / 0.2, rel=1e-13)
+    with pytest.raises(ValueError, match=r"w0: expected no block ahead .* got block 0 ahead by 0.1"):
+        simulate(system, 0.0, -0.3, 1.0)
+
+
+def test_without_bound_no_escape_is_certified():
+    """A spring that pushes away: ahead of its belt a block is held for ever, the other way it escapes."""
+    system = System([[-1.0]], 0.0, 1.0, -0.2, back_slip=False)
+    held = simulate(system, -100.0, -0.2, 50.0)
+    assert (held.outcome, len(held.events)) == ("finished", 0)
+    assert simulate(system.changed(back_slip=True), -100.0, -0.2, 50.0).outcome == "diverged"
+
+
+# the field's numbers
+
+
+def basin(nx, ny, **engine):
+    """Share of starts, midpoints of a grid over [-2, 2] x [0, 2], from which one block comes to slide steadily.
+
+    The friction oscillator of bSTAB (Stender and Hoffmann, doi:10.1007/s11071-021-06786-5): damping ratio 0.05, mu
+    from 1 to 0.5 on the speed 0.5, belt 1.5.
+    """
+    system = System([[1.0]], 0.1, 0.5, 1.5, 1.0, weakening=Stribeck(0.5))
+    count = 0
+    for z in -2 + 4 * (np.arange(nx) + 0.5) / nx:
+        for w in 2 * (np.arange(ny) + 0.5) / ny:
+            series = simulate(system, z, w, 60.0, **engine).events
+            count += not (series.mode == 0).any()  # who sticks once is on the cycle of stick and slip
+    return count / (nx * ny)
+
+
+def test_the_basin_of_steady_sliding():
+    """Its border is the unstable cycle, found by reversing time: 0.30713 of the region."""
+    coarse = basin(24, 12, tol=1e-6)
+    print(coarse)
+    assert abs(coarse - 0.30713) < 0.015
