@@ -5,7 +5,7 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
 and a sticking one c_1 = v and no more. Where friction falls with the speed of slip p = sigma (w - v), mu is a series
-too, near (f + (1 - f) S), f = far / near; its S_k follow from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
+too, near (f + (1 - f) S), f = far / near; S_k follow from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
 
     S = 1 / (1 + a p):   S_k = -a S_0 sum_{j=1..k} p_j S_{k-j}
     S = exp(-a p):       S_k = -(a / k) sum_{j=1..k} j p_j S_{k-j}
