@@ -1,29 +1,30 @@
 """An exact engine that shares no code and no method with `sim`: matrix exponentials and Chebyshev interpolants.
 
-    z'' + R z' + K z + mu lambda = 0,    lambda_i in Sign(z_i' - v)
+    M z'' + R z' + K z + mu lambda = f(t),    lambda_i in Sign(z_i' - v_i(t))
 
-While no block changes its mode the motion is linear, X' = M X with X = (z, (w - v) / rate, 1), and exp(M t) is taken
-by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |M|: singular, nilpotent, defective
-or undamped systems need no care. What may end the motion, (w - v) of a slipping block and m -+ F of a sticking one,
-m its static friction and F = R v + K z, is then a polynomial; it is monotone between the zeros of its derivative, so
-no crossing and no touch is missed. A function that vanishes at the start, to the order k, is divided by t^k exactly:
-its k-th derivative is averaged.
+While no block changes its mode the motion is linear, X' = A X with X = (z, (w - v) / rate, drive), and exp(A t) is
+taken by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |A|: singular, nilpotent,
+defective or undamped systems need no care. What drives them is part of X: one, the time since the last knot, of which
+f and v are linear functions between knots, and the cosine and sine of each frequency of f. What may end the motion,
+(w - v) of a slipping block and m -+ F of a sticking one, m its static friction and F = M v' + R v + K z - f, is then
+a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch is missed. A function
+that vanishes at the start, to the order k, is divided by t^k exactly: its k-th derivative is averaged.
 
 At an instant every block with w = v is decided anew, all together: by |F| against m, and at |F| = m by the first
 derivative of F that does not vanish. With m above mu a block that leaves is felt at once, so those that stay are then
-decided again. A touch after which the block goes on as before is no event.
+decided again. A touch after which the block goes on as before is no event. A knot is such an instant too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 from scipy.optimize import brentq
 
 Floats = NDArray[np.float64]
@@ -35,6 +36,7 @@ _ROUNDING = 1e-12  # what is smaller, relative to the state, vanishes
 _REMEMBERED = 1e-3  # of the largest state so far: its rounding is still there
 _EVENTS_MAX = 2_000
 _PIECES_MAX = 50_000
+_EACH = ("damping", "friction", "z0", "w0", "static", "mass")
 
 _TAU = (1 - np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)) / 2
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(2 * _TAU - 1, _NODES - 1))
@@ -45,16 +47,61 @@ class Undecided(RuntimeError):
 
 
 @dataclass(frozen=True)
+class Ramp:
+    """Linear between `values` (k, n) at `times` (k,), constant before and after."""
+
+    times: Floats
+    values: Floats
+
+    @classmethod
+    def of(cls, given: ArrayLike | Ramp, n: int) -> Ramp:
+        """For n blocks, from another or from what has one value at all times, a number or (n,)."""
+        if isinstance(given, Ramp):
+            times, values = given.times, np.asarray(given.values, dtype=float)
+            values = values[:, None] if values.ndim == 1 else values
+        else:
+            times, values = np.zeros(1), np.asarray(given, dtype=float)[None]
+        return cls(np.array(times, dtype=float), np.broadcast_to(values, (len(times), n)).copy())
+
+    def line(self, t: float) -> tuple[Floats, Floats]:
+        """Value and slope right after a time."""
+        k = int(np.searchsorted(self.times, t, side="right"))
+        if k in (0, len(self.times)):
+            return self.values[max(k - 1, 0)], np.zeros(self.values.shape[1])
+        slope = (self.values[k] - self.values[k - 1]) / (self.times[k] - self.times[k - 1])
+        return self.values[k - 1] + slope * (t - self.times[k - 1]), slope
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Values (m, n) at times (m,)."""
+        return np.array([self.line(t)[0] for t in np.atleast_1d(times)])
+
+    def beside(self, other: Ramp) -> Ramp:
+        """Of two systems as one."""
+        times = np.union1d(self.times, other.times)
+        return Ramp(times, np.hstack((self.at(times), other.at(times))))
+
+    def varied(self, change: Callable[..., Floats]) -> Ramp:
+        """Each value times 1 + u, u by `change` of the shape."""
+        return Ramp(self.times, self.values * (1 + change(*self.values.shape)))
+
+
+@dataclass(frozen=True)
 class Case:
-    """What is to be followed: the system and its start; `stiffness` (n, n), the speed a number, all else (n,)."""
+    """What is to be followed: the system and its start; `stiffness` (n, n), `waves` (m, 3, n), all else (n,).
+
+    `waves` are amplitudes, frequencies and phases of cosines, which with `push` make the force.
+    """
 
     stiffness: Floats
     damping: Floats
     friction: Floats
-    belt_speed: float
+    belt: Ramp
     z0: Floats
     w0: Floats
     static: Floats
+    mass: Floats
+    push: Ramp
+    waves: Floats
 
     @classmethod
     def of(
@@ -62,16 +109,28 @@ class Case:
         stiffness: ArrayLike,
         damping: ArrayLike,
         friction: ArrayLike,
-        belt_speed: float,
+        belt_speed: ArrayLike | Ramp,
         z0: ArrayLike,
         w0: ArrayLike,
         static: ArrayLike | None = None,
+        *,
+        mass: ArrayLike = 1.0,
+        push: ArrayLike | Ramp = 0.0,
+        waves: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]] = (),
     ) -> Case:
         """From what `sim.System` and `simulate` take; numbers stand for all blocks."""
         matrix = np.array(stiffness, dtype=float)
-        by_block = (damping, friction, z0, w0, friction if static is None else static)
-        r, mu, z, w, m = (np.broadcast_to(np.asarray(x, dtype=float), len(matrix)).copy() for x in by_block)
-        return cls(matrix, r, mu, float(belt_speed), z, w, m)
+        n = len(matrix)
+        static = friction if static is None else static
+
+        def each(x: ArrayLike) -> Floats:
+            return np.broadcast_to(np.asarray(x, dtype=float), n).copy()
+
+        cosines = np.array([[each(x) for x in wave] for wave in waves]).reshape(-1, 3, n)
+        belt, force = Ramp.of(belt_speed, n), Ramp.of(push, n)
+        return cls(
+            matrix, each(damping), each(friction), belt, each(z0), each(w0), each(static), each(mass), force, cosines
+        )
 
     @cached_property
     def is_above(self) -> list[bool]:
@@ -86,7 +145,64 @@ class Case:
     @cached_property
     def rate(self) -> float:
         """No motion is faster than about this; not below one, or friction alone would be seen at too few places."""
-        return max(1.0, float(np.sqrt(np.linalg.norm(self.stiffness, 2)) + np.abs(self.damping).max()))
+        own = np.sqrt(np.linalg.norm(self.stiffness / self.mass[:, None], 2)) + np.abs(self.damping / self.mass).max()
+        return float(max(1.0, own, self.frequencies.max(initial=0.0)))
+
+    @cached_property
+    def frequencies(self) -> Floats:
+        """Those of the force, each once."""
+        return np.unique(np.abs(self.waves[:, 1]))
+
+    @cached_property
+    def fastest_belt(self) -> float:
+        """The largest |v|."""
+        return float(np.abs(self.belt.values).max())
+
+    @cached_property
+    def knots(self) -> Floats:
+        """When the drive may have a kink."""
+        return np.union1d(self.belt.times, self.push.times)
+
+    @cached_property
+    def is_driven(self) -> bool:
+        """Whether there is a force, or a speed of a belt that depends on time."""
+        return bool(
+            self.push.values.any() or self.waves[:, 0].any() or (self.belt.values != self.belt.values[0]).any()
+        )
+
+    @cached_property
+    def strongest_push(self) -> Floats:
+        """A bound of |f| + M |v'| + R |v|, by block."""
+        slopes = np.abs([self.belt.line(t)[1] for t in self.belt.times]).max(axis=0)
+        push = np.abs(self.push.values).max(axis=0) + np.abs(self.waves[:, 0]).sum(axis=0)
+        return np.asarray(
+            push + self.mass * slopes + np.abs(self.damping) * np.abs(self.belt.values).max(axis=0), dtype=float
+        )
+
+    def force(self, t: float) -> Floats:
+        """The force from outside (n,) at a time."""
+        amplitude, frequency, phase = self.waves.transpose(1, 0, 2)
+        return np.asarray(self.push.line(t)[0] + (amplitude * np.cos(frequency * t + phase)).sum(axis=0))
+
+    def holding(self, times: Floats, z: Floats) -> Floats:
+        """F (m, n) at times (m,), of z (m, n)."""
+        push = [self.force(t) - self.mass * self.belt.line(t)[1] for t in times]
+        return np.asarray(self.damping * self.belt.at(times) + z @ self.stiffness.T - push)
+
+    def renumbered(self, order: NDArray[np.int64]) -> Case:
+        """With the blocks in this order."""
+        each = {name: getattr(self, name)[order] for name in _EACH}
+        belt, push = (Ramp(ramp.times, ramp.values[:, order]) for ramp in (self.belt, self.push))
+        matrix = self.stiffness[np.ix_(order, order)]
+        return Case(stiffness=matrix, belt=belt, push=push, waves=self.waves[:, :, order], **each)
+
+    def beside(self, other: Case) -> Case:
+        """Two systems as one."""
+        each = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in _EACH}
+        mine, its = np.zeros((len(self.waves), 3, other.n)), np.zeros((len(other.waves), 3, self.n))
+        waves = np.concatenate((np.dstack((self.waves, mine)), np.dstack((its, other.waves))))
+        belt, push = self.belt.beside(other.belt), self.push.beside(other.push)
+        return Case(stiffness=block_diag(self.stiffness, other.stiffness), belt=belt, push=push, waves=waves, **each)
 
     def perturbed(self, rng: np.random.Generator, size: float) -> Case:
         """Each constant times 1 + size u, and each start plus size u times the largest of the start; |u| <= 1."""
@@ -95,18 +211,23 @@ class Case:
             return rng.uniform(-size, size, shape)
 
         n = self.n
-        start = max(np.abs(self.z0).max(), np.abs(self.w0).max(), abs(self.belt_speed))
+        start = max(np.abs(self.z0).max(), np.abs(self.w0).max(), self.fastest_belt)
+        same = u(1).repeat(n) if (self.belt.values == self.belt.values[0, 0]).all() else u(n)
         changed = replace(
             self,
             stiffness=self.stiffness * (1 + u(n, n)),
             damping=self.damping * (1 + u(n)),
             friction=self.friction * (1 + u(n)),
-            belt_speed=float(self.belt_speed * (1 + u(1)[0])),
+            belt=Ramp(self.belt.times, self.belt.values * (1 + same)),
             z0=self.z0 + start * u(n),
             w0=self.w0 + start * u(n),
         )
         drop = (self.static - self.friction) * (1 + u(n)) if any(self.is_above) else 0.0
-        return replace(changed, static=changed.friction + drop)
+        changed = replace(changed, static=changed.friction + drop)
+        if self.is_driven or (self.mass != 1).any():
+            push, waves = self.push.varied(u), self.waves * (1 + u(*self.waves.shape))
+            changed = replace(changed, mass=self.mass * (1 + u(n)), push=push, waves=waves)
+        return changed
 
 
 @dataclass
@@ -131,7 +252,7 @@ class Path:
         found = [self.pieces[k] for k in index]
         x = np.array([flow.state(x, t - start) for t, (start, x, flow) in zip(times, found, strict=True)])
         n, rate = self.case.n, self.case.rate
-        return x[:, :n], self.case.belt_speed + rate * x[:, n : 2 * n]
+        return x[:, :n], self.case.belt.at(times) + rate * x[:, n : 2 * n]
 
     @property
     def z(self) -> Floats:
@@ -147,25 +268,44 @@ class Path:
     def scale(self) -> float:
         """The largest |z|, |w| and |v| of the run."""
         x = np.abs([piece[1] for piece in self.pieces])
-        n, v = self.case.n, abs(self.case.belt_speed)
+        n, v = self.case.n, self.case.fastest_belt
         ends = max(np.abs(self.z).max(), np.abs(self.w).max())
         return float(max(x[:, :n].max(), v + self.case.rate * x[:, n : 2 * n].max(), ends))
 
 
 class _Flow:
-    """The motion while the modes hold, on sub-intervals of the length h; time in them is tau = t / h."""
+    """The motion while the modes hold, on sub-intervals of the length h; time in them is tau = t / h.
 
-    def __init__(self, case: Case, mode: Sequence[int], held: Sequence[bool]) -> None:
-        n, rate = case.n, case.rate
+    X is z, (w - v) / rate, one, rate times the time since the knot `since`, cosine and sine of each frequency.
+    """
+
+    def __init__(self, case: Case, mode: Sequence[int], held: Sequence[bool], since: float) -> None:
+        n, rate, frequencies = case.n, case.rate, case.frequencies
+        self.case, self.since = case, since
         self.h = _REACH / rate
-        m = np.zeros((2 * n + 1, 2 * n + 1))
+        one, time = 2 * n, 2 * n + 1
+        size = 2 * n + 2 + 2 * len(frequencies)
+        (v, v_slope), (push, push_slope) = case.belt.line(since), case.push.line(since)
+        #: F = forces X
+        self.forces = np.zeros((n, size))
+        self.forces[:, :n] = case.stiffness
+        self.forces[:, one] = case.mass * v_slope + case.damping * v - push
+        self.forces[:, time] = (case.damping * v_slope - push_slope) / rate
+        m = np.zeros((size, size))
+        for k, frequency in enumerate(frequencies):
+            cosine, sine = time + 1 + 2 * k, time + 2 + 2 * k
+            m[cosine, sine], m[sine, cosine] = -frequency, frequency
+            amplitude, own, phase = case.waves.transpose(1, 0, 2)
+            is_here = np.abs(own) == frequency
+            self.forces[:, cosine] = -(is_here * amplitude * np.cos(phase)).sum(axis=0)
+            self.forces[:, sine] = (is_here * amplitude * np.sin(phase) * np.sign(own)).sum(axis=0)
         m[:n, n : 2 * n] = rate * np.eye(n)
-        m[:n, 2 * n] = case.belt_speed
+        m[:n, one], m[:n, time], m[time, one] = v, v_slope / rate, rate
         for i in range(n):
             if not held[i]:
-                m[n + i, :n] = -case.stiffness[i] / rate
-                m[n + i, n + i] = -case.damping[i]
-                m[n + i, 2 * n] = -(case.damping[i] * case.belt_speed + case.friction[i] * mode[i]) / rate
+                m[n + i] = -self.forces[i] / (case.mass[i] * rate)
+                m[n + i, n + i] = -case.damping[i] / case.mass[i]
+                m[n + i, one] -= case.friction[i] * mode[i] / (case.mass[i] * rate)
         self.generator = m * self.h
         stack = expm(self.generator * np.append(_TAU, 1.0)[:, None, None])
         self._coefficients = np.einsum("kj,jab->kab", _TO_COEFFICIENTS, stack[:-1])
@@ -174,25 +314,30 @@ class _Flow:
         rows, self.owners = [], []
         for i in range(n):
             if mode[i] != 0:
-                row = np.zeros(2 * n + 1)
+                row = np.zeros(size)
                 row[n + i] = mode[i]
                 rows.append(row)
                 self.owners.append((i, 0))
             elif held[i]:
                 for side in (1, -1):
-                    row = np.zeros(2 * n + 1)
-                    row[:n] = -side * case.stiffness[i]
-                    row[2 * n] = case.static[i] - side * case.damping[i] * case.belt_speed
+                    row = -side * self.forces[i]
+                    row[one] += case.static[i]
                     rows.append(row)
                     self.owners.append((i, side))
             else:  # a free block that rides the belt: w - v either way
                 for side in (1, -1):
-                    row = np.zeros(2 * n + 1)
+                    row = np.zeros(size)
                     row[n + i] = side
                     rows.append(row)
                     self.owners.append((i, 0))
-        self.rows = np.array(rows).reshape(-1, 2 * n + 1)
+        self.rows = np.array(rows)
         self._functions = np.einsum("ea,kab->keb", self.rows, self._coefficients)
+
+    def timed(self, x: Floats, t: float) -> Floats:
+        """X with the drive of the time t."""
+        turns = self.case.frequencies * t
+        waves = np.column_stack((np.cos(turns), np.sin(turns))).ravel()
+        return np.concatenate((x[: 2 * self.case.n], [1.0, (t - self.since) * self.case.rate], waves))
 
     @cached_property
     def powers(self) -> Floats:
@@ -267,34 +412,42 @@ class _Follower:
     def __init__(self, case: Case) -> None:
         self.case = case
         self.n = case.n
-        self.x = np.concatenate((case.z0, (case.w0 - case.belt_speed) / case.rate, [1.0]))
-        self.mode = [0 if y == 0 else (1 if y > 0 else -1) for y in self.x[self.n : -1]]
+        self.since = 0.0
+        self.x = np.concatenate((case.z0, (case.w0 - case.belt.line(0.0)[0]) / case.rate))
+        self.mode = [0 if y == 0 else (1 if y > 0 else -1) for y in self.x[self.n :]]
         self.orders: dict[int, int] = {}
         self._peak = np.zeros(case.n)
         self._flows: dict[tuple[tuple[int, ...], tuple[bool, ...]], _Flow] = {}
-        self._grow(self.x)
+        self.be_at(0.0)
 
-    def _grow(self, x: Floats) -> None:
-        """What rounding is of: each block's size now, and some of its largest so far."""
+    def be_at(self, t: float) -> None:
+        """Take the drive of this time, and what rounding is of: each block's size now, and some of its largest."""
         case, n = self.case, self.n
-        now = np.abs(x[:n]) + np.abs(x[n:-1]) + abs(case.belt_speed) / case.rate
+        self.x = self.flow(self.mode).timed(self.x, t)
+        now = np.abs(self.x[:n]) + np.abs(self.x[n : 2 * n]) + case.fastest_belt / case.rate
         self._peak = np.maximum(self._peak, now)
         size = np.maximum(now, _REMEMBERED * self._peak)
-        pull = np.abs(case.stiffness) @ size
-        self.small_force = _ROUNDING * (pull + case.static + np.abs(case.damping * case.belt_speed))
-        self.small_speed = _ROUNDING * (size + pull / case.rate**2)
+        pull = np.abs(case.stiffness) @ size + case.strongest_push
+        self.small_force = _ROUNDING * (pull + case.static)
+        self.small_speed = _ROUNDING * (size + pull / (case.mass * case.rate**2))
+
+    def go_on(self, knot: float) -> None:
+        """With the drive that holds from a knot on."""
+        self.since = knot
+        self._flows.clear()
 
     def flow(self, mode: Sequence[int]) -> _Flow:
         held = tuple(m == 0 and most > 0 for m, most in zip(mode, self.case.static, strict=True))
         key = (tuple(mode), held)
         if key not in self._flows:
-            self._flows[key] = _Flow(self.case, mode, held)
+            self._flows[key] = _Flow(self.case, mode, held, self.since)
         return self._flows[key]
 
     def decide(self, touching: list[int]) -> None:
         """Modes of the blocks with w = v; the orders to which what ends their motion vanishes now."""
-        case, n, small = self.case, self.n, self.small_force
-        force = case.damping * case.belt_speed + case.stiffness @ self.x[:n]
+        case, small = self.case, self.small_force
+        forces = self.flow(self.mode).forces
+        force = forces @ self.x
         self.orders = {}
         open_: list[int] = []
         for i in touching:
@@ -306,14 +459,12 @@ class _Follower:
                 if abs(force[i]) >= case.static[i] - small[i]:
                     open_.append(i)
         edge = list(open_)
-        rows = case.stiffness / case.rate**2
-        small = small / case.rate**2
         while open_:
             flow = self.flow(self.mode)
             x, found, felt = self.x, 0, False
-            for order in range(1, 2 * n + 2):
+            for order in range(1, len(x)):
                 x = flow.generator @ x / _REACH
-                change = rows @ x[:n]
+                change = forces @ x
                 moved = [i for i in open_ if abs(change[i]) > small[i]]
                 for i in moved:
                     open_.remove(i)
@@ -338,12 +489,12 @@ class _Follower:
         starts = flow.powers[:count] @ self.x if count > 1 else self.x[None]
         functions = flow.functions(starts)
         small = [self.small_force[i] if side else self.small_speed[i] for i, side in flow.owners]
+        force = flow.forces @ self.x
         for e, (i, side) in enumerate(flow.owners):
             order = self.orders.get(i, 0)
             if order == 0:
                 continue
-            force = self.case.damping[i] * self.case.belt_speed + self.case.stiffness[i] @ self.x[: self.n]
-            if side and np.sign(force) != side:
+            if side and np.sign(force[i]) != side:
                 continue
             if order > 0:
                 functions[:, e, 0] = flow.divided(e, order, self.x)
@@ -373,32 +524,41 @@ def follow(case: Case, t_end: float) -> Path:
     n = case.n
     me.decide([i for i in range(n) if me.x[n + i] == 0])
     path = Path(case, t_end, tuple(me.mode))
-    t, count, stalled = 0.0, 1, 0
+    knots = [t for t in case.knots.tolist() if 0 < t < t_end] if case.is_driven else []
+    stops = iter([*knots, t_end])
+    t, stop, count, stalled = 0.0, next(stops), 1, 0
     while True:
         flow = me.flow(me.mode)
-        h, remaining = flow.h, (t_end - t) / flow.h
+        h, remaining = flow.h, (stop - t) / flow.h
         count = max(1, min(count, int(np.ceil(remaining))))
         done, tau = me.search(remaining, count)
+        is_over = tau is None and done >= remaining
+        if is_over:
+            done = max(int(np.ceil(remaining)) - 1, 0)
+            tau = remaining - done
         for j in range(done + (tau is not None)):
             path.pieces.append((t + j * h, flow.powers[j] @ me.x if j else me.x, flow))
         if len(path.pieces) > _PIECES_MAX or len(path.t) > _EVENTS_MAX:
             raise Undecided(f"{len(path.pieces)} pieces and {len(path.t)} events until t = {t}")
+        if is_over and stop == t_end:
+            return path
         if tau is None:
-            if done >= remaining:
-                return path
             me.x = flow.powers[done] @ me.x
             t += done * h
             count = min(4 * count, _BATCH)
             me.orders = {i: -1 for i, order in me.orders.items() if order < 0}  # what rests may go on to rest
-            me._grow(me.x)
+            me.be_at(t)
             continue
         stalled = 0 if done + tau > 1e-13 else stalled + 1
         if stalled > 2 * n + 5:
             raise Undecided(f"events accumulate at t = {t}")
-        t += (done + tau) * h
+        t = stop if is_over else t + (done + tau) * h
         me.x = flow.state(flow.powers[done] @ me.x if done else me.x, tau * h)
-        me._grow(me.x)
-        y = me.x[n:-1]
+        if is_over:
+            me.go_on(stop)
+            stop = next(stops)
+        me.be_at(t)
+        y = me.x[n : 2 * n]
         touching = [i for i in range(n) if abs(y[i]) <= 2 * me.small_speed[i]]
         y[touching] = 0.0
         before = list(me.mode)

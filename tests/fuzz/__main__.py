@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 
 from tests import fuzz
-from tests.fuzz.draw import FAMILIES, draw
+from tests.fuzz.draw import FAMILIES, TERMS, draw
 from tests.fuzz.judge import LIMIT, Verdict
 from tests.fuzz.workers import judge_case, verdicts
 
@@ -60,13 +60,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
                         help=", ".join(FAMILIES))  # fmt: skip
-    parser.add_argument("--static", action="store_true", help="with static friction above the kinetic")
+    parser.add_argument("--terms", nargs="*", choices=TERMS, default=TERMS, metavar="TERM",
+                        help=f"what may be drawn beside eq. (10): {', '.join(TERMS)}; all if left out")  # fmt: skip
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args(argv)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
     if arguments.case is not None:
-        print(draw(seed, arguments.case, arguments.static).words())
+        print(draw(seed, arguments.case, arguments.terms).words())
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     wanted = [list(FAMILIES).index(family) for family in arguments.families]
     every = count() if arguments.case is None else iter([arguments.case])
@@ -75,9 +76,9 @@ def main(argv: list[str] | None = None) -> int:
         numbers = (k for k, _ in zip(numbers, range(arguments.cases), strict=False))
     table, n_wrong, n_cases = _Table(), 0, 0
     start = time.monotonic()
-    judged, until = partial(judge_case, seed, is_static=arguments.static), start + 60 * arguments.minutes
+    judged, until = partial(judge_case, seed, terms=arguments.terms), start + 60 * arguments.minutes
     for number, verdict in verdicts(judged, numbers, arguments.workers, until):
-        trial = draw(seed, number, arguments.static)
+        trial = draw(seed, number, arguments.terms)
         table.add(trial.engine, trial.family, number, verdict)
         n_cases += 1
         n_wrong += bool(verdict.failures) and trial.engine == "coulomb"

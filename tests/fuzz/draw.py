@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
 
-from tests.independent import Case, Floats
+from tests.independent import Case, Floats, Ramp
 
 Rng = np.random.Generator
 
@@ -25,6 +25,7 @@ class Trial:
     case: Case
     t_end: float
     settings: dict[str, Any]
+    terms: Collection[str] = ()
 
     def rng(self) -> Rng:
         """For what the checks draw."""
@@ -35,15 +36,27 @@ class Trial:
         case = self.case
         k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
         settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
-        static = f", static={case.static.tolist()}" if any(case.is_above) else ""
+        drive = f", static={case.static.tolist()}" if any(case.is_above) else ""
+        drive += f", mass={case.mass.tolist()}" if (case.mass != 1).any() else ""
+        push = [_ramp(case.push)] if case.push.values.any() else []
+        force = ", ".join([*push, *(f"Harmonic({', '.join(str(x.tolist()) for x in wave)})" for wave in case.waves)])
+        drive += f", force=[{force}]" if force else ""
         return (
-            f"system = System({k}, {r}, {mu}, {case.belt_speed!r}{static})\n"
+            f"system = System({k}, {r}, {mu}, {_ramp(case.belt)}{drive})\n"
             f"run = simulate(system, {z}, {w}, {self.t_end!r}, engine={self.engine!r}{settings})"
         )
 
 
 def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _ramp(ramp: Ramp) -> str:
+    if (ramp.values == ramp.values[0, 0]).all():
+        return repr(float(ramp.values[0, 0]))
+    if len(ramp.times) == 1:
+        return str(ramp.values[0].tolist())
+    return f"Piecewise({ramp.times.tolist()}, {ramp.values.tolist()})"
 
 
 def _grounded(springs: Floats, ground: Floats) -> Floats:
@@ -149,19 +162,20 @@ def _friction(rng: Rng, n: int) -> Floats:
     return rng.uniform(0, 2, n) * (rng.random(n) < {"mixed": 1.0, "some": 0.6, "none": 0.0}[kind])
 
 
-def _start(rng: Rng, k: Floats, r: Floats, mu: Floats, v: float) -> tuple[Floats, Floats]:
-    n = len(r)
+def _start(rng: Rng, k: Floats, mu: Floats, v: Floats, drag: Floats) -> tuple[Floats, Floats]:
+    """`v` is the speed of each belt at the start, `drag` what F is there at z = 0."""
+    n = len(mu)
     kinds = ["anywhere", "on the belt", "some on the belt", "at the edge", "at rest"]
     kind = rng.choice(kinds, p=[0.4, 0.2, 0.15, 0.15, 0.1])
     z = rng.normal(size=n) * rng.choice([0.3, 1.0, 3.0])
     w = rng.normal(size=n)
     if kind == "on the belt":
-        w = np.full(n, v)
+        w = v.copy()
     if kind == "some on the belt":
         w = np.where(rng.random(n) < 0.5, v, w)
     if kind == "at the edge":  # F = R v + K z = +-mu, for all blocks or some
         force = rng.choice([-1.0, 1.0], n) * mu * np.where(rng.random(n) < 0.7, 1.0, rng.random(n))
-        z, w = np.linalg.lstsq(k, force - r * v, rcond=None)[0], np.full(n, v)
+        z, w = np.linalg.lstsq(k, force - drag, rcond=None)[0], v.copy()
     if kind == "at rest":
         z, w = rng.choice([0.0, 1.0]) * z, np.zeros(n)
     return z, w
@@ -172,7 +186,8 @@ def _growth(case: Case, t: float) -> float:
     n = case.n
 
     def of(free: Floats) -> float:
-        k, r = case.stiffness[np.ix_(free, free)] / case.rate, np.diag(case.damping[free])
+        m = case.mass[free]
+        k, r = case.stiffness[np.ix_(free, free)] / (m[:, None] * case.rate), np.diag(case.damping[free] / m)
         a = np.block([[np.zeros_like(k), case.rate * np.eye(len(k))], [-k, -r]])
         with np.errstate(all="ignore"):  # what overflows has grown too much
             return float(np.nan_to_num(np.abs(expm(a * t)), nan=np.inf).max())
@@ -196,8 +211,78 @@ def _static(rng: Rng, mu: Floats) -> Floats:
     return mu * (1 + above)
 
 
-def draw(seed: int, number: int, is_static: bool = False) -> Trial:
-    """Case `number` of a seed, with static friction above the kinetic or without."""
+#: What is drawn beside eq. (10), each in half of the cases: static friction above the kinetic, forces, belts of
+#: different speeds or such as change, masses.
+TERMS = ("static", "force", "belt", "mass")
+_LATEST = 60.0  # of a knot
+
+
+def _ramps(rng: Rng, n: int, size: Callable[[tuple[int, int]], Floats], whole: bool) -> Ramp:
+    """By block or for all blocks: constant or piecewise linear; knots at whole times or anywhere."""
+    k = int(rng.choice([1, 2, 3, 6]))
+    latest = _LATEST if rng.random() < 0.3 else 6.0
+    times = rng.choice(np.arange(0.0, 12.0), k, replace=False) if whole else rng.uniform(0, latest, k)
+    values = size((k, n)) if rng.random() < 0.6 else size((k, 1)).repeat(n, axis=1)
+    if k > 2 and rng.random() < 0.4:
+        values[1] = values[0]
+    return Ramp(np.sort(times), values)
+
+
+def _driven(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike: bool) -> Case:
+    """With the terms, each by a coin; in whole or half numbers, or alike for all blocks."""
+    n = case.n
+    draws = dict(zip(TERMS, rng.spawn(len(TERMS)), strict=True))
+    chosen = {term: own for term, own in draws.items() if own.random() < 0.5 and term in terms}
+    if own := chosen.get("static"):
+        halves = own.integers(0, 2, n) / 2 * (case.friction > 0)
+        above = _static(own, case.friction[:1]).repeat(n) if alike else _static(own, case.friction)
+        case = replace(case, static=case.friction + halves if whole else above)
+    if own := chosen.get("mass"):
+        mass = own.choice([0.5, 1.0, 2.0, 4.0], n) if whole else 10 ** own.uniform(-1.5, 1.5, n)
+        case = replace(case, mass=mass[:1].repeat(n) if alike else mass)
+    if own := chosen.get("belt"):
+        v = case.belt.values[0, 0]
+        size = own.choice([abs(v), 1.0, 0.2])
+
+        def speeds(shape: tuple[int, int]) -> Floats:
+            if whole:
+                return own.integers(-2, 3, shape) / 2
+            return np.where(own.random(shape) < 0.3, v, size * own.normal(size=shape))
+
+        belt = _ramps(own, n, speeds, whole)
+        case = replace(case, belt=Ramp(belt.times, belt.values[:, :1].repeat(n, axis=1)) if alike else belt)
+    if own := chosen.get("force"):
+        size = own.choice([0.3, 1.0, 3.0])
+
+        def pushes(shape: tuple[int, int]) -> Floats:
+            return (
+                own.integers(-1, 2, shape) * 1.0
+                if whole
+                else size * own.normal(size=shape) * (own.random(shape) < 0.7)
+            )
+
+        push = _ramps(own, n, pushes, whole) if own.random() < 0.6 else Ramp.of(0.0, n)
+        count = own.choice([0, 1, 2]) if push.values.any() else 1
+        waves = np.stack(
+            [
+                pushes((count, n)) if own.random() < 0.6 else pushes((count, 1)).repeat(n, axis=1),
+                (own.choice([0.5, 1.0, 2.0], (count, 1)) if whole else 10 ** own.uniform(-1.5, 1, (count, 1))).repeat(
+                    n, axis=1
+                ),
+                own.choice([0.0, np.pi / 2, own.uniform(0, 7)], (count, 1)).repeat(n, axis=1),
+            ],
+            axis=1,
+        )
+        if count and not whole and own.random() < 0.3:
+            waves[:, 1] *= own.uniform(0.5, 1.0, (count, n))
+        if alike:
+            push, waves = Ramp(push.times, push.values[:, :1].repeat(n, axis=1)), waves[:, :, :1].repeat(n, axis=2)
+        case = replace(case, push=push, waves=waves)
+    return case
+
+
+def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
+    """Case `number` of a seed, with some of the terms."""
     rng = np.random.default_rng([seed, number])
     family = list(FAMILIES)[number % len(FAMILIES)]
     engine = _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
@@ -206,22 +291,23 @@ def draw(seed: int, number: int, is_static: bool = False) -> Trial:
     speeds = [-0.2, 0.2, -1.0, 1.0, 0.0, 30.0, -30.0, rng.normal()]
     v = float(rng.choice(speeds, p=[0.35, 0.12, 0.1, 0.1, 0.1, 0.03, 0.03, 0.17]))
     r, mu = _damping(rng, n), _friction(rng, n)
-    other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
-    if family == "integers":
+    whole, alike = family == "integers", family == "identical"
+    if whole:
         v = float(rng.integers(-2, 3)) / 2
         r, mu = rng.integers(0, 3, n) / 2, rng.choice([0.0, 1.0, 1.0, 2.0], n)
-        z = rng.integers(-2, 3, n) * 1.0
-        w = np.where(rng.random(n) < 0.6, v, rng.integers(-2, 3, n) * 1.0)
-        most = mu + other.integers(0, 2, n) / 2 * (mu > 0) if is_static else mu
-    elif family == "identical":
+    elif alike:
         r, mu = np.full(n, r[0]), np.full(n, mu[0])
-        kinds = rng.integers(0, rng.integers(1, 3), n)  # one kind of start, or two
-        most = _static(other, mu[:1]).repeat(n) if is_static else mu
-        z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, r, most, v))
+    other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
+    case = _driven(other, Case.of(k, r, mu, v, 0.0, v), terms, whole, alike)
+    at_start = case.belt.line(0.0)[0]
+    if whole:
+        z = rng.integers(-2, 3, n) * 1.0
+        w = np.where(rng.random(n) < 0.6, at_start, rng.integers(-2, 3, n) * 1.0)
     else:
-        most = _static(other, mu) if is_static else mu
-        z, w = _start(rng, k, r, most, v)
-    case = Case(k, r, mu, v, z, w, most)
+        kinds = rng.integers(0, rng.integers(1, 3), n) if alike else np.arange(n)  # one kind of start, or two
+        drag = case.holding(np.zeros(1), np.zeros((1, n)))[0]
+        z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, case.static, at_start, drag))
+    case = replace(case, z0=z, w0=w)
     lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]
     length = rng.choice(lengths, p=[0.25, 0.6, 0.15])
     t_end = longest(case, float(length))
@@ -235,4 +321,4 @@ def draw(seed: int, number: int, is_static: bool = False) -> Trial:
             settings["ratio"] = rng.uniform(0.1, 1, n)
         if rng.random() < 0.5:
             settings["thresholds"] = [0.5, 3.0]
-    return Trial(seed, number, family, engine, case, t_end, settings)
+    return Trial(seed, number, family, engine, case, t_end, settings, terms)

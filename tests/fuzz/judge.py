@@ -16,14 +16,14 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import ODEintWarning, odeint
-from scipy.linalg import block_diag, eig
+from scipy.linalg import eig
 from scipy.sparse import csc_array
 
-from stickslip.sim import IntegrationError, Run, System, simulate
+from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
 from stickslip.sim.engines import ENGINES, products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
-from tests.independent import Case, Floats, Path, Undecided, follow
+from tests.independent import Case, Floats, Path, Ramp, Undecided, follow
 
 #: Error over tol times sensitivity beyond which a run is wrong, by engine. The sigmoid engine's errors add up where
 #: nothing damps them: `docs/guide/sigmoid-engine.md` states its bound.
@@ -34,8 +34,6 @@ _PATIENCE_OF_REFERENCE = 10.0  # for all of the reference's
 _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
 _ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
 _CHANGED = 3  # runs with changed start and constants
-
-_EACH = ("damping", "friction", "z0", "w0", "static")
 
 Simulate = Callable[..., Run]
 
@@ -72,6 +70,17 @@ def patience(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
+def made(case: Case, sparse: bool = False) -> System:
+    """The system of a case."""
+    k = csc_array(case.stiffness) if sparse else case.stiffness
+    force: list[Any] = [_drive(case.push), *(Harmonic(*wave) for wave in case.waves)]
+    return System(k, case.damping, case.friction, _drive(case.belt), case.static, mass=case.mass, force=force)
+
+
+def _drive(ramp: Ramp) -> Floats | Piecewise:
+    return ramp.values[0] if len(ramp.times) == 1 else Piecewise(ramp.times, ramp.values)
+
+
 @dataclass(frozen=True)
 class Truth:
     """z, w (m, 2n) of a case at times, and how much an error of one unit of tol may move them there (m,).
@@ -89,12 +98,10 @@ class Truth:
 
     def renumbered(self, order: NDArray[np.int64]) -> Truth:
         """With the blocks in this order."""
-        case = self.case
-        each = {name: getattr(case, name)[order] for name in _EACH}
         return replace(
             self,
-            case=replace(case, stiffness=case.stiffness[np.ix_(order, order)], **each),
-            state=self.state[:, np.concatenate((order, case.n + order))],
+            case=self.case.renumbered(order),
+            state=self.state[:, np.concatenate((order, self.case.n + order))],
             modes=[self.modes[i] for i in order] if self.modes else (),
             changed=[[other[i] for i in order] for other in self.changed],
             delta=None if self.delta is None else self.delta[order],
@@ -103,9 +110,8 @@ class Truth:
     def beside(self, other: Truth) -> Truth:
         """Of two systems as one; under the exact law."""
         a, b = self.case, other.case
-        each = {name: np.concatenate((getattr(a, name), getattr(b, name))) for name in _EACH}
         return Truth(
-            replace(a, stiffness=block_diag(a.stiffness, b.stiffness), **each),
+            a.beside(b),
             self.times,
             np.hstack([self.state[:, : a.n], other.state[:, : b.n], self.state[:, a.n :], other.state[:, b.n :]]),
             np.maximum(self.unit, other.unit),
@@ -120,9 +126,9 @@ class Truth:
 
 def _so_far(path: Path, times: Floats) -> Floats:
     """The largest |z|, |w| and |v| of the run until each time."""
-    n, v = path.case.n, abs(path.case.belt_speed)
-    x = np.abs([piece[1] for piece in path.pieces])
-    speeds = v + path.case.rate * x[:, n : 2 * n].max(axis=1)
+    n = path.case.n
+    x = np.abs([piece[1][: 2 * n] for piece in path.pieces])
+    speeds = path.case.fastest_belt + path.case.rate * x[:, n:].max(axis=1)
     largest = np.maximum.accumulate(np.maximum(x[:, :n].max(axis=1), speeds))
     before = np.searchsorted([piece[0] for piece in path.pieces], times, side="right") - 1
     return np.maximum.accumulate(np.maximum(largest[before], np.abs(np.hstack(path.at(times))).max(axis=1)))
@@ -150,30 +156,36 @@ def _hidden(static: float, kinetic: float) -> float:
 
 
 def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Generator, size: float = 1e-6) -> Truth:
-    """By LSODA of ODEPACK at tolerances that two runs agree upon."""
+    """By LSODA of ODEPACK, from knot to knot of the drive, at tolerances that two runs agree upon."""
 
     def state(case: Case, tol: float) -> Floats:
-        n, k, r, mu, v = case.n, case.stiffness, case.damping, case.friction, case.belt_speed
+        n, k, r, mu, m = case.n, case.stiffness, case.damping, case.friction, case.mass
         c = np.array([_hidden(*pair) for pair in zip(case.static, mu, strict=True)])
 
-        def f(x: Floats, _: float) -> Floats:
+        def f(x: Floats, t: float) -> Floats:
             w = x[n:]
-            lam = np.tanh((w - v) / delta)
-            return np.concatenate((w, -r * w - k @ x[:n] - mu * lam * (1 + c * (1 - lam * lam))))
+            lam = np.tanh((w - case.belt.line(t)[0]) / delta)
+            return np.concatenate((w, (case.force(t) - r * w - k @ x[:n] - mu * lam * (1 + c * (1 - lam * lam))) / m))
 
-        def jacobian(x: Floats, _: float) -> Floats:
-            rise = 1 / np.cosh(np.clip((x[n:] - v) / delta, -300, 300)) ** 2
+        def jacobian(x: Floats, t: float) -> Floats:
+            rise = 1 / np.cosh(np.clip((x[n:] - case.belt.line(t)[0]) / delta, -300, 300)) ** 2
             slope = mu / delta * rise * (1 + c * (3 * rise - 2))
-            return np.block([[np.zeros((n, n)), np.eye(n)], [-k, -np.diag(r + slope)]])
+            return np.block([[np.zeros((n, n)), np.eye(n)], [-k / m[:, None], -np.diag((r + slope) / m)]])
 
-        start = np.concatenate((case.z0, case.w0))
-        at = np.concatenate(([0.0], times))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ODEintWarning)  # it is in `told`
-            x, told = odeint(f, start, at, Dfun=jacobian, rtol=tol, atol=tol, mxstep=200_000, full_output=True)
-        if told["message"] != "Integration successful." or not np.isfinite(x).all():
-            raise Undecided(told["message"])
-        return x[1:]
+        now, found = np.concatenate((case.z0, case.w0)), [np.empty((0, 2 * n))]
+        inner = case.knots[(case.knots > 0) & (case.knots < times[-1])] if case.is_driven else []
+        for low, high in pairwise([0.0, *inner, times[-1]]):
+            at = np.concatenate(([low], times[(low < times) & (times <= high)], [high]))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ODEintWarning)  # it is in `told`
+                x, told = odeint(
+                    f, now, at, Dfun=jacobian, rtol=tol, atol=tol, mxstep=200_000, full_output=True, tcrit=[high]
+                )
+            if told["message"] != "Integration successful." or not np.isfinite(x).all():
+                raise Undecided(told["message"])
+            found.append(x[1:-1])
+            now = x[-1]
+        return np.concatenate(found)
 
     best = state(case, 1e-13)
     doubt = np.abs(state(case, 1e-11) - best).max(axis=1)
@@ -191,7 +203,7 @@ def _faded(block: int, truth: Truth, mine: Stretches, its: Stretches) -> bool:
 
     It slips, or swings, ever more slowly; below its rounding the reference lets it rest.
     """
-    if truth.case.belt_speed != 0:
+    if truth.case.belt.values[:, block].any():
         return False
     same = next(
         (k for k, (a, b) in enumerate(zip(mine, its, strict=False)) if a[1] != b[1]), min(len(mine), len(its))
@@ -217,8 +229,8 @@ def _has_grown(truth: Truth, before: Floats) -> bool:
     By left eigenvectors, which do not swing: |z| and |w| do, and a mode that grows may still be the smaller one.
     """
     case = truth.case
-    n = case.n
-    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-case.stiffness, -np.diag(np.broadcast_to(case.damping, n))]])
+    n, m = case.n, case.mass
+    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-case.stiffness / m[:, None], -np.diag(case.damping / m)]])
     rates, left = eig(matrix, left=True, right=False)
     unstable = left[:, rates.real > 0].conj().T
     return bool((np.abs(unstable @ truth.state[-1]) >= 0.99 * np.abs(unstable @ before)).any())
@@ -250,8 +262,7 @@ class _Judge:
     def run(self, how: str, truth: Truth, *, sparse: bool = False, t_end: float = 0.0, **settings: Any) -> Run | None:
         """None, and a failure, if the run does not end or gives up."""
         case = truth.case
-        k = csc_array(case.stiffness) if sparse else case.stiffness
-        system = System(k, case.damping, case.friction, case.belt_speed, case.static)
+        system = made(case, sparse)
         settings = self.trial.settings | settings
         if truth.delta is not None:
             settings["ratio"] = truth.delta / self.trial.settings["eps"]
@@ -311,10 +322,10 @@ class _Judge:
     def _layers(self, how: str, run: Run, truth: Truth) -> None:
         """Modes at the sample times, where the truth is clear of the edge of the layer."""
         case, delta = truth.case, truth.delta
-        z, y = truth.state[:, : case.n], truth.state[:, case.n :] - case.belt_speed
+        z, y = truth.state[:, : case.n], truth.state[:, case.n :] - case.belt.at(truth.times)
         spare = (self.limit * self.tol * truth.unit)[:, None]
         free = case.friction == 0
-        force = np.abs(case.damping * case.belt_speed + z @ case.stiffness.T)
+        force = np.abs(case.holding(truth.times, z))
         doubt = spare * (1 + np.abs(case.stiffness).sum(axis=1))
         definitions = [(None, run.events, delta * np.log(1 / delta))]
         definitions += [(c, series, c * delta) for c, series in run.by_threshold.items()]
@@ -371,8 +382,9 @@ class _Judge:
         self.hold("second half", self.run("second half", half, t_start=middle, t_eval=rest.times), half, parts=2)
 
     def _two_as_one(self, truth: Truth) -> None:
-        other = draw(self.trial.seed, self.trial.number + _ELSEWHERE).case
-        other = replace(other, belt_speed=truth.case.belt_speed)
+        other = draw(self.trial.seed, self.trial.number + _ELSEWHERE, self.trial.terms).case
+        if "belt" not in self.trial.terms:
+            other = replace(other, belt=Ramp.of(truth.case.belt.values[0, 0], other.n))
         if longest(other, self.trial.t_end) < self.trial.t_end:
             return
         try:

@@ -6,10 +6,10 @@ import multiprocessing
 import resource
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from multiprocessing.connection import Connection, wait
 
-from tests.fuzz.draw import draw
+from tests.fuzz.draw import TERMS, draw
 from tests.fuzz.judge import Verdict, judge
 
 PATIENCE = 600.0  # seconds that a case may take before its process is killed
@@ -20,10 +20,10 @@ _MEMORY = 4 << 30  # bytes of address space beyond what the process starts with
 Judged = Callable[[int], Verdict]
 
 
-def judge_case(seed: int, number: int, is_static: bool = False) -> Verdict:
+def judge_case(seed: int, number: int, terms: Collection[str] = TERMS) -> Verdict:
     """Of one case; the run goes on if the fuzz itself fails."""
     try:
-        return judge(draw(seed, number, is_static))
+        return judge(draw(seed, number, terms))
     except Exception as error:  # noqa: BLE001  reported as a failure of the case
         return Verdict(failures=[f"the fuzz itself: {type(error).__name__}: {error}"])
 

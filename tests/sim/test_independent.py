@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System
-from tests.independent import Case, Path, follow, sensitivity
+from tests.independent import Case, Path, Ramp, follow, sensitivity
 
 from .reference import follow as follow_in_34_digits
 
@@ -155,3 +155,58 @@ def test_a_block_that_leaves_with_a_jump_takes_along_what_it_holds_at_the_edge()
     assert (list(held.initial_mode), held.t) == ([0, 0, 0], [])  # nothing moves: all rest at the edge
     k[2, 2] = -0.1  # block 2 is pushed outward: its z grows at the second order
     assert list(follow(Case.of(k, 0.0, [1.0, 1.0, 0.0], 0.0, z, 0.0, [1.5, 1.5, 0.0]), 0.1).initial_mode) == [1, 1, 1]
+
+
+def test_a_free_block_under_a_harmonic_force():
+    """z'' + z / 2 = 3 cos(2 t + 1) / 2, of mass 2: a particular solution and the rest of the start."""
+    case = Case.of([[1.0]], 0, 0, -50, 1.0, 0.0, mass=2.0, waves=[(3.0, 2.0, 1.0)])
+    path = follow(case, 200.0)
+    t, own, a = np.linspace(0.0, 200.0, 999), np.sqrt(0.5), 1.5 / (0.5 - 4.0)
+    z = a * np.cos(2 * t + 1) + (1 - a * np.cos(1)) * np.cos(own * t) + 2 * a * np.sin(1) / own * np.sin(own * t)
+    np.testing.assert_allclose(path.at(t)[0][:, 0], z, rtol=0, atol=1e-12)
+
+
+def test_a_block_is_carried_until_its_belt_pulls_away():
+    """v rises by 2 a unit of time between 1 and 2, or falls: mass 1 needs that much force, friction holds 1 or 3."""
+    for side in (1, -1):
+        belt = Ramp(np.array([1.0, 2.0]), side * np.array([[0.0], [2.0]]))
+        weak = follow(Case.of([[0.0]], 0, 1, belt, 0, 0), 4.0)
+        assert (weak.t, weak.mode) == ([1.0, pytest.approx(3.0, abs=1e-13)], [-side, 0])  # w = t - 1 meets v = 2
+        assert weak.z == pytest.approx([side * (2.0 + 2.0)], abs=1e-13)
+        held = follow(Case.of([[0.0]], 0, 3, belt, 0, 0), 4.0)
+        assert held.t == []
+        assert held.z == pytest.approx([side * (1.0 + 4.0)], abs=1e-13)
+
+
+def test_a_force_that_rises_moves_a_block_when_it_passes_static_friction():
+    """f = t / 2 on a belt at rest: static friction 1.5 until t = 3, then w' = f - 1."""
+    push = Ramp(np.array([0.0, 8.0]), np.array([[0.0], [4.0]]))
+    path = follow(Case.of([[0.0]], 0, 1, 0, 0, 0, 1.5, push=push), 5.0)
+    assert (path.t, path.mode) == ([pytest.approx(3.0, abs=1e-13)], [1])
+    assert path.w == pytest.approx([(5.0**2 - 3.0**2) / 4 - 2.0], abs=1e-12)
+
+
+def test_a_change_of_frame_and_of_units_changes_no_event():
+    """y = z - s(t), s' = the belt's speed, that changes from 0.3 to -0.5: the belt rests and there is a force."""
+    rng = np.random.default_rng(5)
+    n, knots = 3, np.array([2.0, 5.0])
+    a = rng.normal(size=(n, n))
+    k, r, mu, static = a @ a.T, rng.uniform(0, 0.3, n), rng.uniform(0.3, 1, n), rng.uniform(1, 1.5, n)
+    z, w, m = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.5, 2, n)
+    wave = (rng.normal(size=n), 1.7, rng.normal(size=n))
+    speed = Ramp(knots, np.array([[0.3] * n, [-0.5] * n]))
+    path = follow(Case.of(k, r, mu, speed, z, w, static, mass=m, waves=[wave]), 12.0)
+    # until the first knot s = 0.3 t, and - K s - 0.3 R a force that is linear
+    push = Ramp(np.array([0.0, 10.0]), -0.3 * np.array([r, r + k @ np.full(n, 10.0)]))
+    start = follow(Case.of(k, r, mu, 0.0, z, w - 0.3, static, mass=m, waves=[wave], push=push), 2.0)
+    before = [(t, i, q) for t, i, q in zip(path.t, path.block, path.mode, strict=True) if t < 2.0]
+    assert before == [
+        (pytest.approx(t, abs=1e-12), i, q) for t, i, q in zip(start.t, start.block, start.mode, strict=True)
+    ]
+    unit = follow(
+        Case.of(k / m[:, None], r / m, mu / m, speed, z, w, static / m, waves=[(wave[0] / m, *wave[1:])]), 12.0
+    )
+    assert path.block == unit.block
+    np.testing.assert_allclose(path.t, unit.t, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(path.z, unit.z, rtol=0, atol=1e-12)
+    assert len(path.t) > 5
