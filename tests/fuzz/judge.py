@@ -73,7 +73,7 @@ def patience(seconds: float) -> Iterator[None]:
 def made(case: Case, sparse: bool = False) -> System:
     """The system of a case."""
     k = csc_array(case.stiffness) if sparse else case.stiffness
-    force: list[Any] = [_drive(case.push), *(Harmonic(*wave) for wave in case.waves)]
+    force: Any = [Piecewise(case.push.times, case.push.values), *(Harmonic(*wave) for wave in case.waves)]
     return System(k, case.damping, case.friction, _drive(case.belt), case.static, mass=case.mass, force=force)
 
 

@@ -251,7 +251,7 @@ def test_cases_of_the_fuzz():
     seed = secrets.randbits(32)
     print("seed", seed)
     for number in (1, 3, 4, 8, 10, 14):
-        verdict = judge(draw(seed, number, is_static=True))
+        verdict = judge(draw(seed, number, terms=["static"]))
         assert verdict.failures == []
 
 
