@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pyarrow.dataset as ds
 
 #: What is a table of its own if the scene asks for it, and by which line.
-RECORDED_BY = {name: ASKED_BY[name] for name in ("events", "separation", "thresholds")}
+RECORDED_BY = {name: ASKED_BY[name] for name in ("events", "episodes", "separation", "thresholds")}
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ __all__ = [
     "dask_members",
     "dataset",
     "ends",
+    "episodes",
     "events",
     "members",
     "n_stick",
@@ -217,6 +218,39 @@ def events(path: Where, member_id: str) -> sim.EventSeries:
     if "event_t" not in source.schema.names:
         raise not_recorded("events")
     return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
+
+
+def episodes(path: Where) -> pd.DataFrame:
+    """All episodes of a dataset whose scene records them, a row each, by member as the scene expands, then by time.
+
+    Columns
+    -------
+    member_id : str
+    start, end : float64
+        When the first block leaves, after a time in which all stick; when all stick again.
+    size : int32
+        Number of blocks that slipped.
+    moment : float64
+        Sum over the blocks of what each slipped on the belt, counted against the belt's motion.
+    first_block : int32
+        The block that left first.
+
+    Raises
+    ------
+    QueryError
+        If the scene does not record episodes.
+    StoreError
+        If there is no readable dataset.
+    """
+    source = dataset(path)
+    names = [name for name in source.schema.names if name.startswith("episode_")]
+    if not names:
+        raise not_recorded("episodes")
+    with reading(path):
+        found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid()).combine_chunks()
+    of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
+    columns = {name.removeprefix("episode_"): pc.list_flatten(found[name]) for name in names}
+    return frame(pa.table({"member_id": found["member_id"].take(of), **columns}))
 
 
 def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:

@@ -163,6 +163,7 @@ class Scene(StrictTable):
             "end": self.record.end,
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
+            "episodes": self.record.episodes,
             "separation": self.record.separation is not None,
             "thresholds": thresholds,
         }
@@ -368,8 +369,9 @@ class Scene(StrictTable):
             del keys["system"]["path"]
         if self.system.module is not None:
             keys["system"]["module"] = self.system.module.sha256
-        if not self.record.end:
-            del keys["record"]["end"]  # younger than some datasets: theirs stay the same scene
+        for name in ("end", "episodes"):  # younger than some datasets: theirs stay the same scene
+            if not keys["record"][name]:
+                del keys["record"][name]
         if self.start.ends is not None:
             keys["start"]["ends"] = self.start.ends.sha256
             del keys["start"]["dataset"]

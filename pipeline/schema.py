@@ -75,6 +75,13 @@ RECORDED = {
         _column("event_mode", _list(pa.int8()), "the block's mode from the event on: -1 or +1 slips, 0 sticks"),
         _column("initial_mode", _list(pa.int8()), "mode of each block at t = 0"),
     ],
+    "episodes": [
+        _column("episode_start", _list(pa.float64()), "when the first block leaves, after a time when all stick"),
+        _column("episode_end", _list(pa.float64()), "when all stick again; what is cut off by an end is no episode"),
+        _column("episode_size", _list(pa.int32()), "number of blocks that slipped in each episode"),
+        _column("episode_moment", _list(pa.float64()), "sum of their slips on the belt, against the belt's motion"),
+        _column("episode_first_block", _list(pa.int32()), "the block that left first"),
+    ],
     "separation": [
         _column(
             "separation",
@@ -103,6 +110,7 @@ ASKED_BY = {
     "end": "`end = true` under [record]",
     "growth_rate": "`growth_rate = true` under [record]",
     "events": "`events = true` under [record]",
+    "episodes": "`episodes = true` under [record]",
     "separation": "`separation = 5.0` under [record]",
     "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
 }
@@ -224,6 +232,7 @@ def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
     floats = ("t.list.element", "event_t.list.element", "separation.list.element")
+    floats += tuple(f"episode_{name}.list.element" for name in ("start", "end", "moment"))
     times = [leaf for leaf in leaves if leaf.endswith(floats)]
     pq.write_table(
         pa.Table.from_arrays(columns, schema=schema),

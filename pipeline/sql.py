@@ -61,6 +61,10 @@ def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
             "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
             " FROM shards"
         )
+    if "episode_start" in schema.names:
+        of_episode = [field.name for field in schema if field.name.startswith("episode_")]
+        columns = (f'unnest({name}) AS "{name.removeprefix("episode_")}"' for name in of_episode)
+        found["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
     if "separation" in schema.names:
         found["separation"] = (
             f"SELECT member_id, {step!r}::DOUBLE * unnest(range(len(separation))) AS t,"
@@ -88,9 +92,10 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
     Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
     (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
     n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
-    scene records them, `events` (member_id, t, block, mode), `separation` (member_id, t, distance) and `thresholds`
-    (member_id, threshold, t, n_stick). Where columns of an answer share a name, as in ``SELECT member_id, *``, the
-    second is called `member_id_1`.
+    scene records them, `events` (member_id, t, block, mode), `episodes` (the columns of
+    `stickslip.pipeline.query.episodes`), `separation` (member_id, t, distance) and `thresholds` (member_id,
+    threshold, t, n_stick). Where columns of an answer share a name, as in ``SELECT member_id, *``, the second is
+    called `member_id_1`.
 
     Raises
     ------

@@ -162,6 +162,11 @@ class RecordTable(StrictTable):
         description="whether to keep the state at the end, at which runs of another scene can start",
         examples=[True],
     )
+    episodes: bool = Field(
+        default=False,
+        description="whether to keep the episodes: from all blocks stuck to all stuck again",
+        examples=[True],
+    )
     growth_rate: bool = Field(
         default=False,
         description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",

@@ -10,7 +10,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
@@ -26,6 +26,7 @@ from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.sources import cache_directory, source_digest
+from stickslip.sim.episodes import episodes
 from stickslip.version import __version__
 
 #: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
@@ -138,6 +139,9 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
         found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, member.system().belt_speed)}
     if "events" in recording.parts:
         found |= _events(run.events)
+    if "episodes" in recording.parts:
+        whole = episodes(run, member.system().belt_speed)
+        found |= {f"episode_{one.name}": getattr(whole, one.name) for one in fields(whole)}
     if base is not None:
         found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
     if run.by_threshold:

@@ -24,16 +24,20 @@ class Episodes:
     Attributes
     ----------
     start, end : float64, shape (m,)
+        When the first block leaves, and when the last one sticks again.
     size : int32, shape (m,)
         Number of blocks that slipped.
     moment : float64, shape (m,)
         Sum over the blocks of what each slipped on the belt, counted against the belt's motion.
+    first_block : int32, shape (m,)
+        The block that left first; of several at one instant the one of the lowest number.
     """
 
     start: Floats
     end: Floats
     size: NDArray[np.int32]
     moment: Floats
+    first_block: NDArray[np.int32]
 
     @property
     def duration(self) -> Floats:
@@ -49,46 +53,45 @@ class Episodes:
 
 def spans(series: EventSeries) -> Floats:
     """Start and end of every episode, shape (m, 2): when the first block leaves, and when the last sticks again."""
-    t, n_stick = series.change_points()
-    is_still = n_stick == series.n
-    starts, ends = t[1:][is_still[:-1] & ~is_still[1:]], t[1:][~is_still[:-1] & is_still[1:]]
-    ends = ends[ends > starts[0]] if len(starts) else ends[:0]
-    return np.column_stack([starts[: len(ends)], ends])
+    since, until = _stills(series)
+    return np.column_stack([until[:-1], since[1:]])
 
 
 def episodes(run: Run, belt_speed: float) -> Episodes:
-    """The episodes of a run with samples.
+    """The episodes of a run of either engine.
 
     Parameters
     ----------
     run : Run
-        With samples in each stretch in which all blocks stick before and after an episode, such as at its `spans`:
-        to sample at these, run again with ``t_eval=spans(run.events).ravel()``. That changes nothing else.
     belt_speed : float
         v.
 
     Raises
     ------
     ValueError
-        If samples are missing; the message says where.
+        If the run does not know its `stills`.
     """
-    series, samples = run.events, run.samples
-    start, end = spans(series).T
-    still_since = series.change_points()[0]
-    before, after = np.searchsorted(samples.t, start, side="right") - 1, np.searchsorted(samples.t, end)
-    since = still_since[np.searchsorted(still_since, start) - 1]
-    until = np.append(still_since, series.t_end)[np.searchsorted(still_since, end, side="right")]
-    t = np.append(samples.t, np.inf)  # what lies beyond the samples
-    missing = (before < 0) | (t[before] < since) | (t[after] > until)
-    if missing.any():
-        k = int(np.flatnonzero(missing)[0])
-        raise ValueError(
-            f"run: expected a sample while all blocks stick, before and after the episode from {start[k]:g} to"
-            f" {end[k]:g}, got none; run again with t_eval=spans(run.events).ravel()"
-        )
-    on_belt = samples.z.sum(axis=1) - series.n * belt_speed * samples.t
-    moment = (on_belt[after] - on_belt[before]) * (-1.0 if belt_speed > 0 else 1.0)
-    return Episodes(start, end, _sizes(series, start, end), moment)
+    series, stills = run.events, run.stills
+    if stills is None:
+        raise ValueError("run: expected one of an engine that keeps `stills`, on which moments hang, got None")
+    since, until = _stills(series)
+    first, last = np.searchsorted(stills.t, since), np.searchsorted(stills.t, until, side="right") - 1
+    rests = first <= last  # else blocks touch so briefly that these are no events, each before the last has ended
+    since, until, first, last = since[rests], until[rests], first[rests], last[rests]
+    start, end = until[:-1], since[1:]
+    slip = stills.total[first[1:]] - stills.total[last[:-1]]
+    slip -= series.n * belt_speed * (stills.t[first[1:]] - stills.t[last[:-1]])
+    slips = np.flatnonzero(series.mode != 0)
+    leaves = slips[np.searchsorted(series.t[slips], start)]
+    moment = slip if belt_speed <= 0 else -slip
+    return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves])
+
+
+def _stills(series: EventSeries) -> tuple[Floats, Floats]:
+    """Since and until when all blocks stick, each time that they do."""
+    t, n_stick = series.change_points()
+    is_still = n_stick == series.n
+    return t[is_still], np.append(t[1:], series.t_end)[is_still]
 
 
 def _sizes(series: EventSeries, start: Floats, end: Floats) -> NDArray[np.int32]:

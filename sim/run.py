@@ -66,6 +66,22 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
+class Stills:
+    """When all blocks come to stick, or one of them leaves, and where they are then; a start at rest is one.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+        Never decreasing.
+    total : float64, shape (m,)
+        Sum of z over the blocks.
+    """
+
+    t: Floats
+    total: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """The result of `simulate` (dimensionless).
 
@@ -85,6 +101,8 @@ class Run:
         From when on it is certain that no block sticks again; None if the run did not collapse.
     samples : Samples
         The state at those times of ``t_eval`` that the run reached.
+    stills : Stills or None
+        What `stickslip.sim.episodes` needs; None if the engine does not keep it.
     by_threshold : mapping of float to EventSeries
         What sticks by each of the further definitions ``thresholds`` of the sigmoid engine.
     """
@@ -98,6 +116,7 @@ class Run:
     stats: Stats
     t_collapse: float | None = None
     samples: Samples = field(default_factory=lambda: Samples.blank(np.empty(0), 0))
+    stills: Stills | None = None
     by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:

@@ -54,6 +54,11 @@ class Dataset:
         """Times, and how many blocks of a member stick from each to the next; see `stickslip.n_stick`."""
         return query.n_stick(self.path, member_id)
 
+    @property
+    def episodes(self) -> pd.DataFrame:
+        """One row an episode, where the scene records them; see `stickslip.pipeline.query.episodes`."""
+        return query.episodes(self.path)
+
     def query(self, sql: str) -> pd.DataFrame:
         """The answer to a question in SQL; see `stickslip.sql`."""
         return query.sql(self.path, sql)

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 
 from stickslip.pipeline import QueryError, dataset_scene
 from stickslip.pipeline.dataset import dataset, reading
-from stickslip.pipeline.schema import scalars
+from stickslip.pipeline.schema import RECORDED, scalars
 from stickslip.pipeline.storage import Where
 from stickslip.version import __version__
 from stickslip.workflows.export import whole
@@ -24,6 +24,7 @@ from stickslip.workflows.export import whole
 _SAMPLES = {
     "t": "change", "n_stick": "change", "event_t": "event", "event_block": "event", "event_mode": "event",
     "initial_mode": "block", "z_end": "block", "w_end": "block", "mode_end": "block", "separation": "separation_step",
+    **dict.fromkeys((column.name for column in RECORDED["episodes"]), "episode"),
 }  # fmt: skip
 _ROWS = 65_536  # of a chunk
 

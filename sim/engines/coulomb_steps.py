@@ -251,6 +251,7 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
             copy(mode, search.known_mode)
         before = n_recorded
         n_recorded, same = _record(t, mode, search.known_mode, events, n_recorded)
+        loop.note_still(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
             _sample(series, order, t, t, state)  # of a run that has no length
             return loop.DONE, n_recorded

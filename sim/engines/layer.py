@@ -129,7 +129,7 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
     if _stays(low, high, low_force, high_force, static, band, by_force, mode):
         return mode, n_recorded
     t, h, t_next = span
-    at, block, to = events
+    at, block, to, _ = events
     _powers(u, poly_u)
     _powers(force, poly_force)
     n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
@@ -206,6 +206,40 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
                 (t + macro * piece[PIECE_AT], macro * piece[PIECE_H], t_next), d * n + i, events, n_recorded, work,
             )  # fmt: skip
     return n_recorded
+
+
+@inner
+def note_stills(  # type: ignore[no-untyped-def]
+    table, n, flags, pieces, piece_block, n_pieces, v, span, mode, first, n_recorded, events, counters
+):
+    """Keep where the blocks are when all come to stick, or one leaves, among the events of a macro step from `first`.
+
+    `mode` is of before it, and becomes that of after it.
+    """
+    count = 0
+    for i in range(n):
+        count += mode[i] == 0
+    if counters[loop.N_STEPS] == 1:
+        loop.note_still(count == n, span[0], table[Z0, :n], events, counters)
+    most = count
+    for k in range(first, n_recorded):
+        most += events[1][k] < n and events[2][k] == 0
+    if n_recorded == first or most < n:
+        return
+    where, z, w = np.zeros(loop.N_COUNTERS, dtype=np.int64), np.empty((1, n)), np.empty((1, n))
+    order = first + np.argsort(events[0][first:n_recorded], kind="mergesort")
+    for place in range(len(order)):
+        k = order[place]
+        i = events[1][k]
+        if i < n:
+            count += (events[2][k] == 0) - (mode[i] == 0)
+            mode[i] = events[2][k]
+        t = events[0][k]
+        is_last = place + 1 == len(order) or events[0][order[place + 1]] > t
+        if is_last and (count == n) != (counters[loop.IS_STILL] == 1):
+            where[loop.N_SAMPLED] = 0
+            sample(table, n, flags, pieces, piece_block, n_pieces, v, span, (np.full(1, t), z, w), where)
+            loop.note_still(count == n, t, z[0], events, counters)
 
 
 @inner

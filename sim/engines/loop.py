@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates
+from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.products import Pairs
-from stickslip.sim.run import IntegrationError, Outcome, Run, Stats
+from stickslip.sim.run import IntegrationError, Outcome, Run, Stats, Stills
 from stickslip.sim.series import EventSeries, without_returns
 from stickslip.sim.system import Columns, System
 from stickslip.sim.weakening import Stribeck
@@ -27,7 +28,7 @@ DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
 STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
-N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, N_COUNTERS = range(7)
+N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_STILL, N_STILLS, N_COUNTERS = range(9)
 #: Clocks that every engine keeps, float64: the time, and after when a collapse may be certified next, with all blocks
 #: slipping left and (the next clock) right. An engine may keep more behind them. After, not at: a run that was just
 #: asked takes a step before it is asked again, or it would be asked for ever.
@@ -69,15 +70,24 @@ class Law(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Room for the events of a slice; those of one block come in order."""
+    """Room for the events of a slice; those of one block come in order. And for its `Stills`, t and total."""
 
     t: Floats
     block: NDArray[np.int32]
     mode: NDArray[np.int8]
+    stills: Floats
 
-    def first(self, n: int) -> Events:
-        """A copy of the first n."""
-        return Events(self.t[:n].copy(), self.block[:n].copy(), self.mode[:n].copy())
+    @classmethod
+    def blank(cls, capacity: int) -> Events:
+        """Room for so many; each of them, and the start, can make a still."""
+        t, stills = np.empty(capacity), np.empty((2, capacity + 1))
+        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), stills)
+
+    def first(self, n: int, n_stills: int) -> Events:
+        """A copy of the first ones."""
+        return Events(
+            self.t[:n].copy(), self.block[:n].copy(), self.mode[:n].copy(), self.stills[:, :n_stills].copy()
+        )
 
 
 class Room(NamedTuple):
@@ -106,6 +116,18 @@ class State(NamedTuple):
         clock[CHECK : CHECK + 2] = -np.inf if task.stop_early else np.inf
         samples = Room(task.samples.t, task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
+
+
+@inner
+def note_still(is_still, t, z, events, counters):  # type: ignore[no-untyped-def]
+    """Keep where the blocks are if now, and not before, all of them stick, or the other way round."""
+    if (1 if is_still else 0) != counters[IS_STILL]:
+        counters[IS_STILL] = 1 if is_still else 0
+        total = 0.0
+        for i in range(len(z)):
+            total += z[i]
+        events[3][0, counters[N_STILLS]], events[3][1, counters[N_STILLS]] = t, total
+        counters[N_STILLS] += 1
 
 
 def complete(
@@ -142,14 +164,15 @@ def complete(
     """
     system, (z, w, mode, clock, counters, _) = task.system, state
     capacity = max(2 * events_a_step, 4096)
-    events = Events(np.empty(capacity), np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8))
+    events = Events.blank(capacity)
     recorded: list[Events] = []
     bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse = "", None
     while True:
         status, n_recorded = advance(events, bound)
-        recorded.append(events.first(n_recorded))
+        recorded.append(events.first(n_recorded, int(counters[N_STILLS])))
+        counters[N_STILLS] = 0
         t = float(clock[TIME])
         if status == DONE:
             break
@@ -181,7 +204,7 @@ def complete(
                 bound = 2.0 * size
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
-    event_t, event_block, event_mode = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
+    event_t, event_block, event_mode, stills = (np.concatenate(parts, -1) for parts in zip(*recorded, strict=True))
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     series = []
@@ -203,6 +226,7 @@ def complete(
         stats=Stats(n_steps, n_rejected, n_products, len(series[0])),
         t_collapse=t_collapse,
         samples=task.samples.first(int(counters[N_SAMPLED])),
+        stills=Stills(*stills),
         by_threshold=dict(zip(thresholds, series[1:], strict=True)),
     )
 

@@ -70,6 +70,7 @@ from stickslip.sim.engines.layer import (
     PIECE_H,
     PIECE_U,
     PIECE_Z,
+    note_stills,
     sample,
     step_events,
 )
@@ -400,7 +401,7 @@ def _advance(  # type: ignore[no-untyped-def]
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     n = len(z)
     mode = definitions[2][0]
-    ends, before = np.empty((2, n)), np.empty(n)
+    ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
     n_recorded = np.int64(0)
     grown = True
     for _ in range(loop.STEPS_A_SLICE):
@@ -446,9 +447,15 @@ def _advance(  # type: ignore[no-untyped-def]
         span = t, macro, t_next
         for first in range(0, n, WIDTH):
             view(table, first, numbers)
+        copy(mode, mode_before)
+        first_event = n_recorded
         n_recorded = step_events(
             table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
         )
+        note_stills(
+            table, n, flags, pieces, piece_block, n_pieces, v, span, mode_before, first_event, n_recorded, events,
+            counters,
+        )  # fmt: skip
         sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, counters)
         _accept(table, n, flags, macro, next_h, ends, z, w, v)
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)

@@ -5,9 +5,10 @@ import secrets
 import numpy as np
 import pytest
 
-from stickslip.sim import EventSeries, Run, Samples, Stats, System, draw_system, simulate
+from stickslip.sim import EventSeries, Run, Stats, System, draw_system, simulate
 from stickslip.sim.energy import energy, times
-from stickslip.sim.episodes import episodes, spans
+from stickslip.sim.episodes import episodes
+from stickslip.sim.run import Stills
 
 
 def run_with_energy(system, z, w, t_end, **settings):
@@ -75,28 +76,22 @@ def planted(v=-0.5):
     )
     slipped = np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.0], [0.9, 0.2, -0.1]])
     at = np.array([0.75, 3.0, 8.0])
-    samples = Samples(at, slipped + v * at[:, None], np.full((3, 3), v))
+    stills = Stills(at, (slipped + v * at[:, None]).sum(axis=1))
     end = np.zeros(3)
-    return Run(end, end, 10.0, series, "finished", "", Stats(0, 0, 0, len(t)), samples=samples)
+    return Run(end, end, 10.0, series, "finished", "", Stats(0, 0, 0, len(t)), stills=stills)
 
 
 def test_planted_episodes():
     run = planted()
-    np.testing.assert_array_equal(spans(run.events), [[1.0, 2.0], [4.0, 7.0]])
     found = episodes(run, -0.5)
+    np.testing.assert_array_equal([found.start, found.end], [[1.0, 4.0], [2.0, 7.0]])
+    np.testing.assert_array_equal(found.first_block, [0, 2])
     assert len(found) == 2
     np.testing.assert_array_equal(found.size, [2, 2])
     np.testing.assert_allclose(found.moment, [0.5, 0.5])
     np.testing.assert_allclose(episodes(planted(0.5), 0.5).moment, [-0.5, -0.5])
     np.testing.assert_array_equal(found.duration, [1.0, 3.0])
     assert repr(found) == "Episodes(2 of up to 2 blocks)"
-
-
-def test_a_missing_sample_is_named():
-    run = planted()
-    few = Run(run.z, run.w, 10.0, run.events, "finished", "", run.stats, samples=run.samples.first(2))
-    with pytest.raises(ValueError, match="after the episode from 4 to 7, got none"):
-        episodes(few, -0.5)
 
 
 def test_a_run_without_stick_has_no_episodes():
@@ -107,9 +102,27 @@ def test_a_run_without_stick_has_no_episodes():
 def test_one_block_with_static_friction_has_an_episode_a_period():
     """It goes once round its circle of radius (d^2 + v^2)^(1/2), from z = 1 + d to 1 - d: 2 d, and the belt's way."""
     system, drop = System([[1.0]], 0.0, static=1.3), 0.3
-    first = simulate(system, 0.0, -0.2, 42.0)
-    found = episodes(simulate(system, 0.0, -0.2, 42.0, t_eval=spans(first.events).ravel()), -0.2)
+    found = episodes(simulate(system, 0.0, -0.2, 42.0), -0.2)
     slips = 2 * (np.pi - np.arctan(drop / 0.2))
     assert len(found) == 5
     np.testing.assert_allclose(found.duration, slips, rtol=1e-9)
     np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("engine", "settings"), [("coulomb", {}), ("sigmoid", {"eps": 1e-2})])
+def test_moments_are_those_of_the_states_at_both_ends(engine, settings):
+    seed = secrets.randbits(32)
+    print(f"seed = {seed}")
+    rng = np.random.default_rng(seed)
+    v = float(rng.choice([-0.05, 0.05]))
+    chain = draw_system("chain", 6, seed, kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=v)
+    start = rng.uniform(-0.2, 0.2, 6), v, 150.0
+    found = episodes(simulate(chain, *start, engine=engine, **settings), v)
+    ends = np.column_stack([found.start, found.end]).ravel()
+    again = simulate(chain, *start, engine=engine, **settings, t_eval=ends)
+    on_belt = (again.samples.z - v * ends[:, None]).sum(axis=1).reshape(-1, 2)
+    assert len(found) > 3
+    np.testing.assert_allclose(found.moment, -np.sign(v) * np.diff(on_belt)[:, 0], atol=1e-9)
+    before, after = again.events.mode_at(found.start[0] - 1e-9), again.events.mode_at(found.start[0])
+    assert not before.any()
+    assert after[found.first_block[0]] != 0

@@ -19,7 +19,13 @@ from tests.scenes import COULOMB, SIGMOID, ensemble
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "columns.md").read_text()
 LINES = {re.search(r"import (\w+)", block)[1]: block for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)}
 SOURCE = ensemble(
-    [6], 30.0, 3, COULOMB, SIGMOID, rest="[record]\nevents = true\nend = true", analysis="t_burn = 5.0\ndt = 0.5"
+    [6],
+    30.0,
+    3,
+    COULOMB,
+    SIGMOID,
+    rest="[record]\nevents = true\nepisodes = true\nend = true",
+    analysis="t_burn = 5.0\ndt = 0.5",
 )
 
 

@@ -1,0 +1,82 @@
+"""Episodes as a table of a dataset."""
+
+import numpy as np
+import pytest
+
+from stickslip import Dataset
+from stickslip.pipeline import QueryError, expand, parse_scene, query, run_ensemble, verify
+from stickslip.sim.episodes import episodes
+
+SOURCE = """\
+[system]
+coupling = "chain"
+n = 5
+kappa = 4.0
+leaf = 1.0
+rho = 0.2
+static = [1.0, 1.4]
+belt_speed = -0.05
+[start]
+z = {uniform = [-0.2, 0.2]}
+w = "belt"
+[run]
+t_end = 100.0
+matrices = 2
+seed = SEED
+[[engine]]
+name = "coulomb"
+[[engine]]
+name = "sigmoid"
+[record]
+episodes = true
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed = {seed}")
+    return parse_scene(SOURCE.replace("SEED", str(seed)).encode())
+
+
+def test_a_row_an_episode_of_every_member(scene, tmp_path):
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = Dataset(tmp_path / "out").episodes
+    assert list(table) == ["member_id", "start", "end", "size", "moment", "first_block"]
+    for member in expand(scene):
+        own = table[table.member_id == member.member_id]
+        found = episodes(member.simulate(), member.belt_speed)
+        for name in list(table)[1:]:
+            np.testing.assert_array_equal(own[name], getattr(found, name))
+        assert len(own) == 0 or member.static == 1.4  # without it all come to slip
+    assert {"coulomb", "sigmoid"} <= {name.split("-")[4] for name in table.member_id}
+    found = query.sql(tmp_path / "out", 'SELECT member_id, start, "end", size, moment, first_block FROM episodes')
+    assert found.equals(table)
+
+
+def test_stopped_and_resumed_is_as_never_stopped(scene, content, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def stop(progress):
+        if progress.n_done:
+            raise Stop
+
+    run_ensemble(scene, tmp_path / "whole", workers=0)
+    with pytest.raises(Stop):
+        run_ensemble(scene, tmp_path / "out", workers=0, on_progress=stop)
+    assert 0 < len(query.episodes(tmp_path / "out")) < len(query.episodes(tmp_path / "whole"))
+    run_ensemble(scene, tmp_path / "out", workers=2)
+    assert verify(tmp_path / "out") == []
+    assert content(tmp_path / "out") == content(tmp_path / "whole")
+
+
+def test_only_where_the_scene_asks(scene, tmp_path):
+    silent = scene.changed(record={"episodes": False}, run={"t_end": 2.0})
+    run_ensemble(silent, tmp_path / "out", workers=0)
+    for ask in (query.episodes, lambda path: query.sql(path, "SELECT * FROM episodes")):
+        with pytest.raises(QueryError, match="`episodes = true` under"):
+            ask(tmp_path / "out")
