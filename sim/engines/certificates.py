@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
+from stickslip.sim.engines.watch import NO_WATCH, Watch
 from stickslip.sim.system import System
 
 #: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
@@ -230,6 +231,8 @@ class Collapse:
         self._hidden = np.zeros(system.n) if hidden is None else hidden
         self._band, self._widest = band, max(band, widest)
         self._rests: dict[int, Floats | None] = {}
+        #: What kernels need to see for themselves that it is too early to ask.
+        self.watch = NO_WATCH
 
     def certify(self, z: Floats, w: Floats, slip: int) -> Certificate:
         """Whether it is certain of a state, shape (n,) each, in which all blocks slip in the direction +1 or -1."""
@@ -261,6 +264,8 @@ class Collapse:
         wanted = limit_of_flow if reach < limit else limit
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
+        if not reason and limit >= limit_of_flow:
+            self.watch = Watch(modes.inverse, modes.sizes[system.n :], rest, slip, limit, modes.growth)
         # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
         return Certificate(bool(reason), reason, None, 0.25 * float(np.log(reach / wanted)) / -modes.growth)
 

@@ -46,6 +46,7 @@ from stickslip.sim.engines.taylor import (
     expand,
     shift,
 )
+from stickslip.sim.engines.watch import too_far
 from stickslip.sim.run import Run
 from stickslip.sim.system import require_diagonal_damping
 
@@ -221,7 +222,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
 
 
 @kernel
-def _advance(law, goal, state, expansion, search, events, bound):  # type: ignore[no-untyped-def]
+def _advance(law, goal, state, expansion, search, events, bound, watch):  # type: ignore[no-untyped-def]
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
     A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
@@ -234,7 +235,9 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
     n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
     is_open, is_cut = False, False
     order, h, span, allowed = 0, 0.0, 0.0, 0.0
-    for _ in range(loop.STEPS_A_SLICE):
+    n_left = loop.STEPS_A_SLICE
+    while n_left > 0:
+        n_left -= 1
         if n_recorded + n > len(events.t):
             return loop.BUFFER_FULL, n_recorded
         t = clock[loop.TIME]
@@ -256,7 +259,14 @@ def _advance(law, goal, state, expansion, search, events, bound):  # type: ignor
             _sample(series, order, t, t, state)  # of a run that has no length
             return loop.DONE, n_recorded
         if same and mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
-            return loop.ALL_SLIP, n_recorded
+            later = too_far(watch, z, w, mode[0])
+            if later == 0.0:
+                return loop.ALL_SLIP, n_recorded
+            clock[loop.CHECK + (mode[0] > 0)] = t + later
+            if n_recorded > 0:
+                return loop.PAUSED, n_recorded
+            n_left, is_open = loop.STEPS_A_SLICE, False  # as a slice begins: it is the same who answered
+            continue
 
         step, block = _first_event(law, expansion, search, order, h)
         counters[loop.N_STEPS] += 1
@@ -316,11 +326,12 @@ def integrate(task: Task, tol: float) -> Run:
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
     expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
+    collapse = Collapse(system, max(tol * abs(v), _FOLLOWED))
     return loop.complete(
         task,
         state,
-        lambda events, bound: _advance(law, goal, state, expansion, search, events, bound),
-        Collapse(system, max(tol * abs(v), _FOLLOWED)),
+        lambda events, bound: _advance(law, goal, state, expansion, search, events, bound, collapse.watch),
+        collapse,
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,

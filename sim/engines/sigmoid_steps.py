@@ -78,6 +78,7 @@ from stickslip.sim.engines.panels import HEIGHT, ROUGH, SINGLE_HEIGHT, panels, p
 from stickslip.sim.engines.radau import LAST, NODES, PROJECT, STAGES, TO_POWERS
 from stickslip.sim.engines.roots import horner
 from stickslip.sim.engines.sigmoid import Sigmoid
+from stickslip.sim.engines.watch import too_far
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
 from stickslip.sim.theory.laws import hidden_term, turning_point
@@ -396,7 +397,7 @@ def _accept(table, n, flags, macro, next_h, ends, z, w, v):  # type: ignore[no-u
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    z, w, clock, counters, t_end, v, atol, boost, samples, events, bound,
+    z, w, clock, counters, t_end, v, atol, boost, samples, events, bound, watch,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     n = len(z)
@@ -404,7 +405,9 @@ def _advance(  # type: ignore[no-untyped-def]
     ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
     n_recorded = np.int64(0)
     grown = True
-    for _ in range(loop.STEPS_A_SLICE):
+    n_left = loop.STEPS_A_SLICE
+    while n_left > 0:
+        n_left -= 1
         t = clock[loop.TIME]
         remaining = t_end - t
         if remaining <= 0.0:  # a run of no length may want its samples
@@ -417,7 +420,13 @@ def _advance(  # type: ignore[no-untyped-def]
             for i in range(n):
                 same = same and mode[i] == mode[0]
             if same:
-                return loop.ALL_SLIP, n_recorded
+                later = too_far(watch, z, w, mode[0])
+                if later == 0.0:
+                    return loop.ALL_SLIP, n_recorded
+                clock[loop.CHECK + (mode[0] > 0)] = t + later
+                if n_recorded > 0:
+                    return loop.PAUSED, n_recorded
+                n_left, grown = loop.STEPS_A_SLICE, True  # as a slice begins: it is the same who answered
         macro = clock[_STEP]
         if macro >= 0.999 * remaining:
             macro = remaining
@@ -521,11 +530,13 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
         np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
         task.t_end, v, atol, boost, tuple(state.samples),
     )  # fmt: skip
+    allowed = engine.atol + engine.rtol * abs(v)
+    collapse = certificates.Collapse(system, allowed, band.max(), bands.max(), delta, hidden)
     return loop.complete(
         task,
         state,
-        lambda events, bound: _advance(*arguments, tuple(events), bound),
-        certificates.Collapse(system, engine.atol + engine.rtol * abs(v), band.max(), bands.max(), delta, hidden),
+        lambda events, bound: _advance(*arguments, tuple(events), bound, collapse.watch),
+        collapse,
         stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=PASSES * (n + n_pieces) * len(bands),
