@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import EventSeries, System, draw_system, simulate
+from stickslip.sim.engines import certificates
 from stickslip.sim.series import without_returns
 from tests import independent
 
@@ -237,6 +238,25 @@ def test_nothing_happens_after_a_certified_collapse(law):
         np.testing.assert_allclose(run.z, full.z, rtol=0, atol=1e-5)
         np.testing.assert_allclose(run.w, full.w, rtol=0, atol=1e-5)
     assert n_collapsed > 80
+
+
+@pytest.mark.parametrize("law", [{"engine": "coulomb", "tol": 1e-10}, {"engine": "sigmoid", "eps": 0.03}])
+def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(law, monkeypatch):
+    """Kernels do, with what the first look left them; Python would, where they know nothing."""
+    seed = int(np.random.default_rng().integers(2**31))
+    print("seed", seed)
+    systems = [draw_system("antisymmetric", n, seed=seed + n) for n in (1, 2, 5, 20, 20)]
+    asked, ask = [], certificates.Collapse.certify
+    monkeypatch.setattr(certificates.Collapse, "certify", lambda *state: asked.append(1) or ask(*state))
+    runs = [simulate(system, -0.7, -0.4, 200.0, **law) for system in systems]
+    n_asked = len(asked)
+    monkeypatch.setattr(certificates, "Watch", lambda *_: certificates.NO_WATCH)
+    for run, system in zip(runs, systems, strict=True):
+        other = simulate(system, -0.7, -0.4, 200.0, **law)
+        assert (run.outcome, run.t_collapse, run.stats) == (other.outcome, other.t_collapse, other.stats)
+        for one, same in ((run.z, other.z), (run.w, other.w), (run.events.t, other.events.t)):
+            np.testing.assert_array_equal(one, same)
+    assert 2 * n_asked < len(asked)
 
 
 # The series
