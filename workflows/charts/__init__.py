@@ -33,6 +33,7 @@ Say = Callable[[str], None]
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
 CHARTS = {
+    "one_block": "stickslip.workflows.field.one_block:OneBlockScene",
     "paper": "stickslip.workflows.paper.chart:PaperScene",
     "scaling": "stickslip.workflows.charts.scaling:ScalingScene",
     "speed_accuracy": "stickslip.workflows.charts.speed_accuracy:SpeedScene",
