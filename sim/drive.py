@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +48,10 @@ class Harmonic:
         differ = max(self.amplitude.ndim, self.frequency.ndim, self.phase.ndim)
         t = t.reshape(t.shape + (1,) * differ)
         return np.asarray(self.amplitude * np.cos(self.frequency * t + self.phase))
+
+    def scaled(self, factor: Floats) -> Harmonic:
+        """The same, times a factor a block."""
+        return Harmonic(self.amplitude * factor, self.frequency, self.phase)
 
     @property
     def is_constant(self) -> bool:
@@ -89,10 +94,25 @@ class Piecewise:
 
     def at(self, times: ArrayLike) -> Floats:
         """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""
-        t = np.asarray(times, dtype=np.float64)
-        values = self.values.reshape(len(self.times), -1)
-        columns = [np.interp(t, self.times, column) for column in values.T]
-        return np.asarray(columns[0] if self.values.ndim == 1 else np.stack(columns, axis=-1))
+        t = np.maximum(np.asarray(times, dtype=np.float64), self.times[0])
+        k = np.searchsorted(self.times, t, side="right") - 1
+        since = (t - self.times[k]).reshape(t.shape + (1,) * (self.values.ndim - 1))
+        return np.asarray(self.values[k] + self._slopes[k + 1] * since)
+
+    def slope_at(self, times: ArrayLike) -> Floats:
+        """Its derivative from given times on, in shape as `at`."""
+        return np.asarray(self._slopes[np.searchsorted(self.times, times, side="right")])
+
+    @cached_property
+    def _slopes(self) -> Floats:
+        """Before the first of its times, from each to the next, and after the last."""
+        lengths = np.diff(self.times).reshape((-1,) + (1,) * (self.values.ndim - 1))
+        none = np.zeros_like(self.values[:1])
+        return np.concatenate([none, np.diff(self.values, axis=0) / lengths, none])
+
+    def scaled(self, factor: Floats) -> Piecewise:
+        """The same, times a factor a block."""
+        return Piecewise(self.times, self.values * factor)
 
     @property
     def is_constant(self) -> bool:
@@ -117,11 +137,13 @@ def forces(force: Force, n: int) -> tuple[Term, ...]:
     """The terms of a force on n blocks, each by block: one constant first, if there is one, then what changes."""
     if force is None or (isinstance(force, list | tuple) and len(force) == 0):
         return ()
-    is_sum = isinstance(force, list | tuple) and any(isinstance(term, Harmonic | Piecewise) for term in force)
+    is_sum = isinstance(force, list | tuple) and any(
+        isinstance(term, Harmonic | Piecewise) or np.ndim(term) > 0 for term in force
+    )
     fixed, changing = np.zeros(n), list[Term]()
-    for given in force if is_sum else (force,):  # type: ignore[union-attr]
+    for given in cast("Iterable[ArrayLike | Term]", force) if is_sum else (force,):
         if not isinstance(given, Harmonic | Piecewise):
-            fixed += per_block("force", given, n)  # type: ignore[arg-type]
+            fixed += per_block("force", cast("ArrayLike", given), n)
             continue
         term = by_block("force", given, n)
         if term.is_constant:

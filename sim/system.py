@@ -197,6 +197,41 @@ class System:
         return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
 
     @cached_property
+    def fastest_belt(self) -> float:
+        """The largest |v| there is at any time."""
+        speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
+        return float(np.abs(speeds).max())
+
+    @cached_property
+    def most_force(self) -> Floats:
+        """Bounds |f_i| at all times, shape (n,)."""
+        bounds = (
+            np.abs(term.amplitude) if isinstance(term, Harmonic) else np.abs(term.values).max(axis=0)
+            for term in self.force
+        )
+        return np.asarray(sum(bounds, np.zeros(self.n)))
+
+    @cached_property
+    def of_unit_mass(self) -> System:
+        """The system that moves as this one does with every mass one: each block's equation divided by its mass."""
+        if not self.has_mass:
+            return self
+        share = 1.0 / self.mass
+        stiffness = self.stiffness
+        return self.changed(
+            stiffness=stiffness * share[:, np.newaxis]
+            if isinstance(stiffness, np.ndarray)
+            else scipy.sparse.diags_array(share) @ stiffness,
+            damping=self.damping * share
+            if self.cross_damping is None
+            else (self.cross_damping + np.diag(self.damping)) * share[:, np.newaxis],
+            friction=self.friction * share,
+            static=None if self.static is self.friction else self.static * share,
+            mass=1.0,
+            force=[term.scaled(share) for term in self.force],
+        )
+
+    @cached_property
     def columns(self) -> Columns:
         """K by columns, the form in which the kernels stream it."""
         if isinstance(self.stiffness, np.ndarray):
@@ -263,9 +298,14 @@ class System:
     def rates(self) -> Floats:
         """How fast blocks can change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of those each is tied to, shape (n,).
 
+        The frequency of a force on one of them counts if it is larger.
+
         Blocks are tied if K leads from one to the other, either way and over any number of blocks.
         """
         own = np.abs(self.damping) + np.sqrt(self.row_sums)
+        for term in self.force:
+            if isinstance(term, Harmonic):
+                own = np.maximum(own, np.abs(term.frequency) * (term.amplitude != 0.0))
         if isinstance(self.stiffness, np.ndarray) and self.stiffness.all():
             return np.full(self.n, own.max())
         from scipy.sparse.csgraph import connected_components  # as above

@@ -51,7 +51,8 @@ _NEVER = float("inf")
 
 def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
     """From where on of |z| or |w| to ask a run from this start for its escape; beyond which |w| it has diverged."""
-    start = max(1.0, abs(system.belt_speed), float(np.abs(z).max()), float(np.abs(w).max()))
+    start = max(1.0, system.fastest_belt, float(np.abs(z).max()), float(np.abs(w).max()))
+    start = max(start, float(system.most_force.max()))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
 
 
@@ -59,11 +60,12 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     """Why a run grows for ever from this state, under either law; empty if that is not certain.
 
     With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k,
-    the static friction:
+    the static friction, and a force from outside is one of at most f_k:
 
-        c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} mu_k lambda_k,    |lambda_k| <= 1,
+        c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} (mu_k + f_k) lambda_k,    |lambda_k| <= 1,
 
-    whatever sticks. So once |c_j| Re Lambda_j > sum_k |T^-1_{j, n+k}| mu_k for one j, |c_j| grows and keeps growing.
+    whatever sticks, and however belts move. So once |c_j| Re Lambda_j > sum_k |T^-1_{j, n+k}| (mu_k + f_k) for one j,
+    |c_j| grows and keeps growing.
     """
     if system.n > _EIGENVALUES_MAX:
         return ""
@@ -71,7 +73,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     if np.isinf(modes.inverse).any() or not system.back_slip:  # the bar to a slip ahead knows no bound
         return ""
     size = np.abs(modes.inverse @ np.concatenate((z, w)))
-    held = np.abs(modes.inverse[:, system.n :]) @ system.static
+    held = np.abs(modes.inverse[:, system.n :]) @ (system.static + system.most_force)
     rates = np.where(modes.eigenvalues.real > modes.rounding, modes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))

@@ -54,7 +54,7 @@ from stickslip.sim.engines.radau import (
 F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(28, 28 + 11 * STAGES, STAGES)
 N_ROWS = 28 + 11 * STAGES
 #: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
-STEP_H, SPEED, ATOL, RTOL, TO_TOLERANCE = range(5)
+STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 
 #: A block nearer to the belt's speed than so many times its peak may be about to leave stick. At the peak F, which
 #: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
@@ -231,10 +231,10 @@ def _view(rows: Rows, _: Numbers) -> None:
 
 def _predict(rows: Rows, numbers: Numbers) -> None:
     """Begin a macro step: its tolerance, and F and u at the nodes by the polynomials of the last."""
-    h, v = numbers[STAGES, STEP_H], numbers[STAGES, SPEED]
+    h = numbers[STAGES, STEP_H]
     atol, rtol = numbers[STAGES, ATOL], numbers[STAGES, RTOL]
     rows[H] = h
-    speed = greater(absolute(rows[U0] + v), rows[SPEED_BEFORE])
+    speed = greater(absolute(rows[U0] + rows[BELT]), rows[SPEED_BEFORE])
     tolerance = less(atol + rtol * speed, (atol + rtol * absolute(rows[Z0])) / h)
     rows[TOLERANCE] = tolerance * numbers[STAGES, TO_TOLERANCE]
     f, u, u0 = ([rows[KEPT_F + k] for k in range(STAGES)], [rows[KEPT_U + k] for k in range(STAGES)], rows[U0])

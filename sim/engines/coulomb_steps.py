@@ -36,6 +36,7 @@ from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Law, State
+from stickslip.sim.engines.outside import Drive
 from stickslip.sim.engines.roots import roots
 from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, push
 from stickslip.sim.engines.taylor import (
@@ -76,9 +77,10 @@ _EXPOSURE, _CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
 class _Goal(NamedTuple):
-    """How far to go, how closely, and the fastest rate there is."""
+    """How far to go, whether the run ends there, how closely, and the fastest rate there is."""
 
     t_end: float
+    is_last: bool
     tol: float
     rate: float
 
@@ -119,7 +121,7 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
     block = -1
     for i in range(n):
         if mode[i] != 0:
-            gap = mode[i] * (series[1, i] - v)
+            gap = mode[i] * (series[1, i] - v[i])
             if zeros[i] == 0 and min(gap, gap + mode[i] * 2.0 * series[2, i] * h) > reach[i]:
                 continue
             degree = order - 1 - zeros[i]
@@ -128,14 +130,14 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
                 j = k + zeros[i]
                 c = (j + 1) * series[j + 1, i]
                 if j == 0:
-                    c -= v
+                    c -= v[i]
                 poly[k] = mode[i] * c * power
                 power *= h
             if roots(poly, degree, found) > 0:
                 h *= found[0]
                 block = i
             continue
-        force = damping[i] * v + forces[0, i]
+        force = damping[i] * v[i] + forces[0, i]
         most = max(push(closed[i], force), push(closed[i], force + forces[1, i] * h))
         if side[i] == 0 and most + reach[i] < static[i]:
             continue
@@ -210,10 +212,10 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
     v, mode, touching = law.belt_speed, expansion.mode, expansion.touching
     count = 0
     for i in range(len(mode)):
-        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v) <= near[i]
+        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= near[i]
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            force = law.damping[i] * v + expansion.forces[0, i]
+            force = law.damping[i] * v[i] + expansion.forces[0, i]
             concerned = concerned or push(law.closed[i], force) >= law.static[i] - force_rounding(law, i, z_max)
         count += concerned
     if block >= 0:
@@ -242,10 +244,12 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
             return loop.BUFFER_FULL, n_recorded
         t = clock[loop.TIME]
         remaining = t_end - t
+        if remaining <= 0.0 and not goal.is_last:
+            return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         if not is_open:
             target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
             target = min(target, SPAN / rate) if rate > 0.0 else target
-            order, h, allowed, n_products = expand(law, expansion, z, w, target, remaining, goal.tol, rate)
+            order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
             counters[loop.N_PRODUCTS] += n_products
             span = h
             is_open, is_cut = True, len(law.far) > 0 and h < target
@@ -273,7 +277,7 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
         if block >= 0:
             counters[loop.LAST_BLOCK] = block
         for i in range(n):
-            near[i] = ROUNDING * (abs(series[1, i] - v) + abs(2.0 * series[2, i] * h) + search.reach[i])
+            near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next = t_end if step == remaining else min(t + step, t_end)
         _sample(series, order, t, t_next, state)
         left = h - step
@@ -285,7 +289,7 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
             copy(series[1], w)
             h = 0.0
             if _on_the_edge(law, expansion, near, largest(z), w, block, is_inside) == 1:
-                h = correct(law, expansion, block, order, span, left, allowed)
+                h = correct(law, expansion, block, order, span, left, allowed, rate)
                 touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same
             is_cut = is_cut or h < left
             is_open = h > _WORTH * clock[_EXPOSURE] / clock[_CUTS]
@@ -317,20 +321,31 @@ def integrate(task: Task, tol: float) -> Run:
     """Run a task to the tolerance `tol`; IntegrationError if events accumulate at one instant."""
     system, tol = task.system, min(tol, _LOOSEST)
     require_diagonal_damping(system, "engine='coulomb'")
-    law, v = Law.of(system), system.belt_speed
+    drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
+    law, v = Law.of(system, drive), drive.belt_speed
     _refuse_closed(system.closed * (task.w0 - v))
     near, far = system.slip_friction
-    rate = float(system.rates.max() + ((near - far) * law.steepness).max())  # bounds |eigenvalues|
-    goal = _Goal(task.t_end, tol, rate)
+    # bounds |eigenvalues|, and frequencies of forces
+    rate = float(system.rates.max() + ((near - far) * law.steepness).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
     expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
-    collapse = Collapse(system, max(tol * abs(v), _FOLLOWED))
+    collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
     return loop.complete(
         task,
         state,
-        lambda events, bound: _advance(law, goal, state, expansion, search, events, bound, collapse.watch),
+        drive,
+        lambda events, bound: _advance(
+            law,
+            _Goal(drive.t_end, drive.is_last, tol, rate),
+            state,
+            expansion,
+            search,
+            events,
+            bound,
+            collapse.watch,
+        ),
         collapse,
         stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",

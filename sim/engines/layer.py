@@ -10,6 +10,7 @@ import numpy as np
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.collocation import (
+    BELT,
     DAMPING,
     FORCE0,
     FRICTION,
@@ -210,7 +211,7 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
 
 @inner
 def note_stills(  # type: ignore[no-untyped-def]
-    table, n, flags, pieces, piece_block, n_pieces, v, span, mode, first, n_recorded, events, counters
+    table, n, flags, pieces, piece_block, n_pieces, span, mode, first, n_recorded, events, counters
 ):
     """Keep where the blocks are when all come to stick, or one leaves, among the events of a macro step from `first`.
 
@@ -238,12 +239,12 @@ def note_stills(  # type: ignore[no-untyped-def]
         is_last = place + 1 == len(order) or events[0][order[place + 1]] > t
         if is_last and (count == n) != (counters[loop.IS_STILL] == 1):
             where[loop.N_SAMPLED] = 0
-            sample(table, n, flags, pieces, piece_block, n_pieces, v, span, (np.full(1, t), z, w), where)
+            sample(table, n, flags, pieces, piece_block, n_pieces, span, (np.full(1, t), z, w), where)
             loop.note_still(count == n, t, z[0], events, counters)
 
 
 @inner
-def sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, counters):  # type: ignore[no-untyped-def]
+def sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counters):  # type: ignore[no-untyped-def]
     """Keep the state at all sample times of a macro step."""
     t, macro, t_next = span
     times, z_there, w_there = samples
@@ -259,7 +260,7 @@ def sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, cou
                 z += weights[k + 1] * table[Z + k, i]
                 u += weights[k + 1] * table[U + k, i]
             if not flags[i]:
-                z_there[m, i], w_there[m, i] = z, v + u
+                z_there[m, i], w_there[m, i] = z, table[BELT, i] + u
         for place in range(n_pieces):
             piece, i = pieces[place], piece_block[place]
             inside = (x - piece[PIECE_AT]) / piece[PIECE_H]
@@ -270,10 +271,10 @@ def sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, cou
             z, u = piece[PIECE_Z], weights[0] * piece[PIECE_U]
             for k in range(STAGES):
                 u += weights[k + 1] * piece[PIECE_U + 1 + k]
-                moved = NODES[k] * v
+                moved = NODES[k] * table[BELT, i]
                 for j in range(STAGES):
                     moved += WEIGHTS[k, j] * piece[PIECE_U + 1 + j]
                 z += weights[k + 1] * moved * piece[PIECE_H] * macro
-            z_there[m, i], w_there[m, i] = z, v + u
+            z_there[m, i], w_there[m, i] = z, table[BELT, i] + u
         m += 1
     counters[loop.N_SAMPLED] = m

@@ -16,6 +16,7 @@ from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.outside import Drive, Outside
 from stickslip.sim.engines.products import Pairs
 from stickslip.sim.run import IntegrationError, Outcome, Run, Stats, Stills
 from stickslip.sim.series import EventSeries, without_returns
@@ -48,10 +49,11 @@ class Law(NamedTuple):
     far: Floats  #: kinetic friction of a slip without bound, over that; empty if it does not fall with speed
     steepness: float
     is_exponential: bool  #: how it falls: exp(-x) or 1 / (1 + x), x = steepness |w - v|
-    belt_speed: float
+    belt_speed: Floats
+    outside: Outside
 
     @classmethod
-    def of(cls, system: System) -> Law:
+    def of(cls, system: System, drive: Drive) -> Law:
         near, far = system.slip_friction
         falls = system.weakening
         return cls(
@@ -65,7 +67,8 @@ class Law(NamedTuple):
             np.empty(0) if falls is None else np.divide(far, near, out=np.ones(system.n), where=near > 0),
             0.0 if falls is None else falls.steepness,
             isinstance(falls, Stribeck),
-            system.belt_speed,
+            drive.belt_speed,
+            drive.outside,
         )
 
 
@@ -113,7 +116,8 @@ class State(NamedTuple):
         """The state at the start of a task, in arrays of its own; `clocks` are the engine's."""
         clock = np.array([0.0] * N_CLOCKS + list(clocks))
         clock[TIME] = task.t_start
-        clock[CHECK : CHECK + 2] = -np.inf if task.stop_early else np.inf
+        may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
+        clock[CHECK : CHECK + 2] = -np.inf if may_collapse else np.inf
         samples = Room(task.samples.t, task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
@@ -133,6 +137,7 @@ def note_still(is_still, t, z, events, counters):  # type: ignore[no-untyped-def
 def complete(
     task: Task,
     state: State,
+    drive: Drive,
     advance: Callable[[Events, float], tuple[int, int]],
     collapse: certificates.Collapse,
     stalled: str,
@@ -140,6 +145,7 @@ def complete(
     initial_modes: NDArray[np.int8],
     thresholds: tuple[float, ...] = (),
     shortest: Floats | None = None,
+    go_on: Callable[[], None] = lambda: None,
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
 
@@ -148,6 +154,8 @@ def complete(
     task : Task
     state : State
         What `advance` works on.
+    drive : Drive
+        To whose `t_end` it goes on.
     advance : callable
         Runs a slice, writing events into the room that it is given, until the state passes a bound.
     collapse : Collapse
@@ -161,6 +169,8 @@ def complete(
         definition d carry block + d n.
     shortest : ndarray, shape (n,), optional
         How long a change of each block's mode must last to be an event: see `without_returns`.
+    go_on : callable
+        Prepares the engine for the next piece, `state` and `drive` being there already.
     """
     system, (z, w, mode, clock, counters, _) = task.system, state
     capacity = max(2 * events_a_step, 4096)
@@ -168,14 +178,20 @@ def complete(
     recorded: list[Events] = []
     bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
-    reason, t_collapse = "", None
+    reason, t_collapse, n_placed = "", None, 0
     while True:
         status, n_recorded = advance(events, bound)
         recorded.append(events.first(n_recorded, int(counters[N_STILLS])))
         counters[N_STILLS] = 0
+        drive.place_stills(recorded[-1].stills)
         t = float(clock[TIME])
         if status == DONE:
-            break
+            if drive.is_last:
+                break
+            n_placed = _to_user(drive, state, n_placed)
+            drive.go_on(z, w)
+            go_on()
+            counters[N_STALLED] = 0
         if status == ALL_SLIP:
             slip = int(mode[0])
             certificate = collapse.certify(z, w, slip)
@@ -187,23 +203,27 @@ def complete(
                 break
             clock[CHECK + (slip > 0)] = t + certificate.ask_again_after
         elif status == DIVERGED:
-            speed = float(np.abs(w).max())
-            size = max(float(np.abs(z).max()), speed)
-            is_past_doubt = task.stop_early and speed > diverged_beyond
+            z_there, w_there = drive.of_user(t, z, w)
+            speed = float(np.abs(w_there).max())
+            size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
+            is_past_doubt = task.stop_early and speed > diverged_beyond and not system.changes
             if not np.isfinite((size, speed)).all():
                 raise IntegrationError(
                     f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
                 )
-            if task.stop_early and (reason := certificates.escape(system, z, w)):
+            if task.stop_early and (reason := certificates.escape(system, z_there, w_there)):
                 outcome = "diverged"
                 break
             elif size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
-                outcome, reason = "diverged", certificates.divergence_reason(z, w, t, min(size, diverged_beyond))
+                outcome = "diverged"
+                reason = certificates.divergence_reason(z_there, w_there, t, min(size, diverged_beyond))
                 break
             else:
                 bound = 2.0 * size
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
+    z, w = drive.of_user(t, z, w)
+    _to_user(drive, state, n_placed)
     event_t, event_block, event_mode, stills = (np.concatenate(parts, -1) for parts in zip(*recorded, strict=True))
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
@@ -229,6 +249,16 @@ def complete(
         stills=Stills(*stills),
         by_threshold=dict(zip(thresholds, series[1:], strict=True)),
     )
+
+
+def _to_user(drive: Drive, state: State, first: int) -> int:
+    """Put the samples of the present piece, from this one on, into the user's frame; returns how many there are."""
+    samples, last = state.samples, int(state.counters[N_SAMPLED])
+    of_piece = slice(first, last)
+    samples.z[of_piece], samples.w[of_piece] = drive.of_user(
+        samples.t[of_piece], samples.z[of_piece], samples.w[of_piece]
+    )
+    return last
 
 
 def _follow(flow: certificates.Flow, t: float, task: Task, state: State) -> None:

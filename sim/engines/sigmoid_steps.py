@@ -74,6 +74,7 @@ from stickslip.sim.engines.layer import (
     sample,
     step_events,
 )
+from stickslip.sim.engines.outside import Drive, value_at
 from stickslip.sim.engines.panels import HEIGHT, ROUGH, SINGLE_HEIGHT, panels, products
 from stickslip.sim.engines.radau import LAST, NODES, PROJECT, STAGES, TO_POWERS
 from stickslip.sim.engines.roots import horner
@@ -292,7 +293,7 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _couple(table, n, matrices, flags, is_first, rough, work, law):  # type: ignore[no-untyped-def]
+def _couple(table, n, matrices, flags, is_first, rough, work, pushes, law):  # type: ignore[no-untyped-def]
     """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
     matrix, cross, with_cross = matrices
     product, single, single_product = work
@@ -323,6 +324,10 @@ def _couple(table, n, matrices, flags, is_first, rough, work, law):  # type: ign
         for k in range(STAGES):
             for i in range(n):
                 table[PRODUCT + k, i] += product[k, i]
+    if not changed:
+        for k in range(len(pushes)):
+            for i in range(n):
+                table[PRODUCT + k, i] -= pushes[k, i]
     for k in range(STAGES):
         for i in range(n):
             table[Z_BEFORE + k, i] = table[Z + k, i]
@@ -348,7 +353,7 @@ def _worst(table, n):  # type: ignore[no-untyped-def]
 @inner
 def _sweep(  # type: ignore[no-untyped-def]
     table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
-    work, numbers, law, counters,
+    work, pushes, law, counters,
 ):  # fmt: skip
     """Sweep over the blocks until F stays. Returns whether it does, the tail of F, `slow`, and how many pieces.
 
@@ -363,7 +368,7 @@ def _sweep(  # type: ignore[no-untyped-def]
         n_pieces = _apart(table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, law)
         if n_pieces < 0:
             break
-        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, law)
+        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, pushes, law)
         counters[loop.N_PRODUCTS] += STAGES * (2 if matrices[2] else 1)
         moved, tail = moved * boost, tail * boost
         if not tail < 100.0 * _TAIL:
@@ -377,17 +382,17 @@ def _sweep(  # type: ignore[no-untyped-def]
 
 
 @inner
-def _accept(table, n, flags, macro, next_h, ends, z, w, v):  # type: ignore[no-untyped-def]
+def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-untyped-def]
     """Go to the end of a macro step."""
     for i in range(n):
-        table[SPEED_BEFORE, i] = abs(table[U0, i] + v)
+        table[SPEED_BEFORE, i] = abs(table[U0, i] + table[BELT, i])
         table[FLAGGED, i] = 1.0 if flags[i] else 0.0
         if flags[i]:
             table[U0, i], table[Z0, i] = ends[0, i], ends[1, i]
         else:
             table[U0, i], table[Z0, i] = table[U + STAGES - 1, i], table[Z + STAGES - 1, i]
             next_h[i] = max(next_h[i], macro)
-        z[i], w[i] = table[Z0, i], table[U0, i] + v
+        z[i], w[i] = table[Z0, i], table[U0, i] + table[BELT, i]
     copy(table[F + STAGES - 1], table[FORCE0])
     for k in range(STAGES):
         copy(table[F + k], table[KEPT_F + k])
@@ -397,7 +402,7 @@ def _accept(table, n, flags, macro, next_h, ends, z, w, v):  # type: ignore[no-u
 @kernel
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    z, w, clock, counters, t_end, v, atol, boost, samples, events, bound, watch,
+    z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     n = len(z)
@@ -411,7 +416,7 @@ def _advance(  # type: ignore[no-untyped-def]
         t = clock[loop.TIME]
         remaining = t_end - t
         if remaining <= 0.0:  # a run of no length may want its samples
-            sample(table, n, flags, pieces, piece_block, np.int64(0), v, (t, 1.0, t), samples, counters)
+            sample(table, n, flags, pieces, piece_block, np.int64(0), (t, 1.0, t), samples, counters)
             return loop.DONE, n_recorded
         if n_recorded + PASSES * (n + len(piece_block)) * len(definitions[0]) > len(events[0]):
             return loop.BUFFER_FULL, n_recorded
@@ -427,19 +432,21 @@ def _advance(  # type: ignore[no-untyped-def]
                 if n_recorded > 0:
                     return loop.PAUSED, n_recorded
                 n_left, grown = loop.STEPS_A_SLICE, True  # as a slice begins: it is the same who answered
-        macro = clock[_STEP]
+        macro = min(clock[_STEP], longest)
         if macro >= 0.999 * remaining:
             macro = remaining
         elif macro > 0.5 * remaining:
             macro = 0.5 * remaining
         _begin(table, n, macro, clock[_KEPT], numbers)
+        for k in range(len(pushes)):
+            value_at(outside, t + NODES[k] * macro, pushes[k])
         copy(next_h, before)
         for i in range(n):
             flags[i] = False
         rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
         swept, tail, slow, n_pieces = _sweep(
             table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
-            piece_block, work, numbers, law, counters,
+            piece_block, work, pushes, law, counters,
         )  # fmt: skip
         if not swept or tail > _TAIL:
             counters[loop.N_REJECTED] += 1
@@ -462,11 +469,11 @@ def _advance(  # type: ignore[no-untyped-def]
             table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
         )
         note_stills(
-            table, n, flags, pieces, piece_block, n_pieces, v, span, mode_before, first_event, n_recorded, events,
+            table, n, flags, pieces, piece_block, n_pieces, span, mode_before, first_event, n_recorded, events,
             counters,
         )  # fmt: skip
-        sample(table, n, flags, pieces, piece_block, n_pieces, v, span, samples, counters)
-        _accept(table, n, flags, macro, next_h, ends, z, w, v)
+        sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counters)
+        _accept(table, n, flags, macro, next_h, ends, z, w)
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
         most = _GROW_FAST if tail < _FAR_BELOW * _TAIL else _GROW
         clock[loop.TIME], clock[_KEPT], clock[_SLOW] = t_next, macro, slow
@@ -488,7 +495,9 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     IntegrationError
         If the step shrinks to rounding.
     """
-    system, v, n = task.system, task.system.belt_speed, task.system.n
+    system, n = task.system, task.system.n
+    drive = Drive(system, task.t_start, task.t_end, 0)
+    v, pushes = drive.belt_speed, np.zeros((STAGES if drive.is_driven else 0, n))
     delta = Ratios.for_blocks("ratio", engine.ratio, n) * engine.eps
     is_manifold = engine.stick == "manifold"
     if is_manifold and not (delta < 1).all():
@@ -504,18 +513,15 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
 
     law, hidden, peak = _law(system)
     z, w, cross = task.z0.copy(), task.w0.copy(), system.cross_damping
-    drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
-    if cross is not None:
-        drag += cross.sum(axis=1) * v
-        pull += cross @ w
-    modes = _modes(system, w, pull, bands, by_force, peak * delta)
-    table = _table(system, z, w, delta, drag, pull)
+    drag, pull = _forces(system, drive, z, w)
+    modes = _modes(system, w - v, pull, bands, by_force, peak * delta)
+    table = _table(system, z, w, v, delta, drag, pull)
     table[HIDDEN, :n], table[PEAK, :n], table[STATIC, :n] = hidden, peak * delta, system.static
     table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     # how deep in the layer friction differs from kinetic by what counts
     table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * system.friction * (1.0 + 2.0 * hidden) / (boost * atol))
     numbers = np.zeros((STAGES + 1, STAGES))
-    numbers[STAGES] = 0.0, v, atol, rtol, boost
+    numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
     speed = max(float(np.abs(x).max()) for x in (w, system.damping * (w - v) + pull, system.friction))
     step = min(task.t_end - task.t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
     state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 0.0)
@@ -528,21 +534,53 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
         (np.zeros((STAGES, table.shape[1])), single[0], single[1]), (bands, by_force, modes),
         np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4),
         np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
-        task.t_end, v, atol, boost, tuple(state.samples),
+        tuple(state.samples),
     )  # fmt: skip
-    allowed = engine.atol + engine.rtol * abs(v)
+    allowed = engine.atol + engine.rtol * system.fastest_belt
     collapse = certificates.Collapse(system, allowed, band.max(), bands.max(), delta, hidden)
+    longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
+
+    def go_on() -> None:
+        """At the start of a piece: u and F are what they were, but that belts' speeds change by another rate."""
+        table[Z0, :n], table[BELT, :n] = z, v
+        table[DRAG, :n], table[FORCE0, :n] = _forces(system, drive, z, w)
+
     return loop.complete(
         task,
         state,
-        lambda events, bound: _advance(*arguments, tuple(events), bound, collapse.watch),
+        drive,
+        lambda events, bound: _advance(
+            *arguments,
+            drive.t_end,
+            longest,
+            drive.outside,
+            pushes,
+            atol,
+            boost,
+            tuple(events),
+            bound,
+            collapse.watch,
+        ),
         collapse,
         stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
         " or use engine='coulomb'",
         events_a_step=PASSES * (n + n_pieces) * len(bands),
         initial_modes=modes.copy(),
         thresholds=engine.thresholds,
+        go_on=go_on,
     )
+
+
+def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """What belts give F by damping, and F, at the start of a piece."""
+    v, cross = drive.belt_speed, system.cross_damping
+    drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
+    if cross is not None:
+        drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
+        pull += cross @ w
+    if drive.is_driven:
+        pull -= drive.value()
+    return drag, pull
 
 
 def _law(system: System) -> tuple[Plain | Peaked, Floats, Floats]:
@@ -568,10 +606,9 @@ def _law(system: System) -> tuple[Plain | Peaked, Floats, Floats]:
 
 
 def _modes(
-    system: System, w: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_], peak: Floats
+    system: System, u: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_], peak: Floats
 ) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
-    u = w - system.belt_speed
     held = np.abs(u) < bands
     is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.friction)
     held[by_force] &= (np.abs(pull) < system.static) & ~is_driven
@@ -579,13 +616,13 @@ def _modes(
     return np.where(held, 0, side).astype(np.int8)
 
 
-def _table(system: System, z: Floats, w: Floats, delta: Floats, drag: Floats, pull: Floats) -> Floats:
+def _table(system: System, z: Floats, w: Floats, v: Floats, delta: Floats, drag: Floats, pull: Floats) -> Floats:
     """What formulas read and write, at the start; columns that are no block have numbers that are harmless."""
-    n, v = system.n, system.belt_speed
+    n = system.n
     table = np.zeros((N_ROWS, -(-n // HEIGHT) * HEIGHT))
     for row in (STEEP, H, DONE, TOLERANCE):
         table[row] = 1.0
-    table[BELT] = v
+    table[BELT, :n] = v
     table[U0, :n], table[Z0, :n], table[SPEED_BEFORE, :n] = w - v, z, np.abs(w)
     table[DAMPING, :n], table[FRICTION, :n], table[STEEP, :n] = system.damping, system.friction, 1.0 / delta
     table[DRAG, :n], table[FORCE0, :n] = drag, pull

@@ -23,7 +23,10 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 @inner
 def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
     """What rounding may do to |F_i| - m_i, |z| being at most z_max."""
-    return ROUNDING * (abs(law.damping[i] * law.belt_speed) + law.row_sums[i] * z_max + law.static[i])
+    sum_of_sizes = abs(law.damping[i] * law.belt_speed[i]) + law.row_sums[i] * z_max + law.static[i]
+    if len(law.outside.poly) > 0:
+        sum_of_sizes += law.outside.noise[0, i]
+    return ROUNDING * sum_of_sizes
 
 
 @inner
@@ -44,7 +47,7 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
         side[i] = 0
         if touching[i] or mode[i] == 0:
             most = static[i]
-            force = damping[i] * v + forces[0, i]
+            force = damping[i] * v[i] + forces[0, i]
             slack = force_rounding(law, i, z_max)
             drive = push(closed[i], force)
             if leaves[i] != 0 or drive > most + slack:
@@ -75,7 +78,10 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * law.row_sums[i] * c_max:
+            known = law.row_sums[i] * c_max
+            if len(law.outside.poly) > 0:
+                known += law.outside.noise[k, i]
+            if abs(push) > ROUNDING * known:
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1

@@ -4,8 +4,9 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
 
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
-and a sticking one c_1 = v and no more. Where friction falls with the speed of slip p = sigma (w - v), mu is a series
-too, near (f + (1 - f) S), f = far / near; S_k follow from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
+and a sticking one c_1 = v and no more; of a force from outside each coefficient is taken off K c_k. Where friction
+falls with the speed of slip p = sigma (w - v), mu is a series too, near (f + (1 - f) S), f = far / near; S_k follow
+from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
 
     S = 1 / (1 + a p):   S_k = -a S_0 sum_{j=1..k} p_j S_{k-j}
     S = exp(-a p):       S_k = -(a / k) sum_{j=1..k} j p_j S_{k-j}
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.outside import begin, may_change, take_off
 from stickslip.sim.engines.panels import ROUGH
 from stickslip.sim.engines.products import two_products, two_rough_products
 from stickslip.sim.engines.sticking import force_rounding, push, settle, settle_by_order
@@ -51,7 +53,7 @@ class Expansion(NamedTuple):
     """The series of n blocks about the present instant, who sticks from then on, and room to work in."""
 
     series: Floats  #: c_k by rows
-    forces: Floats  #: K c_k
+    forces: Floats  #: K c_k, less the coefficients of forces from outside
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
     touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
@@ -84,7 +86,7 @@ def _fall(law, expansion, k):  # type: ignore[no-untyped-def]
     n = len(mode)
     if k == 0:
         for i in range(n):
-            x = law.steepness * mode[i] * (series[1, i] - law.belt_speed)
+            x = law.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
             shape[0, i] = math.exp(-x) if law.is_exponential else 1.0 / (1.0 + x)
         return
     shape[k] = 0.0
@@ -134,7 +136,7 @@ def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
 
 
 @inner
-def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+def expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
@@ -142,7 +144,7 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
     """
     n_products = 0
     while True:
-        order, h, allowed, n_more = _expand(law, expansion, z, w, target, remaining, tol, rate)
+        order, h, allowed, n_more = _expand(law, expansion, z, w, t, target, remaining, tol, rate)
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
@@ -150,7 +152,7 @@ def expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[
 
 
 @inner
-def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
     """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
     damping, friction, v = law.damping, law.friction, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
@@ -158,10 +160,16 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
     n = len(z)
     for i in range(n):
         if touching[i] or mode[i] == 0:
-            w[i] = v
+            w[i] = v[i]
     copy(z, series[0])
     copy(w, series[1])
     two_products(law.columns, law.pairs, series[:2], forces[:2])
+    outside, pushed, pushed_next = law.outside, 0.0, 0.0
+    is_driven = len(outside.poly) > 0
+    if is_driven:
+        begin(outside, t)
+        take_off(outside, t, 0, forces[0])
+        pushed_next = take_off(outside, t, 1, forces[1])
     w_max = largest(w)
     n_undecided = settle(law, largest(z), expansion)
     for i in range(n):
@@ -172,7 +180,9 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
         _resist(law, expansion, 0)
         target = min(target, _known_within(law, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
-    allowed = tol * max(w_max, abs(v), 2.0 * largest(series[2]) * target)
+    allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
+    if is_driven:
+        allowed = max(allowed, tol * target * may_change(outside, t, target))
 
     n_small = 0
     last = 0.0
@@ -185,6 +195,11 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
                 two_rough_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
             else:
                 two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
+            if is_driven:
+                pushed = take_off(outside, t, k, forces[k])
+                pushed_next = take_off(outside, t, k + 1, forces[k + 1])
+        else:
+            pushed = pushed_next
         if n_undecided > 0:
             n_decided, again = settle_by_order(law, k, largest(series[k]), expansion)
             if again:
@@ -202,6 +217,8 @@ def _expand(law, expansion, z, w, target, remaining, tol, rate):  # type: ignore
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
+        if pushed > 0.0:  # what a force leaves out counts where it moves a block, and where friction holds it
+            size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
         # the last term's share of w decides; two in a row, since one can vanish by chance
         if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
@@ -237,7 +254,7 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
-def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-untyped-def]
+def correct(law, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
     From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
@@ -254,8 +271,8 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
     i = block
     n = len(mode)
     mu, most = law.friction[i], law.static[i]
-    force = damping[i] * v + forces[0, i]
-    rate_error = row_sums[i] * allowed
+    force = damping[i] * v[i] + forces[0, i]
+    rate_error = row_sums[i] * allowed if len(law.outside.poly) == 0 else max(row_sums[i], rate * rate) * allowed
     doubt = _DOUBT * (rate_error * span + force_rounding(law, i, largest(series[0])))
     new = -1 if force > 0.0 else 1
     if mode[i] == 0:
@@ -275,7 +292,7 @@ def correct(law, expansion, block, order, span, h, allowed):  # type: ignore[no-
     own = column[i]
     column[i] = 0.0
     was_stuck = mode[i] == 0
-    series[1, i] = v
+    series[1, i] = v[i]
     for k in range(order - 1):
         c = 0.0
         if new != 0:

@@ -490,7 +490,7 @@ ONE = System([[1.0]], 0.1)
         ("friction", lambda: System([[1.0]], 0.1, -1.0)),
         ("friction", lambda: System([[1.0]], 0.1, [np.nan])),
         ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, np.nan)),
-        ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, [0.1])),
+        ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, [0.1, 0.2])),
         ("belt_speed", lambda: System([[1.0]], 0.1, 1.0, None)),
         ("system", lambda: simulate(np.eye(1), 0.0, 0.0, 1.0)),
         ("z0", lambda: simulate(ONE, [0.0, 0.0], 0.0, 1.0)),
