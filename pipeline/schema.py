@@ -231,7 +231,7 @@ def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
     columns = [pa.array([row.get(name) for row in rows], kind) for name, kind in kinds]
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
-    floats = ("t.list.element", "event_t.list.element", "separation.list.element")
+    floats: tuple[str, ...] = ("t.list.element", "event_t.list.element", "separation.list.element")
     floats += tuple(f"episode_{name}.list.element" for name in ("start", "end", "moment"))
     times = [leaf for leaf in leaves if leaf.endswith(floats)]
     pq.write_table(
