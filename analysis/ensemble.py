@@ -33,7 +33,10 @@ from stickslip.sim.engines.contract import Number, Numbers
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
-OPTIONAL = ("file", "parameters", "leaf", "degree", "damping", "friction", "static", "z0", "w0", "drawn")
+OPTIONAL = (
+    *("file", "parameters", "leaf", "degree", "damping", "friction", "static", "mass", "force_amplitude"),
+    *("force_frequency", "force_phase", "weakening_rate", "weakening_speed", "z0", "w0", "drawn"),
+)
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")

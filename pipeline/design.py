@@ -18,19 +18,23 @@ from stickslip import sim
 from stickslip.pipeline.ends import Ends, end_of
 from stickslip.pipeline.engine_table import EngineTable
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.quantity import BELT, END, FILE, Distribution, Named, Value, short, word
+from stickslip.pipeline.quantity import BELT, END, FILE, Course, Distribution, Named, Value, short, word
 from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
-from stickslip.pipeline.systems import SystemFile, SystemFunction, make, read
+from stickslip.pipeline.system_table import QUANTITIES
+from stickslip.pipeline.systems import OF_BLOCKS, SystemFile, SystemFunction, make, read
 from stickslip.sim.couplings import READINGS
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Ratios
+from stickslip.sim.weakening import Rational, Stribeck
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
-MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF, STATIC = range(10)
+MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = range(9)
+STATIC, MASS, BELT_SPEED, FORCE_AMPLITUDE, FORCE_FREQUENCY, FORCE_PHASE = range(9, 15)
 
-#: What a draw for each block is for, by the argument of `sim.System` that it gives.
-_ARGUMENTS = {"damping": DAMPING, "friction": FRICTION, "static": STATIC}
+#: What a draw for each block is for, by the argument of `sim.System`, or of a force, that it gives.
+_ARGUMENTS = dict(zip(OF_BLOCKS, (DAMPING, FRICTION, STATIC, MASS, BELT_SPEED), strict=True))
+_OF_FORCE = {"force_amplitude": FORCE_AMPLITUDE, "force_frequency": FORCE_FREQUENCY, "force_phase": FORCE_PHASE}
 
 #: What a file holds, by what a draw in its place would be for.
 _ARRAYS = {purpose: name for name, purpose in _ARGUMENTS.items()} | {START_Z: "z0", START_W: "w0"}
@@ -62,7 +66,14 @@ class Member:
     damping: Value | None
     friction: Value | None
     static: Value | None
-    belt_speed: float | None
+    mass: Value | None
+    belt_speed: Value | None
+    force_amplitude: Value | None
+    force_frequency: Value | None
+    force_phase: Value | None
+    weakening_rate: float | None
+    weakening_speed: float | None
+    back_slip: bool
     parameters: tuple[tuple[str, float], ...]
     matrix: int
     #: The file or the function of the user's that its system comes from, if one does.
@@ -97,13 +108,16 @@ class Member:
         leaf = {} if self.leaf is None else {"leaf": self._by_block(self.leaf, LEAF)}
         return {"kappa": self.kappa} | leaf | ({} if self.degree is None else {"degree": self.degree})
 
-    def _by_block(self, value: Value, purpose: int, *draw: int | None) -> float | np.ndarray:
+    def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
         """A number as it is; of a distribution its draw, of a file or another run's end its array, shape (n,)."""
         if value == BELT:
-            return self.system().belt_speed
+            system = self.system()
+            return system.belt_speed if system.has_one_belt else system.belt_speed_at(0.0)
         if value == END:
             assert self.start_from is not None
             return end_of(self.start_from, self)[purpose - START_Z]
+        if isinstance(value, Course):
+            return sim.Piecewise(value.times, value.values)
         if isinstance(value, Named):
             assert isinstance(self.origin, SystemFile)
             return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
@@ -117,10 +131,9 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        own = {key: getattr(self, key) for key in ("leaf", *_ARGUMENTS)} | {"z": self.z0, "w": self.w0}
-        return (
-            "; ".join(f"{key} = {one}" for key, one in own.items() if isinstance(one, Distribution | Named)) or None
-        )
+        own = {key: getattr(self, key) for key in ("leaf", *_ARGUMENTS, *_OF_FORCE)} | {"z": self.z0, "w": self.w0}
+        given = {key: one for key, one in own.items() if isinstance(one, Distribution | Course | Named)}
+        return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
 
     def system(self) -> sim.System:
         """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
@@ -203,11 +216,17 @@ def _own_system(values: tuple[Any, ...]) -> sim.System:
     seed = member._seed(MATRIX)
     given: dict[str, Any] = {
         name: member._by_block(value, purpose)
-        for name, purpose in _ARGUMENTS.items()
+        for name, purpose in (_ARGUMENTS | _OF_FORCE).items()
         if (value := getattr(member, name)) is not None
     }
-    if member.belt_speed is not None:
-        given["belt_speed"] = member.belt_speed
+    if member.force_amplitude is not None:
+        given["force"] = sim.Harmonic(*(given.pop(name) for name in _OF_FORCE))
+    if member.weakening_rate is not None:
+        given["weakening"] = Rational(member.weakening_rate)
+    if member.weakening_speed is not None:
+        given["weakening"] = Stribeck(member.weakening_speed)
+    if not member.back_slip:
+        given["back_slip"] = False
     if isinstance(member.origin, SystemFunction):
         made = make(member.origin, member.n, np.random.default_rng(seed), dict(member.parameters))
         return made.changed(**given)
@@ -278,16 +297,18 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
             continue
         of_system = place.at | of_file
         z0, w0, seed = of_system.pop("z"), of_system.pop("w"), of_system.pop("seed")
-        if w0 == BELT and of_system["belt_speed"] is not None:
+        if w0 == BELT and isinstance(of_system["belt_speed"], float):
             w0 = of_system["belt_speed"]
         start_from = scene.ends if END in (z0, w0) else None
         parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
+        of_system = dict.fromkeys(QUANTITIES) | of_system
         for draw, of_engine in words[engine].items():
             member = partial(
                 Member,
                 n=n,
                 coupling=scene.system.coupling,
                 **of_system,
+                back_slip=scene.system.back_slip,
                 parameters=parameters,
                 origin=origin,
                 perturbation_reading=change.reading,

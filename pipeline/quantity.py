@@ -49,6 +49,27 @@ class Distribution:
 
 
 @dataclass(frozen=True, slots=True)
+class Course:
+    """A number that changes in time: linear between values at given times, constant before and after."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    @property
+    def size(self) -> float:
+        """The largest number without its sign."""
+        return max(map(abs, self.values))
+
+    @property
+    def word(self) -> str:
+        """What would stand in a member's name; a course is not swept."""
+        return "course"
+
+    def __str__(self) -> str:
+        return " to ".join(f"{short(x)} at {short(t)}" for t, x in zip(self.times, self.values, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
 class Named:
     """A number for each block that a word stands for."""
 
@@ -64,7 +85,7 @@ FILE, BELT, END = Named("file"), Named("belt"), Named("end")
 
 
 #: What one run has.
-Value: TypeAlias = float | int | Distribution | Named
+Value: TypeAlias = float | int | Distribution | Course | Named
 
 #: What a key holds: a tuple is a list of the file, of which each value is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -102,6 +123,8 @@ def as_written(quantity: Quantity) -> Any:
         return [as_written(value) for value in quantity]
     if isinstance(quantity, Named):
         return str(quantity)
+    if isinstance(quantity, Course):
+        return {"times": list(quantity.times), "values": list(quantity.values)}
     return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
 
 
@@ -110,11 +133,16 @@ def as_written(quantity: Quantity) -> Any:
 
 @dataclass(frozen=True)
 class _Key:
-    """What pydantic is told of a quantity: its least value, and the laws that it may be drawn from."""
+    """What pydantic is told of a quantity: its least value, and the laws that it may be drawn from.
+
+    `above`: the least value is none itself; `in_time`: it may be a `Course`.
+    """
 
     laws: tuple[str, ...] = ()
     least: int | None = None
     words: tuple[Named, ...] = ()
+    above: bool = False
+    in_time: bool = False
 
     def read(self, given: object) -> Quantity:
         """A quantity from what the file holds."""
@@ -129,7 +157,7 @@ class _Key:
         return found
 
     def _value(self, given: object, whole: object) -> Value:
-        if isinstance(given, Distribution | Named):
+        if isinstance(given, Distribution | Course | Named):
             given = as_written(given)
         for one in self.words:
             if given == one.word and given is whole:
@@ -137,6 +165,10 @@ class _Key:
         number = _number(given)
         if number is not None and self._bears(number):
             return number
+        if self.in_time and isinstance(given, dict) and given.keys() & {"times", "values"}:
+            if given is not whole:
+                raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
+            return _course(given)
         if isinstance(given, dict) and self.laws:
             return self._distribution(given)
         within = f" in {shown(whole)}" if given is not whole else ""
@@ -162,7 +194,7 @@ class _Key:
             raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers, got {shown(numbers)}")
         first, second = pair
         if law == "uniform" and not (self._bears(first) and first < second):
-            least = "" if self.least is None else f"{self.least} <= "
+            least = "" if self.least is None else f"{self.least} {'<' if self.above else '<='} "
             raise ValueError(f"expected uniform = [low, high] with {least}low < high, got {numbers!r}")
         if law == "normal" and not second > 0:
             raise ValueError(
@@ -173,12 +205,13 @@ class _Key:
         return Distribution(law, first, second)
 
     def _bears(self, number: float) -> bool:
-        return self.least is None or number >= self.least
+        return self.least is None or number > self.least or (number == self.least and not self.above)
 
     @property
     def _expected(self) -> str:
-        number = "a finite number" + ("" if self.least is None else f" >= {self.least}")
-        return f"{number}, a list of such or a distribution" if self.laws else f"{number} or a list of such"
+        number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
+        course = ", or times and values" if self.in_time else ""
+        return f"{number}, a list of such or a distribution{course}" if self.laws else f"{number} or a list of such"
 
     @property
     def _write(self) -> str:
@@ -192,7 +225,8 @@ class _Key:
     def __get_pydantic_json_schema__(
         self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {"minimum": self.least})
+        bound = "exclusiveMinimum" if self.above else "minimum"
+        one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
         pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
         drawn = [
             {"type": "object", "properties": {law: pair}, "required": [law], "additionalProperties": False}
@@ -200,7 +234,22 @@ class _Key:
         ]
         items = {"anyOf": [one, *drawn]} if drawn else one
         named = [{"const": one.word} for one in self.words]
-        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *named]}
+        row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+        course = {"type": "object", "properties": {"times": row, "values": row}, "required": ["times", "values"]}
+        timed = [course | {"additionalProperties": False}] if self.in_time else []
+        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *timed, *named]}
+
+
+def _course(given: dict[str, Any]) -> Course:
+    rows = [row if isinstance(row, list | tuple) else [] for row in (given.get("times"), given.get("values"))]
+    times, found = (tuple(one for one in map(_number, row) if one is not None) for row in rows)
+    whole = len(given) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(found) > 0
+    if not whole or any(later <= earlier for earlier, later in itertools.pairwise(times)):
+        raise ValueError(
+            f"expected times that increase and as many values, finite numbers, got {shown(given)}; write e.g."
+            " {times = [0.0, 100.0], values = [-0.1, -0.2]}"
+        )
+    return Course(times, found)
 
 
 def _number(given: object) -> float | None:
@@ -222,7 +271,11 @@ def _number_in(text: str) -> bool:
 
 AnyNumber = Annotated[Quantity, _Key()]
 Scale = Annotated[Quantity, _Key(least=0)]
+AboveZero = Annotated[Quantity, _Key(least=0, above=True)]
+BlockNumber = Annotated[Quantity, _Key(tuple(LAWS))]
 BlockScale = Annotated[Quantity, _Key(("uniform",), least=0)]
+BlockMass = Annotated[Quantity, _Key(("uniform",), least=0, above=True)]
+BeltSpeed = Annotated[Quantity, _Key(tuple(LAWS), in_time=True)]
 Displacement = Annotated[Quantity, _Key(tuple(LAWS), words=(FILE, END))]
 Velocity = Annotated[Quantity, _Key(tuple(LAWS), words=(FILE, BELT, END))]
 

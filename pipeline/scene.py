@@ -77,6 +77,9 @@ MINUTES = "what it took on two cores with its report, in minutes: `stickslip sce
 #: Keys without influence on the data.
 _WORDS = {"title", "about", "minutes", "analysis"}
 
+#: Keys that are younger than some datasets: at their defaults, a scene is the same as without.
+_YOUNGER = (("record", "end", False), ("record", "episodes", False), ("system", "back_slip", True))
+
 
 class Scene(StrictTable):
     """A scene: everything that determines an ensemble's data, and what to make of them."""
@@ -159,6 +162,10 @@ class Scene(StrictTable):
             "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None or in_files,
             "static": self.system.static is not None,
+            "mass": self.system.mass is not None,
+            "belts": any(not isinstance(one, float) for one in values(self.system.belt_speed)) or in_files,
+            "force": self.system.force is not None,
+            "weakening": self.system.weakening is not None,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
             "end": self.record.end,
             "growth_rate": self.record.growth_rate,
@@ -229,10 +236,7 @@ class Scene(StrictTable):
     @property
     def quantities(self) -> dict[str, Quantity | None]:
         """The keys that may hold lists and distributions: those of [system], its parameters, those of [start]."""
-        one, other = self.system, self.start
-        keys = ("kappa", "leaf", "degree", "rho", "damping", "friction", "static", "belt_speed")
-        own = {name: getattr(one, name) for name in keys}
-        return own | (one.parameters or {}) | {"z": other.z, "w": other.w}
+        return self.system.quantities | {"z": self.start.z, "w": self.start.w}
 
     @property
     def axes(self) -> tuple[Axis, ...]:
@@ -369,17 +373,17 @@ class Scene(StrictTable):
             del keys["system"]["path"]
         if self.system.module is not None:
             keys["system"]["module"] = self.system.module.sha256
-        for name in ("end", "episodes"):  # younger than some datasets: theirs stay the same scene
-            if not keys["record"][name]:
-                del keys["record"][name]
+        for table, name, default in _YOUNGER:
+            if keys[table][name] is default:
+                del keys[table][name]
         if self.start.ends is not None:
             keys["start"]["ends"] = self.start.ends.sha256
             del keys["start"]["dataset"]
         for axis in self.axes:  # the order in the file means nothing
             for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
-                table = keys["start" if key in ("z", "w") else "run" if key == "seed" else "system"]
-                table = table["parameters"] if key in (self.system.parameters or ()) else table
-                table[key] = as_written(column)
+                where = "start" if key in ("z", "w") else "run" if key == "seed" else "system"
+                table, name = self.system.place_of(key, keys[where]) if where == "system" else (keys[where], key)
+                table[name] = as_written(column)
         return keys
 
     @property

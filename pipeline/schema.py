@@ -53,6 +53,17 @@ RECORDED = {
     ],
     "damping": [_column("damping", pa.float64(), "damping R of every block; null if drawn")],
     "static": [_column("static", pa.float64(), "static friction of every block; null if drawn")],
+    "mass": [_column("mass", pa.float64(), "mass of every block; null if drawn")],
+    "belts": [],  # speeds that differ, or change in time: null in their column
+    "force": [
+        _column("force_amplitude", pa.float64(), "amplitude of the force on every block; null if drawn"),
+        _column("force_frequency", pa.float64(), "frequency of the force, in radians a unit of time; null if drawn"),
+        _column("force_phase", pa.float64(), "phase of the force at t = 0; null if drawn"),
+    ],
+    "weakening": [
+        _column("weakening_rate", pa.float64(), "rate at which friction falls with slip; null if not rational"),
+        _column("weakening_speed", pa.float64(), "speed of slip over which it falls; null if not Stribeck's"),
+    ],
     "drawn": [
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
         _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
@@ -106,6 +117,10 @@ ASKED_BY = {
     "graph": '`coupling = "chain"`, or another graph, under [system]',
     "damping": "`damping` under [system], or in its file",
     "static": "`static` under [system]",
+    "mass": "`mass` under [system]",
+    "belts": "a distribution, or times and values, of `belt_speed` under [system], or arrays of a file",
+    "force": "`force` under [system]",
+    "weakening": "`weakening` under [system]",
     "drawn": "a distribution in [system] or [start], or arrays of a file",
     "end": "`end = true` under [record]",
     "growth_rate": "`growth_rate = true` under [record]",
@@ -119,6 +134,7 @@ ASKED_BY = {
 _MAY_BE_NULL = {
     "damping": {"rho", "friction", "z0", "w0"},
     "drawn": {"rho", "friction", "z0", "w0"},
+    "belts": {"belt_speed", "w0"},
     "function": {"kappa", "rho", "friction", "belt_speed", "w0"},
 }
 

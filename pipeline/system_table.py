@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
-from stickslip.pipeline.quantity import AnyNumber, BlockScale, Scale, size
+from stickslip.pipeline.quantity import (
+    AboveZero,
+    AnyNumber,
+    BeltSpeed,
+    BlockMass,
+    BlockNumber,
+    BlockScale,
+    Quantity,
+    Scale,
+    size,
+)
+from stickslip.pipeline.systems import OF_BLOCKS
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable
 from stickslip.sim.arguments import did_you_mean
 from stickslip.sim.couplings import COUPLINGS
@@ -55,6 +66,44 @@ class FileTable(StrictTable):
     arrays: Annotated[tuple[str, ...], List]
 
 
+class ForceTable(StrictTable):
+    """[system.force]: a force from outside, amplitude cos(frequency t + phase), on every block."""
+
+    amplitude: BlockNumber = Field(description="amplitude of the force on every block", examples=[0.5])
+    frequency: BlockScale = Field(
+        description="frequency of the force, in radians a unit of time; 0: constant", examples=[1.0]
+    )
+    phase: BlockNumber = Field(default=0.0, description="phase of the force at t = 0", examples=[0.0])
+
+
+class WeakeningTable(StrictTable):
+    """[system.weakening]: how kinetic friction falls with the speed of slip; see `stickslip.sim.weakening`."""
+
+    law: Literal["rational", "stribeck"] = Field(
+        description="friction / (1 + rate |w - v|), or friction + (static - friction) exp(-|w - v| / speed)",
+        examples=["rational"],
+    )
+    rate: AboveZero | None = Field(default=None, description="rate of the law `rational`", examples=[3.0])
+    speed: AboveZero | None = Field(default=None, description="speed of the law `stribeck`", examples=[0.5])
+
+    @model_validator(mode="after")
+    def _its_own_number(self) -> Self:
+        own, other = ("rate", "speed") if self.law == "rational" else ("speed", "rate")
+        if getattr(self, own) is None or getattr(self, other) is not None:
+            raise ValueError(f'{own}: expected with law = "{self.law}", and no `{other}`; write e.g. `{own} = 3.0`')
+        return self
+
+
+#: The keys that may hold lists and distributions, by the table in [system] that they stand in; "" for itself.
+_KEYS = {
+    "": ("kappa", "leaf", "degree", "rho", "damping", "friction", "static", "mass", "belt_speed"),
+    "force": ("amplitude", "frequency", "phase"),
+    "weakening": ("rate", "speed"),
+}
+#: Their names in a grid, in ids and columns: those of inner tables as `force_amplitude`.
+QUANTITIES = {f"{table}_{key}" if table else key: (table, key) for table, keys in _KEYS.items() for key in keys}
+
+
 class SystemTable(StrictTable):
     """[system]: what the systems are drawn from."""
 
@@ -87,7 +136,19 @@ class SystemTable(StrictTable):
         description="static friction of every block, at least the kinetic; the kinetic if left out",
         examples=[1.3],
     )
-    belt_speed: AnyNumber = Field(default=-0.2, description="speed v of the belt", examples=[-0.2])
+    mass: BlockMass | None = Field(default=None, description="mass of every block; 1 if left out", examples=[2.0])
+    belt_speed: BeltSpeed = Field(
+        default=-0.2,
+        description="speed v of the belt, linear between times and constant beyond if it has any",
+        examples=[-0.2],
+    )
+    force: ForceTable | None = None
+    weakening: WeakeningTable | None = None
+    back_slip: bool = Field(
+        default=True,
+        description="whether blocks may slip either way; if not, none gets ahead of its belt",
+        examples=[False],
+    )
     parameters: dict[str, AnyNumber] | None = Field(
         default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
     )
@@ -97,6 +158,18 @@ class SystemTable(StrictTable):
     files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
         default=None, description="what the files were when the scene was read: written by stickslip"
     )
+
+    @property
+    def quantities(self) -> dict[str, Quantity | None]:
+        """What may be a list or a distribution: by the names in `QUANTITIES`, and parameters by their own."""
+        given = self.parameters or {}
+        own = {name: place for name, place in QUANTITIES.items() if name not in given}
+        return {name: getattr(getattr(self, t) if t else self, key, None) for name, (t, key) in own.items()} | given
+
+    def place_of(self, name: str, tables: dict[str, Any]) -> tuple[dict[str, Any], str]:
+        """The table that holds one of the quantities, within a dump of this one, and its key there."""
+        table, key = ("parameters", name) if name in (self.parameters or ()) else QUANTITIES[name]
+        return tables[table] if table else tables, key
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -142,7 +215,8 @@ class SystemTable(StrictTable):
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
             given = {key for key in self.model_fields_set if getattr(self, key) is not None}
-            for array, keys in (("friction", {"friction"}), ("static", {"static"}), ("damping", {"damping", "rho"})):
+            for array in OF_BLOCKS:
+                keys = {array, "rho"} if array == "damping" else {array}
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")

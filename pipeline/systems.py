@@ -23,8 +23,9 @@ from stickslip.pipeline.errors import SceneError
 from stickslip.sim.arguments import did_you_mean, per_block
 from stickslip.sim.system import System
 
-#: What a file may hold beside `stiffness`, one number a block each.
-BY_BLOCK = ("damping", "friction", "static", "z0", "w0")
+#: Arguments of `System` that are a number a block; and what a file may hold beside `stiffness`.
+OF_BLOCKS = ("damping", "friction", "static", "mass", "belt_speed")
+BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
 #: What NumPy's files begin with: an .npz is a zip file.
 _MAGIC = (b"PK", b"\x93NUMPY")
@@ -168,8 +169,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
     """What a scene says of a file once it is read, as plain values."""
     arrays = _arrays(name, content)
     try:
-        given = {key: arrays[key] for key in ("friction", "static") if key in arrays}
-        system = System(arrays["stiffness"], arrays.get("damping", 0.0), **given)
+        system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
         for key in ("z0", "w0"):
             per_block(key, arrays.get(key, 0.0), system.n)
     except (TypeError, ValueError) as error:

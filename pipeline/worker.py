@@ -21,7 +21,7 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
-from stickslip.pipeline.quantity import Distribution, Named
+from stickslip.pipeline.quantity import Course, Distribution, Named
 from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
@@ -123,7 +123,7 @@ def failed_row(member: Member, reason: str) -> dict[str, Any]:
 def _parameters(member: Member) -> dict[str, Any]:
     own = zip(_PARAMETERS, _of_member(member), strict=True)
     settings = {name: value for name, value in member.settings if name in _SETTINGS}
-    found = {name: None if isinstance(one, (Distribution, Named)) else one for name, one in own}
+    found = {name: None if isinstance(one, (Distribution, Course, Named)) else one for name, one in own}
     return found | settings | dict(member.parameters)
 
 
@@ -136,7 +136,7 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
     if "growth_rate" in recording.parts:
         found["growth_rate"] = _growth_rate(member.of_system)
     if "end" in recording.parts:
-        found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, member.system().belt_speed)}
+        found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, member.system())}
     if "events" in recording.parts:
         found |= _events(run.events)
     if "episodes" in recording.parts:
@@ -182,11 +182,11 @@ def _events(series: sim.EventSeries) -> dict[str, Any]:
     }
 
 
-def _modes(run: sim.Run, belt_speed: float) -> np.ndarray:
+def _modes(run: sim.Run, system: sim.System) -> np.ndarray:
     """The mode of each block at the end; one that slips after a collapse may have turned round unseen."""
     mode = run.events.initial_mode.copy()
     mode[run.events.block] = run.events.mode  # of several of one block the last one stays
-    return np.where(mode == 0, 0, np.where(run.w > belt_speed, 1, -1)).astype(np.int8)
+    return np.where(mode == 0, 0, np.where(run.w > system.belt_speed_at(run.t_end), 1, -1)).astype(np.int8)
 
 
 def _measured(run: sim.Run) -> dict[str, Any]:
@@ -264,7 +264,7 @@ def load_kernels(members: Iterable[Member]) -> None:
                 tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
                 if member.origin is not None:
                     tiny = replace(tiny, origin=None, coupling="chain", kappa=0.1, leaf=0.1, belt_speed=-0.2)
-                    tiny = replace(tiny, damping=1.0, friction=1.0)
+                    tiny = replace(tiny, damping=1.0, friction=1.0, static=None, mass=None)
                     tiny = replace(tiny, z0=0.0, w0=0.0)
                 row(tiny, Recording("", (), None))
             _loaded.add(engine)

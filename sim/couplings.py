@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike
 
 from stickslip.sim.arguments import Floats, did_you_mean, integer, per_block
-from stickslip.sim.drive import Force, Piecewise
 from stickslip.sim.graphs import GRAPHS, spring_matrix
 from stickslip.sim.system import System
 
@@ -126,11 +125,7 @@ def draw_system(
     degree: float = 4.0,
     rho: float | None = 3.5,
     damping: ArrayLike | None = None,
-    friction: ArrayLike = 1.0,
-    belt_speed: ArrayLike | Piecewise = -0.2,
-    static: ArrayLike | None = None,
-    mass: ArrayLike = 1.0,
-    force: Force = None,
+    **arguments: Any,
 ) -> System:
     """Draw K and R from a named ensemble (section 4 of the paper), or by a named graph (dimensionless).
 
@@ -149,8 +144,8 @@ def draw_system(
         network, at most n - 1.
     damping
         R itself, as in `System`, in the place of what rho gives; K is the same as without.
-    friction, belt_speed, static, mass, force
-        As in `System`.
+    **arguments
+        ``friction``, ``belt_speed`` and whatever else `System` takes.
 
     Raises
     ------
@@ -172,8 +167,7 @@ def draw_system(
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
         stiffness = kind.rule(u)
-    resistance = drawn if damping is None else damping
-    return System(stiffness, resistance, friction, belt_speed, static, mass=mass, force=force)
+    return System(stiffness, drawn if damping is None else damping, **arguments)
 
 
 def perturb_system(

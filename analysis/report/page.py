@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, START, Data, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, Data, Study
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
@@ -30,7 +30,7 @@ _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys(("leaf", "degree", "damping", "friction", "static", "z0", "w0"), F), "drawn": S,
+    **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters", "drawn")), F), "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
 }  # fmt: skip
 

@@ -13,6 +13,8 @@ import scipy.sparse
 
 from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.cluster import check_memory
+from stickslip.pipeline.toml import written
+from stickslip.sim.weakening import Rational
 from stickslip.workflows.reporting import study_of
 from tests.scenes import COULOMB, ENDING, ensemble
 
@@ -251,6 +253,53 @@ def test_static_friction_is_swept_and_drawn(seed, tmp_path):
     assert (table.drawn.str.contains("static = uniform(1.3, 1.5)", regex=False) == table.static.isna()).all()
 
 
+ON_BELT = ("w = [-0.4, {normal = [0.0, 0.1]}]", 'w = "belt"')
+DRIVEN = """\
+static = 1.5
+mass = [1.0, {uniform = [0.8, 1.2]}]
+belt_speed = {normal = [-0.1, 0.01]}
+force = {amplitude = [0.5, 1.0], frequency = {uniform = [0.9, 1.1]}}
+weakening = {law = "rational", rate = [2.0, 3.0]}
+back_slip = false
+"""
+
+
+def test_what_drives_the_blocks_is_swept_and_drawn(seed):
+    text = DRAWN.replace("SEED", f'{seed}\nzip = [["force_amplitude", "weakening_rate"]]')
+    scene = scene_of(text, ("friction = [1.0, {uniform = [0.8, 1.2]}]", DRIVEN), ON_BELT)
+    assert scene.extent == "2 mass x 2 force_amplitude with weakening_rate x 3 draws of the start"
+    members = expand(scene)
+    assert len({member.member_id for member in members}) == len(members) == scene.n_members == 2 * 2 * 2 * 3
+    for member in members:
+        system, key = member.system(), (3, member.matrix)
+        masses = 1.0 if member.mass == 1.0 else drawn(10, seed, *key).uniform(0.8, 1.2, 3)
+        assert np.array_equal(system.mass, np.broadcast_to(masses, 3))
+        assert np.array_equal(system.belt_speed, drawn(11, seed, *key).normal(-0.1, 0.01, 3))
+        assert np.array_equal(member.start()[1], system.belt_speed)
+        (force,) = system.force
+        assert (force.amplitude == member.force_amplitude).all()
+        assert np.array_equal(force.frequency, drawn(13, seed, *key).uniform(0.9, 1.1, 3))
+        assert system.weakening == Rational({0.5: 2.0, 1.0: 3.0}[member.force_amplitude])
+        assert not system.back_slip
+    assert load_again(scene).hash == scene.hash
+    assert scene.changed(system={"back_slip": True}).hash != scene.hash
+
+
+def load_again(scene):
+    return parse_scene(written(scene.model_dump(mode="json", by_alias=True, exclude_none=True)).encode())
+
+
+def test_a_belt_may_change_its_speed(seed):
+    belts = "damping = 0.0\nbelt_speed = {times = [0, 10], values = [-0.1, -0.2]}"
+    text = DRAWN.replace("SEED", str(seed))
+    scene = scene_of(text, ("damping = {uniform = [0.0, 0.5]}", belts), ON_BELT)
+    member = expand(scene)[0]
+    assert member.system().belt_speed_at([0.0, 5.0, 20.0])[:, 0].tolist() == pytest.approx([-0.1, -0.15, -0.2])
+    assert member.start()[1].tolist() == [-0.1] * 3
+    assert "belt_speed = -0.1 at 0 to -0.2 at 10" in member.drawn
+    assert load_again(scene).hash == scene.hash
+
+
 def test_a_number_may_be_the_damping_itself():
     member = expand(scene_of(DRAWN, ("SEED", "1"), ("damping = {uniform = [0.0, 0.5]}", "damping = 0.0")))[0]
     assert (member.damping, member.rho, member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
@@ -362,6 +411,18 @@ BAD = {
         "n = [3, 4]",
         "n = 3\nstatic = [0.9, 1.3]",
         ["system.static", "at least the kinetic", "got 0.9 with friction = 1.0"],
+    ),
+    "no mass": ("n = [3, 4]", "n = 3\nmass = 0.0", ["system.mass", "number > 0", "0.0"]),
+    "a force without frequency": ("n = [3, 4]", "n = 3\nforce = {amplitude = 1.0}", ["system.force.frequency"]),
+    "a number of another law": (
+        "n = [3, 4]",
+        'n = 3\nweakening = {law = "rational", speed = 1.0}',
+        ["system.weakening.rate", 'law = "rational"'],
+    ),
+    "times that stand still": (
+        "belt_speed = [-0.1, -0.2]",
+        "belt_speed = {times = [0, 0], values = [1, 2]}",
+        ["system.belt_speed", "times that increase"],
     ),
     "a leaf of an ensemble": ("n = [3, 4]", "n = 3\nleaf = 1.0", ["system.leaf", "none with", "remove it"]),
     "a degree of a chain": (
