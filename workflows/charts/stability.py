@@ -34,7 +34,7 @@ from stickslip import sim
 from stickslip.analysis.answer import Recipe
 from stickslip.analysis.style import GREY, STYLE, subplots
 from stickslip.pipeline.toml import Blocks, Count, Positive
-from stickslip.workflows.charts import ChartScene, Say, Several, Shown, hard_cases
+from stickslip.workflows.charts import ChartScene, Say, Several, Shown, hard_cases, slope
 from stickslip.workflows.charts.hard_cases import Verdict, judged
 from stickslip.workflows.charts.peers import (
     METHODS,
@@ -52,6 +52,7 @@ from stickslip.workflows.charts.peers import (
     warm,
 )
 from stickslip.workflows.charts.runner import frame
+from stickslip.workflows.charts.slope import Creep, creep
 from stickslip.workflows.charts.steppers import whole_steps
 
 Axis = Literal["layer", "bond", "damping"]
@@ -172,10 +173,10 @@ class StabilityScene(ChartScene):
                     right = sum(cell.outcome == "right" for cell in rows)
                     say(f"{axis}: {method.name}, {right} of {len(rows)} right")
             cases = judged(self.patience, say) if self.cases else []
-        return Measured(cells, references, cases)
+        return Measured(cells, references, cases, creep(say) if self.cases else [])
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `cells`, `references`, `cases`."""
+        """Tables: `cells`, `references`, `cases`, `creep`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
         figures: dict[str, Recipe] = {}
         pictures = []
@@ -192,12 +193,14 @@ class StabilityScene(ChartScene):
             "answers": _answers(measured.cases),
             "pictures": pictures,
             "known": hard_cases,
+            "slope": slope,
             "cases": cases,
         }
         tables = {
             "cells": frame(measured.cells, Cell),
             "references": frame(measured.references, Reference),
             "cases": frame(measured.cases, Verdict),
+            "creep": frame(measured.creep, Creep),
         }
         return Shown(facts, tables, figures)
 
@@ -252,6 +255,7 @@ class Measured:
     cells: list[Cell]
     references: list[Reference]
     cases: list[Verdict]
+    creep: list[Creep]
 
 
 def _references(

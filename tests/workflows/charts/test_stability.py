@@ -192,7 +192,7 @@ def planted(outcome, error, reason=None):
         Cell("layer", 1e3, "RK4", None, 0.1, "wrong", 0.2, None, 0.1),
     ]
     cases = [Verdict("edge", "why", "how", "sigmoid engine", "refused", reason="no way")]
-    return Measured(cells, [Reference("layer", 10.0, "a", "b", 1e-12, 0.1)], cases)
+    return Measured(cells, [Reference("layer", 10.0, "a", "b", 1e-12, 0.1)], cases, [])
 
 
 def test_words_follow_the_cells(scene, page, said, undrawn):
