@@ -3,6 +3,7 @@
 import re
 import secrets
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from stickslip.workflows.charts import load_chart
 from stickslip.workflows.field import two_blocks
 from stickslip.workflows.field.two_blocks import End, Measured, Pair, Together, Unequal
 from stickslip.workflows.scenes import shipped
+from tests.independent import Case, follow
 
 TINY = """
 chart = "two_blocks"
@@ -82,6 +84,19 @@ def test_on_a_belt_that_stands_still_a_difference_becomes_its_root():
         after = Pair(k, drop, 1e-8).next(difference).after
         root = np.sqrt(2 * drop / k * difference) * abs(np.sin(np.pi * omega))
         assert abs(after) == pytest.approx(root, rel=0.01)
+
+
+def test_an_orbit_is_that_of_a_method_that_shares_no_code(rng):
+    """Two episodes by the independent engine, from a start on a fast belt."""
+    pair = Pair(rng.uniform(0.2, 8.0), 0.3, 0.02)
+    start = rng.uniform(-0.5, 0.5) * pair.widest
+    first, second = islice(pair.orbit(start), 2)
+    z = 0.5 * start * np.array([1.0, -1.0])
+    z += pair.speed - (pair.system.static + pair.system.stiffness @ z).min()
+    case = Case.of(pair.system.stiffness, 0.0, 1.0, -pair.speed, z, -pair.speed, 1 + pair.drop)
+    for quake, t in ((first, 1 + first.wait - 1e-3), (second, 1 + first.wait + second.wait - 1e-3)):
+        found = follow(case, t)  # until just before the next one
+        assert found.z[0] - found.z[1] == pytest.approx(quake.after, abs=1e-8)
 
 
 # cycles

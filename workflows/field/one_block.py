@@ -131,7 +131,7 @@ class OneBlockScene(ChartScene):
         default=40, description="number of random periods, and as many with damping", examples=[40]
     )
     boundary: Count = Field(default=40, description="number of frequencies of the boundary of sliding", examples=[40])
-    stability: Count = Field(default=100, description="number of blocks whose stability is measured", examples=[100])
+    stability: Count = Field(default=150, description="number of blocks whose stability is measured", examples=[150])
     shifted: Count = Field(default=10, description="number of shifted cycles for each of three n", examples=[10])
     stops: Count = Field(default=400, description="number of blocks whose stops are counted", examples=[400])
     slowest: Annotated[float, Field(gt=0, lt=1)] = Field(
