@@ -13,6 +13,9 @@ that vanishes at the start, to the order k, is divided by t^k exactly: its k-th 
 At an instant every block with w = v is decided anew, all together: by |F| against m, and at |F| = m by the first
 derivative of F that does not vanish. With m above mu a block that leaves is felt at once, so those that stay are then
 decided again. A touch after which the block goes on as before is no event. A knot is such an instant too.
+
+Where mu falls with |w - v| the motion is not linear: it is exp(A t) X and a polynomial beside it, which meets the
+equation at the nodes; sub-intervals are halved until its last coefficients are rounding.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -36,10 +40,15 @@ _ROUNDING = 1e-12  # what is smaller, relative to the state, vanishes
 _REMEMBERED = 1e-3  # of the largest state so far: its rounding is still there
 _EVENTS_MAX = 2_000
 _PIECES_MAX = 50_000
-_EACH = ("damping", "friction", "z0", "w0", "static", "mass")
+_EACH = ("damping", "friction", "z0", "w0", "static", "mass", "closed")
+_HALVINGS_MAX = 30
+_PICARD_MAX = 80
 
 _TAU = (1 - np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)) / 2
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(2 * _TAU - 1, _NODES - 1))
+_FROM_COEFFICIENTS = chebyshev.chebvander(2 * _TAU - 1, _NODES - 1)
+#: From values at the nodes to those of the integral from 0.
+_INTEGRAL = chebyshev.chebvander(2 * _TAU - 1, _NODES) @ chebyshev.chebint(_TO_COEFFICIENTS, lbnd=-1, axis=0) / 2
 
 
 class Undecided(RuntimeError):
@@ -89,7 +98,9 @@ class Ramp:
 class Case:
     """What is to be followed: the system and its start; `stiffness` (n, n), `waves` (m, 3, n), all else (n,).
 
-    `waves` are amplitudes, frequencies and phases of cosines, which with `push` make the force.
+    `waves` are amplitudes, frequencies and phases of cosines, which with `push` make the force. `falls` is the law by
+    which friction falls with speed, ("rational", rate) or ("exponential", speed); `closed` the side to which a block
+    may not slip, 0 for neither.
     """
 
     stiffness: Floats
@@ -102,6 +113,8 @@ class Case:
     mass: Floats
     push: Ramp
     waves: Floats
+    closed: Floats
+    falls: tuple[str, float] | None = None
 
     @classmethod
     def of(
@@ -117,6 +130,8 @@ class Case:
         mass: ArrayLike = 1.0,
         push: ArrayLike | Ramp = 0.0,
         waves: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]] = (),
+        falls: tuple[str, float] | None = None,
+        back_slip: bool = True,
     ) -> Case:
         """From what `sim.System` and `simulate` take; numbers stand for all blocks."""
         matrix = np.array(stiffness, dtype=float)
@@ -128,14 +143,51 @@ class Case:
 
         cosines = np.array([[each(x) for x in wave] for wave in waves]).reshape(-1, 3, n)
         belt, force = Ramp.of(belt_speed, n), Ramp.of(push, n)
-        return cls(
-            matrix, each(damping), each(friction), belt, each(z0), each(w0), each(static), each(mass), force, cosines
+        closed = np.zeros(n) if back_slip else np.sign(belt.values.sum(axis=0))
+        own = (
+            each(damping),
+            each(friction),
+            belt,
+            each(z0),
+            each(w0),
+            each(static),
+            each(mass),
+            force,
+            cosines,
+            closed,
         )
+        return cls(matrix, *own, falls)
+
+    @cached_property
+    def near(self) -> Floats:
+        """Kinetic friction of a block that begins to slip."""
+        return self.static if self.falls and self.falls[0] == "exponential" else self.friction
+
+    @cached_property
+    def drop(self) -> Floats:
+        """By how much it falls until the slip has no bound."""
+        if self.falls is None:
+            return np.zeros(self.n)
+        return self.static - self.friction if self.falls[0] == "exponential" else self.friction
+
+    @cached_property
+    def steepness(self) -> float:
+        """What the speed of slip is multiplied by, in the law by which friction falls."""
+        if self.falls is None:
+            return 0.0
+        return 1 / self.falls[1] if self.falls[0] == "exponential" else self.falls[1]
+
+    def fallen(self, slip: Floats) -> tuple[Floats, Floats]:
+        """By how much friction has fallen at the speeds of slip (..., n), and the slope of that."""
+        x = self.steepness * slip
+        if self.falls is None or self.falls[0] == "exponential":
+            return -self.drop * np.expm1(-x), self.drop * self.steepness * np.exp(-x)
+        return self.drop * x / (1 + x), self.drop * self.steepness / (1 + x) ** 2
 
     @cached_property
     def is_above(self) -> list[bool]:
-        """Whether the static friction is above the kinetic, by block."""
-        return (self.static > self.friction).tolist()
+        """Whether the static friction is above the kinetic that a slip begins with, by block."""
+        return (self.static > self.near).tolist()
 
     @property
     def n(self) -> int:
@@ -146,6 +198,7 @@ class Case:
     def rate(self) -> float:
         """No motion is faster than about this; not below one, or friction alone would be seen at too few places."""
         own = np.sqrt(np.linalg.norm(self.stiffness / self.mass[:, None], 2)) + np.abs(self.damping / self.mass).max()
+        own += (self.drop * self.steepness / self.mass).max()
         return float(max(1.0, own, self.frequencies.max(initial=0.0)))
 
     @cached_property
@@ -191,18 +244,19 @@ class Case:
 
     def renumbered(self, order: NDArray[np.int64]) -> Case:
         """With the blocks in this order."""
-        each = {name: getattr(self, name)[order] for name in _EACH}
+        each: dict[str, Any] = {name: getattr(self, name)[order] for name in _EACH}
         belt, push = (Ramp(ramp.times, ramp.values[:, order]) for ramp in (self.belt, self.push))
         matrix = self.stiffness[np.ix_(order, order)]
-        return Case(stiffness=matrix, belt=belt, push=push, waves=self.waves[:, :, order], **each)
+        return replace(self, stiffness=matrix, belt=belt, push=push, waves=self.waves[:, :, order], **each)
 
     def beside(self, other: Case) -> Case:
-        """Two systems as one."""
-        each = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in _EACH}
+        """Two systems as one; friction falls as here."""
+        each: dict[str, Any] = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in _EACH}
         mine, its = np.zeros((len(self.waves), 3, other.n)), np.zeros((len(other.waves), 3, self.n))
         waves = np.concatenate((np.dstack((self.waves, mine)), np.dstack((its, other.waves))))
         belt, push = self.belt.beside(other.belt), self.push.beside(other.push)
-        return Case(stiffness=block_diag(self.stiffness, other.stiffness), belt=belt, push=push, waves=waves, **each)
+        matrix = block_diag(self.stiffness, other.stiffness)
+        return replace(self, stiffness=matrix, belt=belt, push=push, waves=waves, **each)
 
     def perturbed(self, rng: np.random.Generator, size: float) -> Case:
         """Each constant times 1 + size u, and each start plus size u times the largest of the start; |u| <= 1."""
@@ -222,8 +276,13 @@ class Case:
             z0=self.z0 + start * u(n),
             w0=self.w0 + start * u(n),
         )
-        drop = (self.static - self.friction) * (1 + u(n)) if any(self.is_above) else 0.0
+        drop = (self.static - self.friction) * (1 + u(n)) if (self.static > self.friction).any() else 0.0
         changed = replace(changed, static=changed.friction + drop)
+        if self.closed.any():
+            ahead = self.closed * (changed.w0 - changed.belt.line(0.0)[0]) >= 0
+            changed = replace(changed, w0=np.where(ahead, changed.belt.line(0.0)[0], changed.w0))
+        if self.falls:
+            changed = replace(changed, falls=(self.falls[0], self.falls[1] * float(1 + u(1)[0])))
         if self.is_driven or (self.mass != 1).any():
             push, waves = self.push.varied(u), self.waves * (1 + u(*self.waves.shape))
             changed = replace(changed, mass=self.mass * (1 + u(n)), push=push, waves=waves)
@@ -279,10 +338,13 @@ class _Flow:
     X is z, (w - v) / rate, one, rate times the time since the knot `since`, cosine and sine of each frequency.
     """
 
-    def __init__(self, case: Case, mode: Sequence[int], held: Sequence[bool], since: float) -> None:
+    def __init__(
+        self, case: Case, mode: Sequence[int], held: Sequence[bool], since: float, halvings: int = 0
+    ) -> None:
         n, rate, frequencies = case.n, case.rate, case.frequencies
-        self.case, self.since = case, since
-        self.h = _REACH / rate
+        self.case, self.since, self.mode = case, since, np.array(mode)
+        self.is_curved = bool((case.drop[self.mode != 0] > 0).any())
+        self.h = _REACH / rate / 2**halvings
         one, time = 2 * n, 2 * n + 1
         size = 2 * n + 2 + 2 * len(frequencies)
         (v, v_slope), (push, push_slope) = case.belt.line(since), case.push.line(since)
@@ -305,8 +367,8 @@ class _Flow:
             if not held[i]:
                 m[n + i] = -self.forces[i] / (case.mass[i] * rate)
                 m[n + i, n + i] = -case.damping[i] / case.mass[i]
-                m[n + i, one] -= case.friction[i] * mode[i] / (case.mass[i] * rate)
-        self.generator = m * self.h
+                m[n + i, one] -= case.near[i] * mode[i] / (case.mass[i] * rate)
+        self.matrix, self.generator = m, m * self.h
         stack = expm(self.generator * np.append(_TAU, 1.0)[:, None, None])
         self._coefficients = np.einsum("kj,jab->kab", _TO_COEFFICIENTS, stack[:-1])
         self.step = stack[-1]
@@ -319,7 +381,7 @@ class _Flow:
                 rows.append(row)
                 self.owners.append((i, 0))
             elif held[i]:
-                for side in (1, -1):
+                for side in (side for side in (1, -1) if side != -case.closed[i]):
                     row = -side * self.forces[i]
                     row[one] += case.static[i]
                     rows.append(row)
@@ -332,12 +394,76 @@ class _Flow:
                     self.owners.append((i, 0))
         self.rows = np.array(rows)
         self._functions = np.einsum("ea,kab->keb", self.rows, self._coefficients)
+        self._curves: dict[bytes, Floats] = {}
 
     def timed(self, x: Floats, t: float) -> Floats:
         """X with the drive of the time t."""
         turns = self.case.frequencies * t
         waves = np.column_stack((np.cos(turns), np.sin(turns))).ravel()
         return np.concatenate((x[: 2 * self.case.n], [1.0, (t - self.since) * self.case.rate], waves))
+
+    def _pull(self, x: Floats) -> Floats:
+        """X' / h beyond the linear, of states (m, N)."""
+        n, case = self.case.n, self.case
+        more = np.zeros_like(x)
+        fallen = case.fallen(case.rate * self.mode * x[:, n : 2 * n])[0]
+        more[:, n : 2 * n] = self.mode * fallen / (case.mass * case.rate)
+        return more
+
+    def tangent(self, x: Floats) -> Floats:
+        """What X' is of X, to first order about x, in units of the rate."""
+        n, case = self.case.n, self.case
+        matrix, slip = self.matrix.copy(), case.rate * self.mode * x[n : 2 * n]
+        fallen, slope = case.fallen(slip)
+        each = np.arange(n, 2 * n)
+        matrix[each, each] += self.mode**2 * slope / case.mass
+        matrix[each, 2 * n] += self.mode * (fallen - slope * slip) / (case.mass * case.rate)
+        return np.asarray(matrix / case.rate)
+
+    def curve(self, x: Floats) -> Floats:
+        """Chebyshev coefficients (NODES, N) of the motion from x; not finite if none is found."""
+        if not self.is_curved:
+            return self._coefficients @ x
+        key = x.tobytes()
+        if key not in self._curves:
+            self._curves.clear()
+            self._curves[key] = self._solved(x)
+        return self._curves[key]
+
+    def _solved(self, x: Floats) -> Floats:
+        """D' = A D + what is not linear, D the motion less exp(A t) x: at the nodes, again and again."""
+        linear = _FROM_COEFFICIENTS @ (self._coefficients @ x)
+        size = linear.shape
+        beside = np.zeros(size)
+        for _ in range(_PICARD_MAX):
+            before = beside
+            with np.errstate(all="ignore"):  # a polynomial that is not yet right may be anywhere
+                right = _INTEGRAL @ (self.h * self._pull(linear + before))
+                beside = (self._volterra @ right.ravel()).reshape(size)
+            if not np.isfinite(beside).all():
+                break
+            if np.abs(beside - before).max() <= 2e-16 * np.abs(linear + beside).max():
+                return np.asarray(_TO_COEFFICIENTS @ (linear + beside))
+        return np.full(size, np.nan)
+
+    @cached_property
+    def _volterra(self) -> Floats:
+        """The inverse of D - integral of A D, on the values at the nodes."""
+        size = _NODES * len(self.generator)
+        return np.linalg.inv(np.eye(size) - np.kron(_INTEGRAL, self.generator))
+
+    def resolves(self, x: Floats) -> bool:
+        """Whether the motion from x is a polynomial up to rounding."""
+        if not self.is_curved:
+            return True
+        curve = np.abs(self.curve(x)[:, : 2 * self.case.n])
+        return bool(curve[-3:].max() <= 1e-15 * curve.max())
+
+    def later(self, x: Floats, j: int) -> Floats:
+        """X after j sub-intervals, one at most of a motion that is not linear."""
+        if self.is_curved and j:
+            return self.state(x, self.h)
+        return np.asarray(self.powers[j] @ x if j else x)
 
     @cached_property
     def powers(self) -> Floats:
@@ -349,16 +475,21 @@ class _Flow:
 
     def state(self, x: Floats, t: float) -> Floats:
         """X a time t <= h after x."""
-        return np.cos(np.arange(_NODES) * np.arccos(min(max(2 * t / self.h - 1, -1.0), 1.0))) @ (
-            self._coefficients @ x
-        )
+        return np.cos(np.arange(_NODES) * np.arccos(min(max(2 * t / self.h - 1, -1.0), 1.0))) @ self.curve(x)
 
     def functions(self, x: Floats) -> Floats:
         """Chebyshev coefficients of what may end the motion, from each of the states x (m, 2n+1): (N, e, m)."""
+        if self.is_curved:
+            return (self.curve(x[0]) @ self.rows.T)[:, :, None]
         return self._functions @ x.T
 
     def divided(self, e: int, order: int, x: Floats) -> Floats:
         """Coefficients of function e over tau^order, if its first `order` derivatives vanish at x."""
+        if self.is_curved:
+            states = _FROM_COEFFICIENTS @ self.curve(x)
+            slope = _TO_COEFFICIENTS @ ((states @ self.generator.T + self.h * self._pull(states)) @ self.rows[e])
+            higher = 2.0 ** (order - 1) * chebyshev.chebder(slope, order - 1)
+            return _averages(order) @ np.append(higher, np.zeros(_NODES - len(higher)))
         row = self.rows[e] @ np.linalg.matrix_power(self.generator, order)
         return _averages(order) @ ((row @ self._coefficients) @ x)
 
@@ -417,7 +548,8 @@ class _Follower:
         self.mode = [0 if y == 0 else (1 if y > 0 else -1) for y in self.x[self.n :]]
         self.orders: dict[int, int] = {}
         self._peak = np.zeros(case.n)
-        self._flows: dict[tuple[tuple[int, ...], tuple[bool, ...]], _Flow] = {}
+        self._flows: dict[tuple[tuple[int, ...], tuple[bool, ...], int], _Flow] = {}
+        self._halvings = 0
         self.be_at(0.0)
 
     def be_at(self, t: float) -> None:
@@ -436,12 +568,22 @@ class _Follower:
         self.since = knot
         self._flows.clear()
 
-    def flow(self, mode: Sequence[int]) -> _Flow:
-        held = tuple(m == 0 and most > 0 for m, most in zip(mode, self.case.static, strict=True))
-        key = (tuple(mode), held)
+    def flow(self, mode: Sequence[int], halvings: int = 0) -> _Flow:
+        can_hold = (self.case.static > 0) | (self.case.closed != 0)
+        held = tuple(m == 0 and can for m, can in zip(mode, can_hold.tolist(), strict=True))
+        key = (tuple(mode), held, halvings)
         if key not in self._flows:
-            self._flows[key] = _Flow(self.case, mode, held, self.since)
+            self._flows[key] = _Flow(self.case, mode, held, self.since, halvings)
         return self._flows[key]
+
+    def flow_now(self) -> _Flow:
+        """From the present state, on sub-intervals as short as that takes."""
+        for halvings in range(max(self._halvings - 1, 0), _HALVINGS_MAX):
+            flow = self.flow(self.mode, halvings)
+            if flow.resolves(self.x):
+                self._halvings = halvings if flow.is_curved else 0
+                return flow
+        raise Undecided("the motion is no polynomial")
 
     def decide(self, touching: list[int]) -> None:
         """Modes of the blocks with w = v; the orders to which what ends their motion vanishes now."""
@@ -451,25 +593,27 @@ class _Follower:
         self.orders = {}
         open_: list[int] = []
         for i in touching:
-            if abs(force[i]) > case.static[i] + small[i]:
+            push = abs(force[i]) if case.closed[i] == 0 else case.closed[i] * force[i]
+            if push > case.static[i] + small[i]:
                 self.mode[i] = -1 if force[i] > 0 else 1
                 self.orders[i] = 1
             else:
                 self.mode[i] = 0
-                if abs(force[i]) >= case.static[i] - small[i]:
+                if push >= case.static[i] - small[i]:
                     open_.append(i)
         edge = list(open_)
         while open_:
             flow = self.flow(self.mode)
             x, found, felt = self.x, 0, False
+            tangent = flow.tangent(x)
             for order in range(1, len(x)):
-                x = flow.generator @ x / _REACH
+                x = tangent @ x
                 change = forces @ x
                 moved = [i for i in open_ if abs(change[i]) > small[i]]
                 for i in moved:
                     open_.remove(i)
                     side = np.sign(force[i]) if case.static[i] > 0 else np.sign(change[i])
-                    leaves = change[i] * side > 0
+                    leaves = change[i] * side > 0 and side != -case.closed[i]
                     self.mode[i] = int(-side) if leaves else 0
                     self.orders[i] = order if not leaves else 1 if case.is_above[i] else order + 1
                     found += leaves
@@ -483,9 +627,8 @@ class _Follower:
                     self.orders[i] = -1  # it rests there
                 return
 
-    def search(self, end: float, count: int) -> tuple[int, float | None]:
+    def search(self, flow: _Flow, end: float, count: int) -> tuple[int, float | None]:
         """Over up to `count` sub-intervals: those without an event, tau of the first in the next."""
-        flow = self.flow(self.mode)
         starts = flow.powers[:count] @ self.x if count > 1 else self.x[None]
         functions = flow.functions(starts)
         small = [self.small_force[i] if side else self.small_speed[i] for i, side in flow.owners]
@@ -494,7 +637,7 @@ class _Follower:
             order = self.orders.get(i, 0)
             if order == 0:
                 continue
-            if side and np.sign(force[i]) != side:
+            if side and self.case.static[i] > 0 and np.sign(force[i]) != side:
                 continue
             if order > 0:
                 functions[:, e, 0] = flow.divided(e, order, self.x)
@@ -528,22 +671,22 @@ def follow(case: Case, t_end: float) -> Path:
     stops = iter([*knots, t_end])
     t, stop, count, stalled = 0.0, next(stops), 1, 0
     while True:
-        flow = me.flow(me.mode)
+        flow = me.flow_now()
         h, remaining = flow.h, (stop - t) / flow.h
-        count = max(1, min(count, int(np.ceil(remaining))))
-        done, tau = me.search(remaining, count)
+        count = 1 if flow.is_curved else max(1, min(count, int(np.ceil(remaining))))
+        done, tau = me.search(flow, remaining, count)
         is_over = tau is None and done >= remaining
         if is_over:
             done = max(int(np.ceil(remaining)) - 1, 0)
             tau = remaining - done
         for j in range(done + (tau is not None)):
-            path.pieces.append((t + j * h, flow.powers[j] @ me.x if j else me.x, flow))
+            path.pieces.append((t + j * h, flow.later(me.x, j), flow))
         if len(path.pieces) > _PIECES_MAX or len(path.t) > _EVENTS_MAX:
             raise Undecided(f"{len(path.pieces)} pieces and {len(path.t)} events until t = {t}")
         if is_over and stop == t_end:
             return path
         if tau is None:
-            me.x = flow.powers[done] @ me.x
+            me.x = flow.later(me.x, done)
             t += done * h
             count = min(4 * count, _BATCH)
             me.orders = {i: -1 for i, order in me.orders.items() if order < 0}  # what rests may go on to rest
@@ -553,7 +696,7 @@ def follow(case: Case, t_end: float) -> Path:
         if stalled > 2 * n + 5:
             raise Undecided(f"events accumulate at t = {t}")
         t = stop if is_over else t + (done + tau) * h
-        me.x = flow.state(flow.powers[done] @ me.x if done else me.x, tau * h)
+        me.x = flow.state(flow.later(me.x, done), tau * h)
         if is_over:
             me.go_on(stop)
             stop = next(stops)

@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 
 from tests import fuzz
-from tests.fuzz.draw import BUILT, FAMILIES, TERMS, draw
+from tests.fuzz.draw import FAMILIES, TERMS, draw
 from tests.fuzz.judge import LIMIT, Verdict
 from tests.fuzz.workers import judge_case, verdicts
 
@@ -60,8 +60,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
                         help=", ".join(FAMILIES))  # fmt: skip
-    parser.add_argument("--terms", nargs="*", choices=TERMS, default=BUILT, metavar="TERM",
-                        help=f"what may be drawn beside eq. (10): {', '.join(TERMS)}; default: {BUILT}")  # fmt: skip
+    parser.add_argument("--terms", nargs="*", choices=TERMS, default=list(TERMS), metavar="TERM",
+                        help=f"what may be drawn beside eq. (10): {', '.join(TERMS)}; all if left out")  # fmt: skip
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args(argv)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if arguments.seed is None else arguments.seed

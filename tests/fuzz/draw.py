@@ -37,6 +37,8 @@ class Trial:
         k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
         settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
         drive = f", static={case.static.tolist()}" if any(case.is_above) else ""
+        drive += f", weakening={_LAWS[case.falls[0]]}({case.falls[1]!r})" if case.falls else ""
+        drive += ", back_slip=False" if case.closed.any() else ""
         drive += f", mass={case.mass.tolist()}" if (case.mass != 1).any() else ""
         push = [_ramp(case.push)] if case.push.values.any() else []
         force = ", ".join([*push, *(f"Harmonic({', '.join(str(x.tolist()) for x in wave)})" for wave in case.waves)])
@@ -45,6 +47,9 @@ class Trial:
             f"system = System({k}, {r}, {mu}, {_ramp(case.belt)}{drive})\n"
             f"run = simulate(system, {z}, {w}, {self.t_end!r}, engine={self.engine!r}{settings})"
         )
+
+
+_LAWS = {"rational": "Rational", "exponential": "Stribeck"}
 
 
 def _plain(value: object) -> object:
@@ -186,8 +191,8 @@ def _growth(case: Case, t: float) -> float:
     n = case.n
 
     def of(free: Floats) -> float:
-        m = case.mass[free]
-        k, r = case.stiffness[np.ix_(free, free)] / (m[:, None] * case.rate), np.diag(case.damping[free] / m)
+        m, r = case.mass[free], case.damping - case.drop * case.steepness / 2
+        k, r = case.stiffness[np.ix_(free, free)] / (m[:, None] * case.rate), np.diag(r[free] / m)
         a = np.block([[np.zeros_like(k), case.rate * np.eye(len(k))], [-k, -r]])
         with np.errstate(all="ignore"):  # what overflows has grown too much
             return float(np.nan_to_num(np.abs(expm(a * t)), nan=np.inf).max())
@@ -212,9 +217,16 @@ def _static(rng: Rng, mu: Floats) -> Floats:
 
 
 #: What is drawn beside eq. (10), each in half of the cases: static friction above the kinetic, forces, belts of
-#: different speeds or such as change, masses.
-TERMS = ("static", "force", "belt", "mass")
-BUILT = ("static",)  # what engines take as yet
+#: different speeds or such as change, masses, friction that falls with speed, no back slip; and who takes it as yet.
+TERMS = {
+    "static": ("coulomb", "sigmoid"),
+    "force": (),
+    "belt": (),
+    "mass": (),
+    "weakening": ("coulomb",),
+    "back_slip": ("coulomb",),
+}
+_CURVED_MAX = 6  # blocks; more are slow to follow where the motion is not linear
 _LATEST = 60.0  # of a knot
 
 
@@ -229,7 +241,7 @@ def _ramps(rng: Rng, n: int, size: Callable[[tuple[int, int]], Floats], whole: b
     return Ramp(np.sort(times), values)
 
 
-def _driven(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike: bool) -> Case:
+def _with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike: bool) -> Case:
     """With the terms, each by a coin; in whole or half numbers, or alike for all blocks."""
     n = case.n
     draws = dict(zip(TERMS, rng.spawn(len(TERMS)), strict=True))
@@ -279,10 +291,15 @@ def _driven(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike: bo
         if alike:
             push, waves = Ramp(push.times, push.values[:, :1].repeat(n, axis=1)), waves[:, :, :1].repeat(n, axis=2)
         case = replace(case, push=push, waves=waves)
+    speeds_of_slip = [0.5, 1.0, 2.0] if whole else [0.1, 1.0, 3.0]
+    if (own := chosen.get("weakening")) and case.n <= _CURVED_MAX:
+        case = replace(case, falls=(own.choice(["rational", "exponential"]), float(own.choice(speeds_of_slip))))
+    if "back_slip" in chosen and (case.belt.values * case.belt.values[0] > 0).all():
+        case = replace(case, closed=np.sign(case.belt.values[0]))
     return case
 
 
-def draw(seed: int, number: int, terms: Collection[str] = BUILT) -> Trial:
+def draw(seed: int, number: int, terms: Collection[str] = tuple(TERMS)) -> Trial:
     """Case `number` of a seed, with some of the terms."""
     rng = np.random.default_rng([seed, number])
     family = list(FAMILIES)[number % len(FAMILIES)]
@@ -299,7 +316,8 @@ def draw(seed: int, number: int, terms: Collection[str] = BUILT) -> Trial:
     elif alike:
         r, mu = np.full(n, r[0]), np.full(n, mu[0])
     other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
-    case = _driven(other, Case.of(k, r, mu, v, 0.0, v), terms, whole, alike)
+    taken = [term for term in terms if engine in TERMS[term]]
+    case = _with_terms(other, Case.of(k, r, mu, v, 0.0, v), taken, whole, alike)
     at_start = case.belt.line(0.0)[0]
     if whole:
         z = rng.integers(-2, 3, n) * 1.0
@@ -308,7 +326,7 @@ def draw(seed: int, number: int, terms: Collection[str] = BUILT) -> Trial:
         kinds = rng.integers(0, rng.integers(1, 3), n) if alike else np.arange(n)  # one kind of start, or two
         drag = case.holding(np.zeros(1), np.zeros((1, n)))[0]
         z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, case.static, at_start, drag))
-    case = replace(case, z0=z, w0=w)
+    case = replace(case, z0=z, w0=np.where(case.closed * (w - at_start) > 0, at_start, w))
     lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]
     length = rng.choice(lengths, p=[0.25, 0.6, 0.15])
     t_end = longest(case, float(length))

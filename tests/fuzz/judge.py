@@ -19,7 +19,7 @@ from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import eig
 from scipy.sparse import csc_array
 
-from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
+from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, Run, Stribeck, System, simulate
 from stickslip.sim.engines import ENGINES, products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
@@ -74,7 +74,18 @@ def made(case: Case, sparse: bool = False) -> System:
     """The system of a case."""
     k = csc_array(case.stiffness) if sparse else case.stiffness
     force: Any = [Piecewise(case.push.times, case.push.values), *(Harmonic(*wave) for wave in case.waves)]
-    return System(k, case.damping, case.friction, _drive(case.belt), case.static, mass=case.mass, force=force)
+    laws = {"rational": Rational, "exponential": Stribeck}
+    return System(
+        k,
+        case.damping,
+        case.friction,
+        _drive(case.belt),
+        case.static,
+        mass=case.mass,
+        force=force,
+        weakening=laws[case.falls[0]](case.falls[1]) if case.falls else None,
+        back_slip=not case.closed.any(),
+    )
 
 
 def _drive(ramp: Ramp) -> Floats | Piecewise:
@@ -366,7 +377,7 @@ class _Judge:
             run = self.run("relabelled", other, sparse=bool(rng.random() < 0.5), t_eval=self.times)
             self.hold("relabelled", run, other)
         self._split(truth)
-        if self.is_exact and truth.case.n <= 5 and rng.random() < 0.2:
+        if self.is_exact and truth.case.n <= 5 and rng.random() < 0.2 and not truth.case.closed.any():
             self._two_as_one(truth)
         return verdict
 
@@ -382,9 +393,10 @@ class _Judge:
         self.hold("second half", self.run("second half", half, t_start=middle, t_eval=rest.times), half, parts=2)
 
     def _two_as_one(self, truth: Truth) -> None:
-        other = draw(self.trial.seed, self.trial.number + _ELSEWHERE, self.trial.terms).case
-        if "belt" not in self.trial.terms:
-            other = replace(other, belt=Ramp.of(truth.case.belt.values[0, 0], other.n))
+        case, other = truth.case, draw(self.trial.seed, self.trial.number + _ELSEWHERE, self.trial.terms).case
+        if (case.belt.values == case.belt.values[0, 0]).all():
+            other = replace(other, belt=Ramp.of(case.belt.values[0, 0], other.n))
+        other = replace(other, falls=case.falls, closed=np.zeros(other.n))
         if longest(other, self.trial.t_end) < self.trial.t_end:
             return
         try:
@@ -399,7 +411,8 @@ class _Judge:
 def _compile() -> None:
     """Or the first case would be charged with it."""
     for engine in ENGINES:
-        simulate(System([[1.0]], 0.1), 3.0, 1.0, 5.0, engine=engine)
+        for static in (1.0, 1.3):
+            simulate(System([[1.0]], 0.1, static=static), 3.0, 1.0, 5.0, engine=engine)
 
 
 def judge(trial: Trial, run: Simulate = simulate) -> Verdict:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from multiprocessing.connection import Connection, wait
 
-from tests.fuzz.draw import BUILT, draw
+from tests.fuzz.draw import TERMS, draw
 from tests.fuzz.judge import Verdict, judge
 
 PATIENCE = 600.0  # seconds that a case may take before its process is killed
@@ -20,7 +20,7 @@ _MEMORY = 4 << 30  # bytes of address space beyond what the process starts with
 Judged = Callable[[int], Verdict]
 
 
-def judge_case(seed: int, number: int, terms: Collection[str] = BUILT) -> Verdict:
+def judge_case(seed: int, number: int, terms: Collection[str] = tuple(TERMS)) -> Verdict:
     """Of one case; the run goes on if the fuzz itself fails."""
     try:
         return judge(draw(seed, number, terms))

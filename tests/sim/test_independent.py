@@ -210,3 +210,24 @@ def test_a_change_of_frame_and_of_units_changes_no_event():
     np.testing.assert_allclose(path.t, unit.t, rtol=0, atol=1e-12)
     np.testing.assert_allclose(path.z, unit.z, rtol=0, atol=1e-12)
     assert len(path.t) > 5
+
+
+@pytest.mark.parametrize("mass", [1.0, 2.5])
+def test_a_block_that_weakening_friction_stops(mass):
+    """m u' = -1 / (1 + a u), or -(1 + d exp(-u / s)): u + a u^2 / 2, or s ln(exp(u / s) + d), falls by t / m."""
+    u, a, d, s = 2.0, 3.0, 0.5, 0.7
+    rational = follow(Case.of([[0.0]], 0, 1, -0.2, 0, u - 0.2, mass=mass, falls=("rational", a)), 40.0)
+    assert (rational.t, rational.mode) == ([pytest.approx(mass * (u + a * u**2 / 2), abs=1e-12)], [0])
+    falls = ("exponential", s)
+    exponential = follow(Case.of([[0.0]], 0, 1, -0.2, 0, u - 0.2, 1 + d, mass=mass, falls=falls), 40.0)
+    t = mass * s * np.log((np.exp(u / s) + d) / (1 + d))
+    assert (exponential.t, exponential.mode) == ([pytest.approx(t, abs=1e-12)], [0])
+
+
+def test_a_block_that_may_not_slip_ahead_is_held_there_and_leaves_behind():
+    """K = 1, v = 1, no damping: carried from z = -5 to F = 1, behind through half a circle and back to the belt."""
+    path = follow(Case.of([[1.0]], 0, 1, 1, -5, 1, back_slip=False), 20.0)
+    assert listed(path) == [(6.0, 0, -1)]
+    path = follow(Case.of([[1.0]], 0, 1, 1, -5, 1, 1.5, back_slip=False), 12.0)
+    slip = 2 * (np.pi - np.arctan(0.5))
+    assert listed(path) == [(6.5, 0, -1), (6.5 + slip, 0, 0)]
