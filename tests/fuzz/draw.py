@@ -36,7 +36,7 @@ class Trial:
         case = self.case
         k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
         settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
-        drive = f", static={case.static.tolist()}" if any(case.is_above) else ""
+        drive = f", static={case.static.tolist()}" if (case.static > case.friction).any() else ""
         drive += f", weakening={_LAWS[case.falls[0]]}({case.falls[1]!r})" if case.falls else ""
         drive += ", back_slip=False" if case.closed.any() else ""
         drive += f", mass={case.mass.tolist()}" if (case.mass != 1).any() else ""
@@ -220,9 +220,9 @@ def _static(rng: Rng, mu: Floats) -> Floats:
 #: different speeds or such as change, masses, friction that falls with speed, no back slip; and who takes it as yet.
 TERMS = {
     "static": ("coulomb", "sigmoid"),
-    "force": (),
-    "belt": (),
-    "mass": (),
+    "force": ("coulomb", "sigmoid"),
+    "belt": ("coulomb", "sigmoid"),
+    "mass": ("coulomb", "sigmoid"),
     "weakening": ("coulomb",),
     "back_slip": ("coulomb",),
 }
