@@ -121,6 +121,29 @@ def _known_within(law, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _falls_off(law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether terms of exp(-x) beyond an order are on their way down, or too small to matter, up to h.
+
+    Where x is large the first terms are far below any tolerance, and yet x may fall by more than the order.
+    """
+    if not law.is_exponential:
+        return True
+    series, mode = expansion.series, expansion.mode
+    for i in range(len(mode)):
+        drop = law.friction[i] * (1.0 - law.far[i]) * h
+        if mode[i] == 0 or drop == 0.0:
+            continue
+        change, power = 0.0, law.steepness
+        for k in range(1, order):
+            power *= h
+            change += (k + 1) * abs(series[k + 1, i]) * power
+        x = law.steepness * mode[i] * (series[1, i] - law.belt_speed)
+        if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > _PASSED_ON * allowed:
+            return False
+    return True
+
+
+@inner
 def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
     """Whether products of K with c_k and c_{k+1}, of these sizes, may err by what float32 does to them.
 
@@ -228,7 +251,8 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
-            if n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target):
+            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target)
+            if is_enough and (not falls or _falls_off(law, expansion, order, target, allowed)):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -240,6 +264,8 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
+    while falls and h > 0.0 and not _falls_off(law, expansion, order, h, allowed):
+        h *= 0.7
     return order, h, allowed, n_products
 
 

@@ -26,3 +26,10 @@ def test_threshold_beyond_the_collapse_of_the_smoothed_run():
     case = Case.of([[1.0]], 3, 1, -0.2, 3, 1)
     settings = {"eps": 0.01, "rtol": 1e-6, "atol": 1e-6, "thresholds": [0.5, 1.9]}
     assert judge(Trial(0, 0, "collapse", "sigmoid", case, 40.0, settings)).failures == []
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.1])
+def test_friction_that_falls_within_far_less_than_the_speed_reached(speed):
+    """Terms of exp(-|u| / speed) are small from the first, and yet grow: the step went where they were not known."""
+    case = Case.of([[3.73]], 0, 1.8, 0, -3.9, 0, 1.84, falls=("exponential", speed))
+    assert judge(Trial(0, 0, "weakening", "coulomb", case, 8.0, {"tol": 1e-10})).failures == []
