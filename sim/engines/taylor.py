@@ -137,7 +137,7 @@ def _falls_off(law, expansion, order, h, allowed):  # type: ignore[no-untyped-de
         for k in range(1, order):
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
-        x = law.steepness * mode[i] * (series[1, i] - law.belt_speed)
+        x = law.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
         if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > _PASSED_ON * allowed:
             return False
     return True
