@@ -1,8 +1,8 @@
 """Episodes: from all blocks stuck to all stuck again.
 
 The quakes of a chain of blocks on a belt that drags them: R. Burridge and L. Knopoff, Bull. Seismol. Soc. Am. 57
-(1967) 341-371. While all blocks stick they ride the belt, and z - v t is constant: what it changes by from one such
-stretch to the next is the slip of the episode between.
+(1967) 341-371. While all blocks stick they ride the belt: what z changes by from one such stretch to the next, beyond
+the way of the belt, is the slip of the episode between.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats
+from stickslip.sim.drive import Piecewise
 from stickslip.sim.run import Run
 from stickslip.sim.series import EventSeries
 
@@ -28,7 +29,7 @@ class Episodes:
     size : int32, shape (m,)
         Number of blocks that slipped.
     moment : float64, shape (m,)
-        Sum over the blocks of what each slipped on the belt, counted against the belt's motion.
+        Sum over the blocks of what each slipped on its belt, counted against the motion of the belts.
     first_block : int32, shape (m,)
         The block that left first; of several at one instant the one of the lowest number.
     """
@@ -57,14 +58,14 @@ def spans(series: EventSeries) -> Floats:
     return np.column_stack([until[:-1], since[1:]])
 
 
-def episodes(run: Run, belt_speed: float) -> Episodes:
+def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     """The episodes of a run of either engine.
 
     Parameters
     ----------
     run : Run
-    belt_speed : float
-        v.
+    belt_speed : float, array_like, shape (n,), or Piecewise
+        v, as of the `System`.
 
     Raises
     ------
@@ -79,12 +80,21 @@ def episodes(run: Run, belt_speed: float) -> Episodes:
     rests = first <= last  # else blocks touch so briefly that these are no events, each before the last has ended
     since, until, first, last = since[rests], until[rests], first[rests], last[rests]
     start, end = until[:-1], since[1:]
-    slip = stills.total[first[1:]] - stills.total[last[:-1]]
-    slip -= series.n * belt_speed * (stills.t[first[1:]] - stills.t[last[:-1]])
+    before, after = last[:-1], first[1:]
+    moved = _travel(belt_speed, series.n, stills.t[before], stills.t[after])
+    slip = stills.total[after] - stills.total[before] - moved
     slips = np.flatnonzero(series.mode != 0)
     leaves = slips[np.searchsorted(series.t[slips], start)]
-    moment = slip if belt_speed <= 0 else -slip
+    moment = np.where(moved > 0, -slip, slip)
     return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves])
+
+
+def _travel(belt_speed: ArrayLike | Piecewise, n: int, since: Floats, until: Floats) -> Floats:
+    """How far the belts of n blocks go between two times, together."""
+    if isinstance(belt_speed, Piecewise):
+        way = belt_speed.integral(until) - belt_speed.integral(since)
+        return way.sum(axis=-1) if way.ndim > since.ndim else n * way
+    return np.broadcast_to(belt_speed, n).sum() * (until - since)
 
 
 def _stills(series: EventSeries) -> tuple[Floats, Floats]:

@@ -4,8 +4,9 @@ import secrets
 
 import numpy as np
 import pytest
+from scipy.integrate import quad_vec
 
-from stickslip.sim import EventSeries, Run, Stats, System, draw_system, simulate
+from stickslip.sim import EventSeries, Piecewise, Run, Stats, System, draw_system, simulate
 from stickslip.sim.energy import energy, times
 from stickslip.sim.episodes import episodes
 from stickslip.sim.run import Stills
@@ -109,20 +110,28 @@ def test_one_block_with_static_friction_has_an_episode_a_period():
     np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
 
 
+@pytest.mark.parametrize("belts", ["one", "several", "changing"])
 @pytest.mark.parametrize(("engine", "settings"), [("coulomb", {}), ("sigmoid", {"eps": 1e-2})])
-def test_moments_are_those_of_the_states_at_both_ends(engine, settings):
+def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts):
     seed = secrets.randbits(32)
     print(f"seed = {seed}")
     rng = np.random.default_rng(seed)
-    v = float(rng.choice([-0.05, 0.05]))
-    chain = draw_system("chain", 6, seed, kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=v)
-    start = rng.uniform(-0.2, 0.2, 6), v, 150.0
-    found = episodes(simulate(chain, *start, engine=engine, **settings), v)
+    side = float(rng.choice([-1.0, 1.0]))
+    speeds = side * rng.uniform(0.04, 0.06, (4, 6))
+    belt = {
+        "one": speeds[0, 0],
+        "several": speeds[0],
+        "changing": Piecewise(np.sort(rng.uniform(-10.0, 160.0, 4)), speeds),
+    }[belts]
+    chain = draw_system("chain", 6, seed, kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=belt)
+    start = rng.uniform(-0.2, 0.2, 6), chain.belt_speed_at(0.0), 150.0
+    found = episodes(simulate(chain, *start, engine=engine, **settings), belt)
     ends = np.column_stack([found.start, found.end]).ravel()
     again = simulate(chain, *start, engine=engine, **settings, t_eval=ends)
-    on_belt = (again.samples.z - v * ends[:, None]).sum(axis=1).reshape(-1, 2)
+    way = np.array([quad_vec(chain.belt_speed_at, 0.0, t, points=getattr(belt, "times", None))[0] for t in ends])
+    on_belt = (again.samples.z - way).sum(axis=1).reshape(-1, 2)
     assert len(found) > 3
-    np.testing.assert_allclose(found.moment, -np.sign(v) * np.diff(on_belt)[:, 0], atol=1e-9)
+    np.testing.assert_allclose(found.moment, -side * np.diff(on_belt)[:, 0], atol=1e-9)
     before, after = again.events.mode_at(found.start[0] - 1e-9), again.events.mode_at(found.start[0])
     assert not before.any()
     assert after[found.first_block[0]] != 0
