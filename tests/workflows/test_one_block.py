@@ -65,6 +65,21 @@ def test_without_friction_the_block_is_a_linear_oscillator(rng):
     assert found.phase == pytest.approx(phase + frequency * t)
 
 
+def test_a_force_is_the_pull_of_a_block_that_slips_freely(rng):
+    """A second block, z'' = -Omega^2 z without friction, pulls the first and feels nothing of it."""
+    frequency, friction, damping = rng.uniform(0.1, 0.9), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.2)
+    start, t_end = State(*rng.normal(size=3)), 60.0
+    pair = System([[1.0, -1.0], [0.0, frequency**2]], [damping, 0.0], [friction, 0.0], 0.0)
+    z0, w0 = [start.z, np.cos(start.phase)], [start.w, -frequency * np.sin(start.phase)]
+    pulled = simulate(pair, z0, w0, t_end, tol=1e-12, stop_early=False)
+    block = Forced(frequency, friction, damping)
+    forced = block.run(start, t_end / block.cycle)
+    is_first = pulled.events.block == 0
+    assert np.array_equal(pulled.events.mode[is_first], forced.events.mode)
+    np.testing.assert_allclose(pulled.events.t[is_first], forced.events.t, rtol=0, atol=1e-9)
+    assert pulled.z[0] == pytest.approx(forced.z[0], abs=1e-9)
+
+
 def test_a_force_below_the_friction_moves_nothing(rng):
     start = State(0.0, 0.0, rng.uniform(0, 6))
     assert Forced(0.7, 1.001).after(start, 3.0)[:2] == pytest.approx((0.0, 0.0), abs=1e-12)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 
-TOL = 1e-12
+TOL = 1e-13
 _GRID = 20_001  # of the half-cycle on which H is looked for, before its top is taken from a parabola
 
 
@@ -50,13 +50,9 @@ class Forced:
 
     def run(self, start: State, cycles: float, t_eval: Sequence[float] | NDArray[np.float64] = ()) -> sim.Run:
         """So many cycles of the force from a start."""
-        # the force is a second block's displacement, which slips freely and feels nothing
-        system = sim.System(
-            [[1.0, -1.0], [0.0, self.frequency**2]], [self.damping, 0.0], [self.friction, 0.0], belt_speed=0.0
-        )
-        z0 = [start.z, np.cos(start.phase)]
-        w0 = [start.w, -self.frequency * np.sin(start.phase)]
-        return sim.simulate(system, z0, w0, cycles * self.cycle, tol=TOL, stop_early=False, t_eval=t_eval)
+        force = sim.Harmonic(1.0, self.frequency, start.phase)
+        system = sim.System([[1.0]], self.damping, self.friction, belt_speed=0.0, force=force)
+        return sim.simulate(system, start.z, start.w, cycles * self.cycle, tol=TOL, stop_early=False, t_eval=t_eval)
 
     def after(self, start: State, cycles: float = 1.0) -> State:
         """The state so many cycles later."""
@@ -66,7 +62,7 @@ class Forced:
     def stops(self, start: State, settle: int, counted: int) -> list[int]:
         """How often the block comes to rest in each of some cycles, after others in which it settles."""
         run = self.run(start, settle + counted)
-        entries = run.events.t[(run.events.block == 0) & (run.events.mode == 0)]
+        entries = run.events.t[run.events.mode == 0]
         return np.histogram(entries / self.cycle, settle + np.arange(counted + 1))[0].tolist()
 
     def multipliers(self, start: State, width: float = 1e-6) -> NDArray[np.complex128]:
