@@ -1,6 +1,6 @@
 """The engines, and what they share; `contract` says what one is."""
 
-from stickslip.sim.engines import coulomb, sigmoid
+from stickslip.sim.engines import coulomb, moreau, sigmoid
 from stickslip.sim.engines.contract import Engine, Setting
 
 #: All there are, by name: a file and a line here make one known to `simulate`, scenes, datasets and reports.
@@ -9,6 +9,7 @@ ENGINES: dict[str, type[Engine]] = {
     for engine in (
         coulomb.Coulomb,
         sigmoid.Sigmoid,
+        moreau.Moreau,
     )
 }
 
