@@ -11,7 +11,7 @@ from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.quantity import short
-from stickslip.pipeline.query import all_events, by_threshold, members, separations, series
+from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
 from stickslip.sim import EventSeries
 from stickslip.version import __version__
@@ -56,6 +56,7 @@ def _data(path: Where) -> Data:
         events=_Events(all_events(path)),
         separations=separations(path),
         thresholds=by_threshold(path),
+        episodes=episodes(path) if scene.record.episodes else None,
     )
 
 

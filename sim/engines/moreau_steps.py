@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from stickslip.sim.engines.arithmetic import largest
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.moreau import whole_steps
-from stickslip.sim.engines.arithmetic import largest
 from stickslip.sim.engines.products import one_product
 from stickslip.sim.run import IntegrationError, Run, Stats, Stills
 from stickslip.sim.series import EventSeries, without_returns
@@ -118,17 +118,22 @@ def integrate(task: Task, longest: float) -> Run:
             (at, block, to, stills), counters,
         )  # fmt: skip
         n_stills = counters[_STILLS]
-        parts.append((at[:recorded].copy(), block[:recorded].copy(), to[:recorded].copy(), stills[:, :n_stills].copy()))
+        kept = (at[:recorded], block[:recorded], to[:recorded], stills[:, :n_stills])
+        parts.append(tuple(one.copy() for one in kept))
         counters[_STILLS] = 0
     if not np.isfinite(z).all() or not np.isfinite(w).all():
         raise IntegrationError(f"the state is not finite after t = {task.t_start + counters[_DONE] * h:g}")
     no_events = at[:0], block[:0], to[:0], stills[:, : counters[_STILLS]]
     steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(no_events, *parts, strict=True))
+    is_first = steps == 0  # what leaves at once does not stick
+    initial_mode[blocks[is_first]] = modes[is_first]
+    steps, blocks, modes = steps[~is_first], blocks[~is_first], modes[~is_first]
     order = np.lexsort((blocks, steps))  # stable: a block enters before it leaves at the same instant
     reached = task.t_start + int(counters[_DONE]) * h if counters[_DONE] < n_steps else task.t_end
     series = EventSeries(
         task.t_start + steps[order] * h, blocks[order], modes[order], initial_mode, task.t_start, reached
     )
+    done = int(counters[_DONE])
     series = without_returns(_crossed(series), np.zeros(n))
     return Run(
         z=z,
@@ -137,7 +142,7 @@ def integrate(task: Task, longest: float) -> Run:
         events=series,
         outcome="finished" if is_within else "diverged",
         reason="" if is_within else f"|z| or |w| passed {BEYOND:g} after t = {reached:.4g}",
-        stats=Stats(n_steps=int(counters[_DONE]), n_rejected=0, n_products=int(counters[_DONE]), n_events=len(series)),
+        stats=Stats(n_steps=done, n_rejected=0, n_products=done, n_events=len(series)),
         samples=samples.first(int(counters[_SAMPLED])),
         stills=Stills(task.t_start + noted[0] * h, noted[1]),
     )

@@ -25,7 +25,9 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, RATIO
-from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, whole_steps
+from stickslip.sim.engines.moreau import whole_steps
+from stickslip.sim.engines.moreau_steps import BEYOND
+from stickslip.workflows.charts.steppers import STEPPERS
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]

@@ -34,6 +34,7 @@ from stickslip import sim
 from stickslip.analysis.answer import Recipe
 from stickslip.analysis.style import GREY, STYLE, subplots
 from stickslip.pipeline.toml import Blocks, Count, Positive
+from stickslip.sim.engines.moreau import whole_steps
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown, hard_cases, slope
 from stickslip.workflows.charts.hard_cases import Verdict, judged
 from stickslip.workflows.charts.peers import (
@@ -53,7 +54,6 @@ from stickslip.workflows.charts.peers import (
 )
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.charts.slope import Creep, creep
-from stickslip.workflows.charts.steppers import whole_steps
 
 Axis = Literal["layer", "bond", "damping"]
 Outcome = Literal["right", "rough", "wrong", "failed", "too slow", "not judged", "absent"]

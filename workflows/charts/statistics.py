@@ -35,7 +35,6 @@ from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product, timed
 from stickslip.workflows.charts.peers import W0, Z0, Model, random_system
 from stickslip.workflows.charts.runner import frame
-from stickslip.workflows.charts.steppers import moreau_jean
 
 #: Engine and tolerance that each law's biases are taken against.
 REFERENCES: dict[Model, tuple[str, float]] = {
@@ -185,7 +184,7 @@ class Measured:
 
 def _run(scene: StatisticsScene, system: sim.System, method: str, setting: float, t_end: float) -> sim.Run:
     if method == "Moreau-Jean":
-        return moreau_jean(system, Z0, W0, t_end, setting)
+        return sim.simulate(system, Z0, W0, t_end, engine="moreau", step=setting)
     if method == "coulomb engine":
         return sim.simulate(system, Z0, W0, t_end, engine="coulomb", tol=setting)
     return sim.simulate(system, Z0, W0, t_end, engine="sigmoid", eps=scene.eps, rtol=setting, atol=setting)

@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.sparse
 from scipy import stats
 
 from stickslip import sim
 from stickslip.workflows.charts import load_chart, statistics
 from stickslip.workflows.charts.cost import Product
-from stickslip.workflows.charts.peers import random_problem
 from stickslip.workflows.charts.statistics import (
     METHODS,
     REFERENCES,
@@ -30,7 +28,6 @@ from stickslip.workflows.charts.statistics import (
     paired,
     sampling_error,
 )
-from stickslip.workflows.charts.steppers import BEYOND, STEPPERS, moreau_jean, whole_steps
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import shipped
 
@@ -183,74 +180,6 @@ def test_gamma_of_the_planted_sizes():
     found = paired("gamma (events)", single, runs, 0.95)
     assert found.value is None
     assert "every cascade has size 1" in found.reason
-
-
-# ---------------------------------------------------------------------------------------------- Moreau-Jean
-
-#: Closed forms of one block, as in tests/sim/test_closed_forms.py: rho, kappa, v, z0, w0, times, modes.
-ONE_BLOCK = [
-    (3.5, 0.2, -0.2, -0.7, -0.4, [0.09197880284020456, 3.9564549379897342], [0, 1]),
-    (3.5, 0.2, +0.2, -0.7, -0.4, [0.49802862992843305, 11.540118914788621], [0, -1]),
-    (0.1, 1.0, -0.2, 3.0, 1.0, [0.29075098367384344, 3.231881443452085, 4.104721534065557], [-1, 0, 1]),
-]
-
-
-@pytest.mark.parametrize(("rho", "kappa", "v", "z0", "w0", "times", "modes"), ONE_BLOCK)
-def test_recorded_modes_of_one_block(rho, kappa, v, z0, w0, times, modes):
-    """Every entry, exit and crossing, each within a few steps: the error falls with h.
-
-    A step that ends on the belt by the way makes of a crossing a stick of one step; all others last for many.
-    """
-    system = sim.System([[kappa]], rho, belt_speed=v)
-    for h in (1e-2, 1e-3, 1e-4, 1e-5):
-        run = moreau_jean(system, z0, w0, 20.0, h)
-        assert run.outcome == "finished"
-        assert run.events.initial_mode.tolist() == [np.sign(w0 - v)]
-        lasts = np.append(np.diff(run.events.t) > 1.5 * h, True)
-        assert run.events.mode[lasts].tolist() == modes
-        np.testing.assert_allclose(run.events.t[lasts], times, rtol=0, atol=3 * h)
-
-
-def test_an_event_is_at_the_end_of_the_step_that_makes_it():
-    """w = 3, 1.5, 0 after steps of 0.75; the third would pass the belt's -1, and ends on it."""
-    run = moreau_jean(sim.System([[0.0]], 0.0, 2.0, -1.0), 0.0, 3.0, 3.0, 0.75)
-    assert (run.events.t.tolist(), run.events.mode.tolist(), run.w.tolist()) == ([2.25], [0], [-1.0])
-
-
-def test_recording_changes_nothing():
-    """The same states to the bit as the stepper without a record, and buffers that fill in between lose nothing."""
-    problem = random_problem(0, 50, 60.0, 0.03, "one")
-    system, n_steps = problem.system, whole_steps(60.0, 0.01)
-    z, w = np.full(50, problem.z0), np.full(50, problem.w0)
-    law = (system.columns, system.damping, system.friction, problem.delta, system.belt_speed)
-    STEPPERS["Moreau-Jean"][1](law, z, w, 60.0 / n_steps, n_steps)
-    run = moreau_jean(system, problem.z0, problem.w0, 60.0, 0.01)
-    np.testing.assert_array_equal(run.z, z)
-    np.testing.assert_array_equal(run.w, w)
-    np.testing.assert_array_equal(run.events.mode_at(60.0) == 0, w == system.belt_speed)
-    assert (np.diff(run.events.t) >= 0).all()
-    assert (run.events.previous_mode != run.events.mode).all()
-
-
-def test_a_record_longer_than_its_buffer_is_kept_whole():
-    """Blocks that do not feel each other, each with the two events of the closed form: more than fit at a time."""
-    n = 2100
-    system = sim.System(scipy.sparse.diags_array(np.full(n, 0.2)), 3.5, belt_speed=-0.2)
-    run = moreau_jean(system, -0.7, -0.4, 5.0, 0.05)
-    assert run.events.counts() == {"n_entries": n, "n_exits": n, "n_crossings": 0}
-    np.testing.assert_array_equal(np.unique(run.events.t, return_counts=True)[1], [n, n])
-
-
-def test_a_run_that_leaves_every_bound_is_known_up_to_there():
-    run = moreau_jean(sim.System([[-4.0]], 0.0), 1.0, 1.0, 100.0, 0.1)  # grows with exp(2 t)
-    assert run.outcome == "diverged"
-    assert f"{BEYOND:g}" in run.reason
-    assert run.t_end == run.events.t_end == pytest.approx(0.5 * np.log(BEYOND), abs=0.5)
-
-
-@pytest.mark.parametrize(("t_end", "longest", "expected"), [(1.0, 0.1, 10), (1.0, 0.3, 4), (25.0, 0.01, 2500)])
-def test_whole_steps(t_end, longest, expected):
-    assert whole_steps(t_end, longest) == expected
 
 
 # ---------------------------------------------------------------------------------------------- the scene

@@ -1,0 +1,123 @@
+"""Time stepping of Moreau and Jean: what it records, and that it tends to the exact engine with its step."""
+
+import secrets
+
+import numpy as np
+import pytest
+import scipy.sparse
+
+from stickslip import System, draw_system, simulate
+from stickslip.sim.engines.moreau import whole_steps
+from stickslip.sim.engines.moreau_steps import BEYOND
+from stickslip.sim.episodes import episodes
+from stickslip.workflows.charts.peers import random_problem
+from stickslip.workflows.charts.steppers import STEPPERS
+
+#: Closed forms of one block, as in tests/sim/test_closed_forms.py: rho, kappa, v, z0, w0, times, modes.
+ONE_BLOCK = [
+    (3.5, 0.2, -0.2, -0.7, -0.4, [0.09197880284020456, 3.9564549379897342], [0, 1]),
+    (3.5, 0.2, +0.2, -0.7, -0.4, [0.49802862992843305, 11.540118914788621], [0, -1]),
+    (0.1, 1.0, -0.2, 3.0, 1.0, [0.29075098367384344, 3.231881443452085, 4.104721534065557], [-1, 0, 1]),
+]
+
+
+@pytest.fixture
+def rng():
+    """Random numbers from a seed that is new at each run, and printed."""
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    return np.random.default_rng(seed)
+
+
+def moreau(system, z0, w0, t_end, step, **kw):
+    return simulate(system, z0, w0, t_end, engine="moreau", step=step, **kw)
+
+
+@pytest.mark.parametrize(("rho", "kappa", "v", "z0", "w0", "times", "modes"), ONE_BLOCK)
+def test_modes_of_one_block(rho, kappa, v, z0, w0, times, modes):
+    """Every entry, exit and crossing, each within a few steps: the error falls with the step."""
+    system = System([[kappa]], rho, belt_speed=v)
+    for step in (1e-2, 1e-3, 1e-4, 1e-5):
+        run = moreau(system, z0, w0, 20.0, step)
+        assert run.outcome == "finished"
+        assert run.events.initial_mode.tolist() == [np.sign(w0 - v)]
+        assert run.events.mode.tolist() == modes
+        np.testing.assert_allclose(run.events.t, times, rtol=0, atol=3 * step)
+
+
+def test_an_entry_is_at_the_end_of_its_step():
+    """w = 3, 1.5, 0 after steps of 0.75; the third would pass the belt's -1, and ends on it."""
+    run = moreau(System([[0.0]], 0.0, 2.0, -1.0), 0.0, 3.0, 3.0, 0.75)
+    assert (run.events.t.tolist(), run.events.mode.tolist(), run.w.tolist()) == ([2.25], [0], [-1.0])
+
+
+def test_recording_changes_nothing(rng):
+    """The same states to the bit as the stepper without a record; samples lie on the steps' own path."""
+    problem = random_problem(0, 50, 60.0, 0.03, "one")
+    system, n_steps = problem.system, whole_steps(60.0, 0.01)
+    z, w = np.full(50, problem.z0), np.full(50, problem.w0)
+    law = (system.columns, system.damping, system.friction, problem.delta, system.belt_speed)
+    STEPPERS["Moreau-Jean"][1](law, z, w, 60.0 / n_steps, n_steps)
+    times = np.sort(np.append(rng.uniform(0, 60, 100), [0.0, 60.0]))
+    run = moreau(system, problem.z0, problem.w0, 60.0, 0.01, t_eval=times)
+    np.testing.assert_array_equal(run.z, z)
+    np.testing.assert_array_equal(run.w, w)
+    np.testing.assert_array_equal(run.events.mode_at(60.0) == 0, w == system.belt_speed)
+    assert (np.diff(run.events.t) >= 0).all()
+    assert (run.events.previous_mode != run.events.mode).all()
+    np.testing.assert_allclose(run.samples.z[-1], z, rtol=0, atol=1e-12)
+    exact = simulate(system, problem.z0, problem.w0, 60.0, t_eval=times)
+    assert np.abs(run.samples.z - exact.samples.z)[: len(times) // 2].max() < 0.05
+
+
+def test_a_record_longer_than_its_buffer_is_kept_whole():
+    """Blocks that do not feel each other, each with the two events of the closed form: more than fit at a time."""
+    n = 2100
+    system = System(scipy.sparse.diags_array(np.full(n, 0.2)), 3.5, belt_speed=-0.2)
+    run = moreau(system, -0.7, -0.4, 5.0, 0.05)
+    assert run.events.counts() == {"n_entries": n, "n_exits": n, "n_crossings": 0}
+    np.testing.assert_array_equal(np.unique(run.events.t, return_counts=True)[1], [n, n])
+
+
+def test_a_run_that_leaves_every_bound_is_known_up_to_there():
+    run = moreau(System([[-4.0]], 0.0), 1.0, 1.0, 100.0, 0.1)  # grows with exp(2 t)
+    assert run.outcome == "diverged"
+    assert f"{BEYOND:g}" in run.reason
+    assert run.t_end == run.events.t_end == pytest.approx(0.5 * np.log(BEYOND), abs=0.5)
+
+
+def test_a_step_is_a_number_above_zero_and_the_damping_diagonal():
+    with pytest.raises(ValueError, match="step: expected"):
+        moreau(System([[1.0]], 0.0), 0.0, 0.0, 1.0, 0.0)
+    with pytest.raises(ValueError, match="damping: expected its diagonal"):
+        moreau(System(np.eye(2), [[1.0, 0.5], [0.0, 1.0]]), 0.0, 0.0, 1.0, 0.1)
+
+
+def test_static_friction_holds_a_block_and_moments_tend_to_the_exact_ones():
+    """A block of R = 0, K = 1 slips 2 d and takes 2 d / |v| + 2 (pi - arctan(d / |v|)), d = static less kinetic."""
+    system = System([[1.0]], 0.0, static=1.3, belt_speed=-0.05)
+    period = 0.6 / 0.05 + 2 * (np.pi - np.arctan(0.3 / 0.05))
+    errors = []
+    for step in (0.02, 0.002):
+        found = episodes(moreau(system, 0.0, -0.05, 200.0, step), -0.05)
+        errors.append([abs(np.diff(found.start).mean() - period), abs(found.moment.mean() - moment(system, 200.0))])
+    assert np.max(errors[0]) < 0.1
+    assert np.max(errors[1]) < 0.01
+    assert found.size.tolist() == [1] * len(found)
+
+
+def moment(system, t_end):
+    return episodes(simulate(system, 0.0, -0.05, t_end), -0.05).moment.mean()
+
+
+def test_episodes_of_a_chain_are_those_of_exact_events_for_a_while(rng):
+    chain = draw_system("chain", n=10, seed=0, kappa=4.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=-0.01)
+    z0 = rng.uniform(-0.2, 0.2, 10)
+    exact, steps = (
+        episodes(simulate(chain, z0, -0.01, 200.0, **one), -0.01)
+        for one in ({}, {"engine": "moreau", "step": 1e-4})
+    )  # fmt: skip
+    assert min(len(steps), len(exact)) >= 2
+    np.testing.assert_array_equal(steps.size[:2], exact.size[:2])
+    np.testing.assert_allclose(steps.start[:2], exact.start[:2], rtol=0, atol=0.01)
+    np.testing.assert_allclose(steps.moment[:2], exact.moment[:2], rtol=0, atol=1e-3)
