@@ -40,6 +40,8 @@ OPTIONAL = (
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
+#: Settings of engines that a scene may do without, so that there is no column.
+_NOT_EVERYWHERE = ("step",)
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
     "engine",
@@ -48,7 +50,7 @@ ENGINE_KEYS = (
 )
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
-    *ENGINE_KEYS,
+    *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),
     "member_id",
     "matrix",
     "outcome",
@@ -94,7 +96,7 @@ class Data:
     episodes: pd.DataFrame | None = None
 
     def __post_init__(self) -> None:
-        absent = [name for name in OPTIONAL if name not in self.members]
+        absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in self.members]
         object.__setattr__(self, "members", with_units(self.members.assign(**dict.fromkeys(absent))))
 
 

@@ -167,6 +167,7 @@ class Scene(StrictTable):
             "force": self.system.force is not None,
             "weakening": self.system.weakening is not None,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
+            "step": any("step" in engine.settings for engine in self.engines),
             "end": self.record.end,
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,

@@ -32,6 +32,8 @@ def _struct(**kinds: pa.DataType) -> pa.StructType:
 def _of_engines() -> Iterator[pa.Field]:
     """The columns of the engines' settings, each once, whichever engines have it."""
     for name, setting in SETTINGS.items():
+        if name in RECORDED:
+            continue
         owners = ", ".join(engine.name for engine in ENGINES.values() if name in engine.settings())
         match setting:
             case Number():
@@ -68,6 +70,7 @@ RECORDED = {
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
         _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
     ],
+    "step": [_column("step", pa.float64(), "longest step (moreau)")],
     "end": [
         _column("z_end", _list(pa.float64()), "displacement of each block at the end of the run, t_end or earlier"),
         _column("w_end", _list(pa.float64()), "velocity of each block then"),
@@ -122,6 +125,7 @@ ASKED_BY = {
     "force": "`force` under [system]",
     "weakening": "`weakening` under [system]",
     "drawn": "a distribution in [system] or [start], or arrays of a file",
+    "step": '`[[engine]] name = "moreau"`',
     "end": "`end = true` under [record]",
     "growth_rate": "`growth_rate = true` under [record]",
     "events": "`events = true` under [record]",

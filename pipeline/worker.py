@@ -22,7 +22,7 @@ from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Course, Distribution, Named
-from stickslip.pipeline.schema import COLUMNS, SCHEMA, Recording, encode
+from stickslip.pipeline.schema import COLUMNS, RECORDED, SCHEMA, Recording, encode
 from stickslip.pipeline.storage import is_locked
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.sources import cache_directory, source_digest
@@ -37,7 +37,7 @@ _loaded: set[str] = set()
 
 #: What a row takes over from its member, and from the settings of its engine.
 _PARAMETERS = tuple(name for name in COLUMNS if hasattr(Member, name))
-_SETTINGS = frozenset(SCHEMA.names)
+_SETTINGS = frozenset((*SCHEMA.names, *RECORDED))
 _of_member = attrgetter(*_PARAMETERS)
 
 

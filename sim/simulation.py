@@ -40,14 +40,15 @@ def simulate(
     t_eval : array_like, shape (m,)
         Times in [t_start, t_end], not decreasing, at which to keep the state: see `Run.samples`.
     engine : str
-        "coulomb", the exact set-valued law, or "sigmoid", mu tanh((w - v) / (ratio eps)) in its place; see
-        `stickslip.sim.engines.ENGINES`.
+        "coulomb", the exact set-valued law; "sigmoid", mu tanh((w - v) / (ratio eps)) in its place; or "moreau",
+        time stepping, to compare with; see `stickslip.sim.engines.ENGINES`.
     stop_early : bool
         Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
         that escapes ends.
     **settings
         coulomb: ``tol``, see `stickslip.sim.engines.coulomb.Coulomb`; sigmoid: ``eps``, ``ratio``, ``rtol``,
-        ``atol``, ``stick``, ``threshold``, ``thresholds``, see `stickslip.sim.engines.sigmoid.Sigmoid`.
+        ``atol``, ``stick``, ``threshold``, ``thresholds``, see `stickslip.sim.engines.sigmoid.Sigmoid`; moreau:
+        ``step``, see `stickslip.sim.engines.moreau.Moreau`.
 
     Returns
     -------

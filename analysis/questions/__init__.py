@@ -7,3 +7,5 @@ QUESTIONS = (
     "sweep", "episodes", "cascades", "exponential", "definitions", "clustering", "fates", "engines", "sensitivity",
     "robustness",
 )  # fmt: skip
+#: Those that are not asked where episodes are recorded, which hold the cascades.
+OF_CASCADES = ("cascades", "exponential", "definitions", "clustering")

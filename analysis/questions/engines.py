@@ -123,21 +123,24 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
         yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
-            exact = tightest[0] if tightest[0].key["eps"] is None else family[0]
+            exact = tightest[0] if tightest[0].key["engine"] == "coulomb" else family[0]
             yield from (_Pair(THRESHOLD, exact, family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
 
 
 def _law(group: Group) -> Row:
-    return {"engine": law(group.key["engine"]), "eps": group.key["eps"]}
+    static = group.key["static"] is not None or "static" in str(group.key["drawn"])
+    settings = {name: group.key[name] for name in ("eps", "step")}
+    return {"engine": law(group.key["engine"]), "static": static, **settings}
 
 
 def _tightness(group: Group) -> float:
     return next((float(group.key[name]) for name in TOLERANCES if group.key[name] is not None), 0.0)
 
 
-def _exactness(group: Group) -> tuple[bool, float]:
-    """The exact engine first, then the least smoothing."""
-    return group.key["eps"] is not None, float(group.key["eps"] or 0.0)
+def _exactness(group: Group) -> tuple[bool, bool, float]:
+    """The exact engine first, then the least smoothing, then the shortest step."""
+    eps, step = group.key["eps"], group.key["step"]
+    return step is not None, eps is not None, float(eps or step or 0.0)
 
 
 def _sampling(row: Row) -> Row:
@@ -153,10 +156,11 @@ def _is_suspect(row: Mapping[str, Any]) -> bool:
 
     The rule, which is here alone: the difference is significant after adjustment, and its whole interval lies beyond
     `_EXPLAINED` margins times max(1, eps / _SMOOTH). Where one law has none of it, there is no relative difference:
-    it is suspect if the other's interval excludes zero. Two exact or two smoothed settings are not judged.
+    it is suspect if the other's interval excludes zero. Two exact or two smoothed settings are not judged, nor is
+    static friction above the kinetic: a smoothed block then creeps before it slips, and may never come to slip.
     """
-    eps = row["of_setting"]["eps"]
-    if row["kind"] != LAW or eps is None or row["of_reference"]["eps"] is not None:
+    eps, reference = row["of_setting"]["eps"], row["of_reference"]
+    if row["kind"] != LAW or eps is None or reference["eps"] is not None or reference["static"]:
         return False
     if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
         low = row["second_low"] if row["first"] == 0.0 else row["first_low"]

@@ -139,7 +139,7 @@ def answer(study: Study) -> Answer | None:
 
 def _order(group: Group) -> tuple[Any, ...]:
     """Exact events first, then by engine, from the finest setting to the coarsest."""
-    fineness = [float(group.key[name] or 0.0) for name in ("eps", "step", *TOLERANCES) if name in group.key]
+    fineness = [float(group.key[name] or 0.0) for name in ("eps", "step", *TOLERANCES)]
     return (_ENGINES.index(group.key["engine"]), *fineness)
 
 

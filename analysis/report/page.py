@@ -15,7 +15,7 @@ import pandas as pd
 
 from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, Data, Study
-from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.questions import OF_CASCADES, QUESTIONS
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
@@ -67,6 +67,8 @@ def prepare() -> None:
 
 def ask(study: Study, key: str) -> Answered | None:
     """Put one of `QUESTIONS` to a study; None if it is not asked of such data."""
+    if key in OF_CASCADES and study.data.episodes is not None:
+        return None
     question: Question = import_module(f"stickslip.analysis.questions.{key}")
     found = question.answer(study)
     if found is None:
@@ -231,6 +233,8 @@ def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
     bases = study.data.members
     if "sweep" in keys:
         return ("sweep",)
+    if "episodes" in keys:
+        return ("episodes",)
     if bases["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5:
         return ("fates", "robustness")
     if "robustness" in keys:
