@@ -200,7 +200,7 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
     falls = len(law.far) > 0
     if falls:
-        _resist(law, expansion, 0)
+        _resist(law, expansion, np.int64(0))  # a literal would have it compiled twice
         target = min(target, _known_within(law, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
     allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
