@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stickslip.sim.engines.friction import Peaked, Plain, peaked_sign, smooth_sign
+from stickslip.sim.engines.friction import SHAPES, Law, Peaked, Plain, open_sign, peaked_sign, smooth_sign
 from stickslip.sim.engines.lanes import (
     Lane,
     Numbers,
@@ -46,13 +46,15 @@ from stickslip.sim.engines.radau import (
 
 #: What a formula reads and writes, by rows of a table: a column is a block, on the step that it is taking. First one
 #: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by;
-#: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that.
+#: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that. It falls
+#: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
     LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
-) = range(28)  # fmt: skip
-F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(28, 28 + 11 * STAGES, STAGES)
-N_ROWS = 28 + 11 * STAGES
+    FAR, FALL, CLOSED,
+) = range(31)  # fmt: skip
+F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(31, 31 + 11 * STAGES, STAGES)
+N_ROWS = 31 + 11 * STAGES
 #: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
 STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 
@@ -68,16 +70,15 @@ _LAST_BUT_ONE = 0.05
 _AT_START = 0.3
 
 
-#: A friction law: `Plain` or `Peaked`.
-Law = type[Plain] | type[Peaked]
-
-
 def _friction(rows: Rows, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
     """The law of these blocks."""
     if law is Plain:
         return smooth_sign
     c = rows[HIDDEN]
-    return lambda x: peaked_sign(x, c)
+    if law is Peaked:
+        return lambda x: peaked_sign(x, c)
+    far, fall, closed = rows[FAR], rows[FALL], rows[CLOSED]
+    return lambda x: open_sign(law, x, c, far, fall, closed)
 
 
 def _stiff(slope: Lane, law: Law) -> Lane:
@@ -135,7 +136,11 @@ def _newton(rows: Rows, law: Law) -> Lane:
     for k in stages:
         rows[U + k] = where(still, u[k] + residual[k], u[k])
     x = change * steep
-    inside = (x * change < _allowed(rows, law) * _SOLVED) & ((x < 0.1) | (nearest * steep - x > 20.0))
+    outside = nearest * steep - x > 20.0
+    if law in SHAPES:  # it is bent there too
+        bend = x * rows[FALL]
+        outside = outside & (h * mu * bend * bend < _allowed(rows, law) * _SOLVED)
+    inside = (x * change < _allowed(rows, law) * _SOLVED) & ((x < 0.1) | outside)
     rounding = change < (size + absolute(u0) + h * scale) * 1e-15
     solved = (inside | rounding) & (absolute(finite) < 1e300) | (done > 0.5)
     rows[DONE] = where(solved, h * 0.0 + 1.0, 0.0)

@@ -323,11 +323,12 @@ def integrate(task: Task, tol: float) -> Run:
     require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
     law, v = Law.of(system, drive), drive.belt_speed
-    _refuse_closed(system.closed * (task.w0 - v))
+    _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
     near, far = system.slip_friction
     # bounds |eigenvalues|, and frequencies of forces
     rate = float(system.rates.max() + ((near - far) * law.steepness).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
+    mode[mode * system.closed > 0] = 0
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
     expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
@@ -361,9 +362,9 @@ def integrate(task: Task, tol: float) -> Run:
     )
 
 
-def _refuse_closed(beyond: Floats) -> None:
-    """ValueError if a block starts ahead of its belt, where no force is large enough to have brought it."""
-    if (beyond > 0.0).any():
+def _refuse_closed(beyond: Floats, allowed: float) -> None:
+    """ValueError if a block starts ahead of its belt by more than what is allowed: no force can have brought it there."""
+    if (beyond > allowed).any():
         block = int(np.argmax(beyond))
         raise ValueError(
             f"w0: expected no block ahead of its belt with back_slip=False, got block {block} ahead by"

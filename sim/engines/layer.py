@@ -11,6 +11,7 @@ import numpy as np
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.collocation import (
     BELT,
+    CLOSED,
     DAMPING,
     FORCE0,
     FRICTION,
@@ -106,6 +107,24 @@ def _at(values, x):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
+    """w - v and F, without what they are beyond the belt's speed or push to on a side that is closed."""
+    if closed < 0.0:
+        return max(gap, 0.0), min(force, 0.0)
+    if closed > 0.0:
+        return min(gap, 0.0), max(force, 0.0)
+    return gap, force
+
+
+@inner
+def _keeps(closed, low, high, low_force, high_force, static, band, by_force, mode):  # type: ignore[no-untyped-def]
+    """Whether u and F between these bounds keep to the mode, if one side may be closed."""
+    low, low_force = _to_open(closed, low, low_force)
+    high, high_force = _to_open(closed, high, high_force)
+    return _stays(low, high, low_force, high_force, static, band, by_force, mode)
+
+
+@inner
 def _stays(low, high, low_force, high_force, static, band, by_force, mode):  # type: ignore[no-untyped-def]
     """Whether u and F between these bounds keep to the mode."""
     if mode == 0:
@@ -117,7 +136,7 @@ def _stays(low, high, low_force, high_force, static, band, by_force, mode):  # t
 
 
 @inner
-def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_recorded, work):  # type: ignore[no-untyped-def]
+def _of_piece(u, force, table, i, band, borne, by_force, mode, span, label, events, n_recorded, work):  # type: ignore[no-untyped-def]
     """Record the changes of mode of block i on a piece; u and F by values at the start and the nodes.
 
     Only a force above what friction and damping bear at the edge of the band drives a block out of it: what seems to
@@ -127,14 +146,15 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
     mu, static, peak, strays = table[FRICTION, i], table[STATIC, i], table[PEAK, i], table[TOLERANCE, i]
     low, high = _hull(u, of_u)
     low_force, high_force = _hull(force, of_force)
-    if _stays(low, high, low_force, high_force, static, band, by_force, mode):
+    closed = table[CLOSED, i]
+    if _keeps(closed, low, high, low_force, high_force, static, band, by_force, mode):
         return mode, n_recorded
     t, h, t_next = span
     at, block, to, _ = events
     _powers(u, poly_u)
     _powers(force, poly_force)
     n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
-    bears = mu * sign_of_number(band * table[STEEP, i], table[HIDDEN, i]) + table[DAMPING, i] * band
+    bears = borne * sign_of_number(band * table[STEEP, i], table[HIDDEN, i]) + table[DAMPING, i] * band
     if mu > 0.0:
         for sign in (-1.0, 1.0):
             n_marks = _marks(poly_u, of_u, sign * band, marks, n_marks, found)
@@ -150,7 +170,7 @@ def _of_piece(u, force, table, i, band, by_force, mode, span, label, events, n_r
         if right <= left:
             continue
         middle = 0.5 * (left + right)
-        gap, pull = horner(poly_u, STAGES, middle), horner(poly_force, STAGES, middle)
+        gap, pull = _to_open(closed, horner(poly_u, STAGES, middle), horner(poly_force, STAGES, middle))
         new = mode_of(mode, gap, pull, (mu, static, peak), band, by_force)
         is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not by_force or abs(pull) < static)
         if new != mode and not (is_borne and abs(gap) < band + strays):
@@ -168,30 +188,31 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
 
     `span` is where the step starts, how long it is and where it ends; of definition d blocks are labelled i + d n.
     """
-    bands, by_force, modes = definitions
+    bands, borne, by_force, modes = definitions
     t, macro, t_next = span
     work = np.empty((6, PASSES + 1))
     u, force, of_piece = np.empty(STAGES + 1), np.empty(STAGES + 1), np.empty(STAGES + 1)
     for d in range(len(bands)):
         mode, band = modes[d], bands[d]
         for i in range(n):
-            if flags[i] or _stays(
-                table[LOW, i], table[HIGH, i], table[LOW_FORCE, i], table[HIGH_FORCE, i], table[STATIC, i], band[i],
-                by_force[d], mode[i],
+            if flags[i] or _keeps(
+                table[CLOSED, i], table[LOW, i], table[HIGH, i], table[LOW_FORCE, i], table[HIGH_FORCE, i],
+                table[STATIC, i], band[i], by_force[d], mode[i],
             ):  # fmt: skip
                 continue
             u[0], force[0] = table[U0, i], table[FORCE0, i]
             for k in range(STAGES):
                 u[k + 1], force[k + 1] = table[U + k, i], table[F + k, i]
             mode[i], n_recorded = _of_piece(
-                u, force, table, i, band[i], by_force[d], mode[i], span, d * n + i, events, n_recorded, work
-            )
+                u, force, table, i, band[i], borne[d, i], by_force[d], mode[i], span, d * n + i, events, n_recorded,
+                work,
+            )  # fmt: skip
         last = -1
         for k in range(n_pieces):
             i, piece = piece_block[k], pieces[k]
             low, high = _hull(piece[PIECE_U:], work[0])
-            if _stays(
-                low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[STATIC, i], band[i],
+            if _keeps(
+                table[CLOSED, i], low, high, table[LOW_FORCE, i], table[HIGH_FORCE, i], table[STATIC, i], band[i],
                 by_force[d], mode[i],
             ):  # fmt: skip
                 continue
@@ -203,7 +224,7 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
             for j in range(STAGES + 1):
                 of_piece[j] = _at(force, piece[PIECE_AT] + piece[PIECE_H] * ALL_NODES[j])
             mode[i], n_recorded = _of_piece(
-                piece[PIECE_U:], of_piece, table, i, band[i], by_force[d], mode[i],
+                piece[PIECE_U:], of_piece, table, i, band[i], borne[d, i], by_force[d], mode[i],
                 (t + macro * piece[PIECE_AT], macro * piece[PIECE_H], t_next), d * n + i, events, n_recorded, work,
             )  # fmt: skip
     return n_recorded

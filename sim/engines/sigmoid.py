@@ -18,7 +18,8 @@ class Sigmoid(Engine):
     """The sign smoothed to tanh((w - v) / (ratio eps)).
 
     With static friction above the kinetic, to s(lambda) = lambda + c lambda (1 - lambda^2) of that lambda, whose c
-    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`.
+    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`. With weakening
+    mu(|w - v|) stands for mu; on a side that is barred stands the law's tangent at w = v.
 
     Parameters
     ----------
@@ -60,6 +61,7 @@ class Sigmoid(Engine):
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "sigmoid_steps"
     takes_static = True
+    takes_weakening = True
 
     eps: float = setting(
         0.03,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,10 +13,13 @@ from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.collocation import (
     BELT,
+    CLOSED,
     DAMPING,
     DONE,
     DRAG,
     ERROR,
+    FALL,
+    FAR,
     FINE,
     FLAGGED,
     FORCE0,
@@ -61,7 +64,7 @@ from stickslip.sim.engines.collocation import (
 )
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Ratios, Task
-from stickslip.sim.engines.friction import Peaked, Plain
+from stickslip.sim.engines.friction import Exponential, Peaked, Plain, Rational, Steady
 from stickslip.sim.engines.lanes import ALL, WIDTH
 from stickslip.sim.engines.layer import (
     PASSES,
@@ -83,6 +86,7 @@ from stickslip.sim.engines.watch import too_far
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
 from stickslip.sim.theory.laws import hidden_term, turning_point
+from stickslip.sim.weakening import Stribeck
 
 #: The most sweeps over F, Newton's iterations of a macro step in the first sweep, and of a step of a block's own.
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
@@ -107,6 +111,9 @@ _FAR_BELOW = 1e-2
 
 # behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change
 _STEP, _KEPT, _SLOW = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)
+
+#: Rows that a block keeps in steps of its own.
+_OF_BLOCK = (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED)
 
 _products, _single_products = products(STAGES), products(STAGES, single=True)
 
@@ -183,7 +190,7 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                 waiting += 1
                 active += 1
                 block[lane] = i
-                for row in (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE):
+                for row in _OF_BLOCK:
                     own[row, lane] = table[row, i]
                 for p in range(STAGES):
                     value = 0.0
@@ -406,7 +413,7 @@ def _advance(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     n = len(z)
-    mode = definitions[2][0]
+    mode = definitions[3][0]
     ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
     n_recorded = np.int64(0)
     grown = True
@@ -506,7 +513,8 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
         )
     band = delta * np.log(1 / delta) if is_manifold else engine.threshold * delta
     bands = np.vstack([band, np.multiply.outer(np.array(engine.thresholds, dtype=np.float64), delta)])
-    bands[:, system.friction == 0] = 0.0  # without friction no block sticks
+    friction, far = system.slip_friction
+    bands[:, friction == 0] = 0.0  # without friction no block sticks
     by_force = np.array([is_manifold] + [False] * len(engine.thresholds))
     rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
@@ -517,9 +525,13 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     modes = _modes(system, w - v, pull, bands, by_force, peak * delta)
     table = _table(system, z, w, v, delta, drag, pull)
     table[HIDDEN, :n], table[PEAK, :n], table[STATIC, :n] = hidden, peak * delta, system.static
+    table[CLOSED, :n] = system.closed
+    if system.weakening is not None:
+        table[FALL, :n] = system.weakening.steepness * delta
+        table[FAR, :n] = np.divide(far, friction, out=np.ones(n), where=friction > 0)
     table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     # how deep in the layer friction differs from kinetic by what counts
-    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * system.friction * (1.0 + 2.0 * hidden) / (boost * atol))
+    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * friction * (1.0 + 2.0 * hidden) / (boost * atol))
     numbers = np.zeros((STAGES + 1, STAGES))
     numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
     speed = max(float(np.abs(x).max()) for x in (w, system.damping * (w - v) + pull, system.friction))
@@ -531,7 +543,8 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
     arguments = (
         table, np.zeros((N_ROWS, WIDTH)), numbers, law, _matrices(system), ROUGH * float(system.row_sums.max()),
-        (np.zeros((STAGES, table.shape[1])), single[0], single[1]), (bands, by_force, modes),
+        (np.zeros((STAGES, table.shape[1])), single[0], single[1]),
+        (bands, np.broadcast_to(system.kinetic(bands), bands.shape).copy(), by_force, modes),
         np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4),
         np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
         tuple(state.samples),
@@ -583,34 +596,48 @@ def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats,
     return drag, pull
 
 
-def _law(system: System) -> tuple[Plain | Peaked, Floats, Floats]:
+def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     """The friction law, its c by block, and the x at which it has its peak.
 
     Raises
     ------
     ValueError
-        If a block without kinetic friction has a static one.
+        If a block without kinetic friction has a static one, or a side that is closed.
     """
+    friction, falls = system.slip_friction[0], system.weakening
+    law: NamedTuple = Peaked() if system.is_static_above else Plain()
+    if falls is not None:
+        law = Exponential() if isinstance(falls, Stribeck) else Rational()
+    elif not system.back_slip:
+        law = Steady()
+    if (friction[system.closed != 0] == 0).any():
+        block = int(np.flatnonzero((friction == 0) & (system.closed != 0))[0])
+        raise ValueError(
+            f"back_slip: engine='sigmoid' bars a side by friction that grows, got none at block {block}; give it a"
+            " small kinetic friction"
+        )
     if not system.is_static_above:
-        return Plain(), np.zeros(system.n), np.full(system.n, np.inf)
-    if (system.friction[system.static > system.friction] == 0).any():
-        block = int(np.flatnonzero((system.friction == 0) & (system.static > 0))[0])
+        return law, np.zeros(system.n), np.full(system.n, np.inf)
+    if (friction[system.static > friction] == 0).any():
+        block = int(np.flatnonzero((friction == 0) & (system.static > 0))[0])
         raise ValueError(
             f"static: engine='sigmoid' smooths the ratio of static to kinetic friction, got {system.static[block]:g}"
             f" above 0 at block {block}; give it a small kinetic friction"
         )
-    ratio = np.divide(system.static, system.friction, out=np.ones(system.n), where=system.friction > 0)
+    ratio = np.divide(system.static, friction, out=np.ones(system.n), where=friction > 0)
     hidden = hidden_term(ratio)
     lam = turning_point(hidden)
-    return Peaked(), hidden, np.arctanh(lam, out=np.full(system.n, np.inf), where=lam < 1)
+    return law, hidden, np.arctanh(lam, out=np.full(system.n, np.inf), where=lam < 1)
 
 
 def _modes(
     system: System, u: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_], peak: Floats
 ) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
+    ahead, outward = u * system.closed > 0, pull * system.closed < 0
+    u, pull = np.where(ahead, 0.0, u), np.where(outward, 0.0, pull)
     held = np.abs(u) < bands
-    is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.friction)
+    is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.slip_friction[0])
     held[by_force] &= (np.abs(pull) < system.static) & ~is_driven
     side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
     return np.where(held, 0, side).astype(np.int8)
@@ -624,7 +651,7 @@ def _table(system: System, z: Floats, w: Floats, v: Floats, delta: Floats, drag:
         table[row] = 1.0
     table[BELT, :n] = v
     table[U0, :n], table[Z0, :n], table[SPEED_BEFORE, :n] = w - v, z, np.abs(w)
-    table[DAMPING, :n], table[FRICTION, :n], table[STEEP, :n] = system.damping, system.friction, 1.0 / delta
+    table[DAMPING, :n], table[FRICTION, :n], table[STEEP, :n] = system.damping, system.slip_friction[0], 1.0 / delta
     table[DRAG, :n], table[FORCE0, :n] = drag, pull
     table[KEPT_F : KEPT_F + STAGES, :n], table[KEPT_U : KEPT_U + STAGES, :n] = pull, w - v
     return table

@@ -1,18 +1,22 @@
 """An independent method for the smoothed law: Radau IIA of seven stages, order 13, on steps of its own.
 
-    z'' + R z' + N z' + K z + mu s(tanh((z' - v) / delta)) = 0,    s(l) = l + c l (1 - l^2)
+    z'' + R z' + N z' + K z + mu s(tanh((z' - v) / delta)) g(|z' - v|) = 0,    s(l) = l + c l (1 - l^2)
 
 c is such that the largest mu s is static friction: 4 (1 + c)^3 = 27 r^2 c, r static over kinetic; 0 if they are one.
+g = 1, 1 / (1 + a u), or f + (1 - f) exp(-a u); then mu is static friction, f kinetic over that, and c = 0. On a side
+that is closed the law is its tangent at z' = v.
 
-It shares nothing with `sim`. Nodes and weights are computed here from Legendre polynomials. Each block's seven values
-of w are found by Newton's method with the rest of the motion fixed, and all blocks are swept until nothing moves. A
-step is taken when both the last two Legendre coefficients of w' and the defect of the polynomial, at 28 places
-between the nodes, are below the tolerance, in w.
+It shares nothing with `sim` but the names of laws. Nodes and weights are computed here from Legendre polynomials.
+Each block's seven values of w are found by Newton's method with the rest of the motion fixed, and all blocks are
+swept until nothing moves. A step is taken when both the last two Legendre coefficients of w' and the defect of the
+polynomial, at 28 places between the nodes, are below the tolerance, in w.
 """
 
 import numba
 import numpy as np
 from numpy.polynomial import legendre
+
+from stickslip.sim import Stribeck
 
 STAGES = 7
 _FINE = 28
@@ -59,21 +63,41 @@ def _solve(matrix, x):
 
 
 @numba.njit(cache=True)
-def _block(h, w0, force, r, mu, c, v, delta, w, a_inverse):
+def _sign(u, delta, law):
+    """Friction over mu at the speed of slip u, and its slope; `law` is c, f, a, which g it is, the closed side."""
+    c, far, a, kind, closed = law
+    x = u / delta
+    if x * closed > 0.0:
+        return (1.0 + c) * x, (1.0 + c) / delta
+    tanh = np.tanh(x)
+    rise = 1.0 - tanh * tanh
+    s, slope = tanh * (1.0 + c * rise), rise * (1.0 + c * rise - 2.0 * c * tanh * tanh) / delta
+    g, falls = 1.0, 0.0
+    if kind == 1:
+        g = 1.0 / (1.0 + a * abs(u))
+        falls = -a * g * g
+    elif kind == 2:
+        g = np.exp(-a * abs(u))
+        falls = -a * (1.0 - far) * g
+        g = far + (1.0 - far) * g
+    return s * g, slope * g + abs(s) * falls
+
+
+@numba.njit(cache=True)
+def _block(h, w0, force, r, mu, law, v, delta, w, a_inverse):
     """Newton's method for the values of w of one block at the nodes; False if it does not settle."""
     s = len(w)
     matrix, change = np.empty((s, s)), np.empty(s)
     last = np.inf
     for _ in range(60):
         for k in range(s):
-            tanh = np.tanh((w[k] - v) / delta)
+            sign, slope = _sign(w[k] - v, delta, law)
             total = 0.0
             for j in range(s):
                 matrix[k, j] = a_inverse[k, j]
                 total += a_inverse[k, j] * (w[j] - w0)
-            rise = 1.0 - tanh * tanh
-            change[k] = total + h * (r * w[k] + force[k] + mu * tanh * (1.0 + c * rise))
-            matrix[k, k] += h * (r + mu / delta * rise * (1.0 + c * rise - 2.0 * c * tanh * tanh))
+            change[k] = total + h * (r * w[k] + force[k] + mu * sign)
+            matrix[k, k] += h * (r + mu * slope)
         _solve(matrix, change)
         size = np.abs(change).max()
         for k in range(s):
@@ -87,7 +111,7 @@ def _block(h, w0, force, r, mu, c, v, delta, w, a_inverse):
 
 
 @numba.njit(cache=True)
-def _step(h, z0, w0, k_matrix, cross, r, mu, c, v, delta, z, w, force, tables):
+def _step(h, z0, w0, k_matrix, cross, r, mu, laws, v, delta, z, w, force, tables):
     """One trial step. Returns the largest weighted defect, or infinity; z, w are values at the nodes."""
     a, a_inverse, values, rates, tails = tables
     s, n = w.shape
@@ -105,9 +129,9 @@ def _step(h, z0, w0, k_matrix, cross, r, mu, c, v, delta, z, w, force, tables):
         before = w.copy()
         for i in range(n):
             column[:] = w[:, i]
-            if not _block(h, w0[i], force[:, i].copy(), r[i], mu[i], c[i], v, delta[i], column, a_inverse):
+            if not _block(h, w0[i], force[:, i].copy(), r[i], mu[i], laws[i], v, delta[i], column, a_inverse):
                 column[:] = v  # once more, from the belt
-                if not _block(h, w0[i], force[:, i].copy(), r[i], mu[i], c[i], v, delta[i], column, a_inverse):
+                if not _block(h, w0[i], force[:, i].copy(), r[i], mu[i], laws[i], v, delta[i], column, a_inverse):
                     return np.inf
             w[:, i] = column
         moved = max(moved, np.abs(w - before).max() / max(1.0, np.abs(w).max()))
@@ -121,8 +145,7 @@ def _step(h, z0, w0, k_matrix, cross, r, mu, c, v, delta, z, w, force, tables):
     worst = 0.0
     for i in range(n):
         for k in range(s):
-            tanh = np.tanh((w[k, i] - v) / delta[i])
-            rate_at[k] = -(r[i] * w[k, i] + force[k, i] + mu[i] * tanh * (1.0 + c[i] * (1.0 - tanh * tanh)))
+            rate_at[k] = -(r[i] * w[k, i] + force[k, i] + mu[i] * _sign(w[k, i] - v, delta[i], laws[i])[0])
         for p in range(2):
             worst = max(worst, abs(h * np.dot(tails[p], rate_at)) / max(1.0, abs(w0[i])))
         for p in range(values.shape[0]):
@@ -131,17 +154,15 @@ def _step(h, z0, w0, k_matrix, cross, r, mu, c, v, delta, z, w, force, tables):
                 speed += values[p, k + 1] * w[k, i]
                 f += rates[p, k] * force[k, i]
                 rate += rates[p, k] * rate_at[k]
-            tanh = np.tanh((speed - v) / delta[i])
-            rise = 1.0 - tanh * tanh
-            defect = h * (rate + r[i] * speed + f + mu[i] * tanh * (1.0 + c[i] * rise))
-            slope = rise * (1.0 + c[i] * rise - 2.0 * c[i] * tanh * tanh)
-            stiff = 1.0 + h * (abs(r[i]) + mu[i] / delta[i] * max(slope, 0.0))
+            sign, slope = _sign(speed - v, delta[i], laws[i])
+            defect = h * (rate + r[i] * speed + f + mu[i] * sign)
+            stiff = 1.0 + h * (abs(r[i]) + mu[i] * max(slope, 0.0))
             worst = max(worst, abs(defect) / stiff / max(1.0, abs(speed)))
     return worst
 
 
 @numba.njit(cache=True)
-def _run(k_matrix, cross, r, mu, c, v, delta, z, w, times, tol, longest, tables, out):
+def _run(k_matrix, cross, r, mu, laws, v, delta, z, w, times, tol, longest, tables, out):
     s, n = len(tables[0]), len(z)
     nodes_z, nodes_w, force = np.zeros((s, n)), np.empty((s, n)), np.empty((s, n))
     h, t, n_steps = 1e-4, 0.0, 0
@@ -153,7 +174,7 @@ def _run(k_matrix, cross, r, mu, c, v, delta, z, w, times, tol, longest, tables,
             step = min(h, longest, times[m] - t)
             for k in range(s):
                 nodes_z[k] = z
-            error = _step(step, z, w, k_matrix, cross, r, mu, c, v, delta, nodes_z, nodes_w, force, tables)
+            error = _step(step, z, w, k_matrix, cross, r, mu, laws, v, delta, nodes_z, nodes_w, force, tables)
             if error <= tol:
                 t = times[m] if step == times[m] - t else t + step
                 z[:] = nodes_z[s - 1]
@@ -180,9 +201,15 @@ def states(system, z0, w0, delta, times, tol=1e-13, longest=0.05):
     cross = np.zeros((n, n)) if system.cross_damping is None else np.ascontiguousarray(system.cross_damping)
     z, w, width = (np.array(np.broadcast_to(np.asarray(x, float), n)) for x in (z0, w0, delta))
     out = np.full((len(times), 2, n), np.nan)
-    hidden = np.array([_hidden(*pair) for pair in zip(system.static, system.friction, strict=True)])
+    kind = 0 if system.weakening is None else 1 + isinstance(system.weakening, Stribeck)
+    near = np.array(system.static if kind == 2 else system.friction)
+    laws = np.zeros((n, 5))
+    laws[:, 0] = [_hidden(*pair) for pair in zip(system.static, near, strict=True)]
+    laws[:, 1] = np.divide(system.friction, near, out=np.zeros(n), where=near > 0)
+    laws[:, 2] = (0.0, getattr(system.weakening, "rate", 0.0), 1.0 / getattr(system.weakening, "speed", 1.0))[kind]
+    laws[:, 3], laws[:, 4] = kind, system.closed
     steps = _run(
-        dense, cross, np.array(system.damping), np.array(system.friction), hidden, float(system.belt_speed), width,
+        dense, cross, np.array(system.damping), near, laws, float(system.belt_speed), width,
         z, w, np.asarray(times, float), tol, longest, TABLES, out,
     )  # fmt: skip
     return out if steps >= 0 else np.full_like(out, np.nan)

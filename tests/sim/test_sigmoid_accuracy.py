@@ -3,7 +3,8 @@
 The multiple: error / (tolerance * (1 + largest |z|, |w| of the run) * sensitivity), with rtol = atol = tolerance. The
 sensitivity is that of the system, at least 1: how far a displacement of the start, or of the state half-way, is
 carried. `python -m tests.sim.test_sigmoid_accuracy 200` prints the table of the guide, for as many systems; with a
-seed and `static` behind it, for systems whose static friction is above the kinetic.
+seed and `static` behind it, for systems whose static friction is above the kinetic, with `weakening`, for such whose
+friction falls with the speed of slip too, half of them without back slip.
 """
 
 import secrets
@@ -12,7 +13,7 @@ import sys
 import numpy as np
 import pytest
 
-from stickslip.sim import System, draw_system, simulate
+from stickslip.sim import Rational, Stribeck, System, draw_system, simulate
 from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
@@ -20,7 +21,7 @@ STIFF = ("one", "stiff", "undamped stiff")
 BOUND = 20.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
 
 
-def draw(family, rng, t_max, peaked=False):
+def draw(family, rng, t_max, kind=""):
     """A system, a start, widths delta, and times at which to look."""
     n = 1 if family == "one" else int(rng.integers(10, 31)) if family == "many" else int(rng.integers(1, 9))
     kappa = 10 ** rng.uniform(-2, np.log10(0.4))
@@ -45,8 +46,11 @@ def draw(family, rng, t_max, peaked=False):
     z, w = rng.normal(size=(2, n)) * rng.choice([0.3, 1.0, 3.0])
     if rng.random() < 0.5:
         w[rng.random(n) < 0.6] = v
-    static = friction * (rng.choice([1.0, 1.05, 1.3, 2.0], n) if peaked else 1.0)
+    static = friction * (rng.choice([1.0, 1.05, 1.3, 2.0], n) if kind else 1.0)
     system = System(k, damping, friction, v, static)
+    if kind == "weakening":
+        law = Rational(10 ** rng.uniform(-1, 1)) if rng.random() < 0.5 else Stribeck(10 ** rng.uniform(-1, 1))
+        system = system.changed(weakening=law, back_slip=bool(v == 0 or (friction == 0).any() or rng.random() < 0.5))
     growth = np.linalg.eigvals(system.slip_matrix()).real.max()
     t_end = min(rng.uniform(0.5, 1.0) * t_max, 3.0 / growth if growth > 0 else np.inf)
     return system, z, w, delta, np.sort(np.append(rng.uniform(0.0, t_end, 5), t_end))
@@ -76,21 +80,21 @@ def multiples(system, z, w, delta, times, tolerances, rng):
     return found
 
 
-def study(n_systems, seed, tolerances, t_max, peaked=False):
+def study(n_systems, seed, tolerances, t_max, kind=""):
     """Rows (number, family, tolerance, multiple at the end, at samples)."""
     rows = []
     for number in range(n_systems):
         family, rng = FAMILIES[number % len(FAMILIES)], np.random.default_rng([seed, number])
-        found = multiples(*draw(family, rng, t_max, peaked), tolerances, rng)
+        found = multiples(*draw(family, rng, t_max, kind), tolerances, rng)
         rows += [(number, family, tol, *pair) for tol, pair in zip(tolerances, found, strict=True) if pair]
     return rows
 
 
-@pytest.mark.parametrize("peaked", [False, True], ids=["", "static friction above kinetic"])
-def test_random_systems_keep_to_the_stated_multiple(peaked):
+@pytest.mark.parametrize("kind", ["", "static", "weakening"])
+def test_random_systems_keep_to_the_stated_multiple(kind):
     seed = secrets.randbits(32)
     print(f"seed {seed}")
-    rows = study(16, seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0, peaked)
+    rows = study(16, seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0, kind)
     worst = max(rows, key=lambda row: max(row[3:]))
     print(f"{len(rows)} runs, worst {worst}")
     assert len(rows) > 32  # the others have no reference
@@ -137,8 +141,8 @@ def test_the_reference_against_a_closed_form():
     np.testing.assert_allclose(w[:, 0], -20 * np.sin(20 * times), rtol=0, atol=2e-10)
 
 
-def _table(n_systems, seed, peaked):
-    rows = study(n_systems, seed, tuple(10.0**-k for k in range(3, 11)), 8.0, peaked)
+def _table(n_systems, seed, kind):
+    rows = study(n_systems, seed, tuple(10.0**-k for k in range(3, 11)), 8.0, kind)
     print(f"seed {seed}\n{'':18}runs  median   95%   worst | samples worst")
     for column, names in ((2, sorted({row[2] for row in rows})), (1, FAMILIES)):
         for name in names:
@@ -148,4 +152,4 @@ def _table(n_systems, seed, peaked):
 
 
 if __name__ == "__main__":
-    _table(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else secrets.randbits(32), "static" in sys.argv)
+    _table(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else secrets.randbits(32), "".join(sys.argv[3:]))

@@ -2,12 +2,14 @@
 
 import secrets
 
+import numba
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
-from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines import ENGINES, friction
+from stickslip.sim.engines.lanes import on_number
 from stickslip.sim.theory import folds
 
 # the system
@@ -254,3 +256,73 @@ def test_the_basin_of_steady_sliding():
     coarse = basin(24, 12, tol=1e-6)
     print(coarse)
     assert abs(coarse - 0.30713) < 0.015
+
+
+# the sigmoid engine
+
+FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9}
+
+
+@pytest.mark.parametrize(("law", "static", "order"), [
+    (Rational(3.0), 1.0, 1.0), (Stribeck(0.5), 1.4, 1.0), (Rational(3.0), 1.3, 2 / 3), (None, 1.0, 1.0),
+    (None, 1.3, 2 / 3),
+])  # fmt: skip
+@pytest.mark.parametrize("back_slip", [True, False])
+def test_the_smoothed_laws_tend_to_the_exact_ones(law, static, order, back_slip):
+    """As eps log(1 / eps), or, where a block leaves with a jump, as eps^(2/3)."""
+    system = draw_system("chain", 5, 3, kappa=0.7, leaf=1.0, rho=0.2, static=static)
+    system, z = system.changed(weakening=law, back_slip=back_slip), np.linspace(-0.3, 0.3, 5)
+    exact = simulate(system, z, -0.2, 9.0, tol=1e-12)
+    errors, widths = [], np.array([1e-3, 1e-4, 1e-5])
+    for eps in widths:
+        run = simulate(system, z, -0.2, 9.0, eps=eps, **FINE)
+        errors.append(max(np.abs(run.z - exact.z).max(), np.abs(run.w - exact.w).max()))
+    print(len(exact.events), errors)
+    assert len(exact.events) > 3
+    assert run.events.mode.tolist() == exact.events.mode.tolist()
+    assert order - 0.25 < np.polyfit(np.log(widths), np.log(errors), 1)[0] < order + 0.2
+
+
+def test_a_barred_side_holds_in_the_limit():
+    """What is pulled ahead of its belt with 30 times its friction creeps there, by 30 eps, and sticks."""
+    system = System([[1.0]], 0.0, 1.0, -0.2, back_slip=False)
+    for eps in (1e-2, 1e-3, 1e-4):
+        run = simulate(system, 30.0, -0.2, 1.0, eps=eps, **FINE)
+        assert (len(run.events), run.events.initial_mode[0]) == (0, 0)
+        assert run.w[0] + 0.2 == pytest.approx(-run.z[0] * eps, rel=0.01)
+        away = simulate(system.changed(back_slip=True), 30.0, -0.2, 1.0, eps=eps, **FINE)
+        assert away.events.mode_at(1.0)[0] == -1
+
+
+def test_a_barred_side_needs_friction_to_smooth():
+    with pytest.raises(ValueError, match=r"back_slip: engine='sigmoid' .* got none at block 1"):
+        simulate(System(np.eye(2), 0.1, [1.0, 0.0], back_slip=False), 0.0, -0.2, 1.0, engine="sigmoid")
+
+
+def test_thresholds_of_sticking_see_the_open_side_alone():
+    system = System([[1.0]], 0.0, 1.0, -0.2, weakening=Rational(2.0), back_slip=False)
+    run = simulate(system, 3.0, -0.2, 25.0, eps=1e-3, stick="threshold", thresholds=(2.0,), **FINE)
+    for threshold, series in ((1.0, run.events), (2.0, run.by_threshold[2.0])):
+        assert series.initial_mode.tolist() == [0]
+        assert series.mode.tolist()[:1] == [1]  # when it has come to F = -mu tanh(threshold), not before
+        assert series.t[0] == pytest.approx((3.0 + np.tanh(threshold)) / 0.2, abs=0.3)
+
+
+def test_the_law_and_its_slope():
+    """Against the formula, and differences."""
+    x = np.concatenate([np.geomspace(1e-6, 3000.0, 300), -np.geomspace(1e-6, 3000.0, 300)])
+    for law, shape in ((friction.Rational, lambda y: 1 / (1 + y)), (friction.Exponential, lambda y: np.exp(-y))):
+        for closed in (-1.0, 0.0, 1.0):
+            c, far, fall = 0.7, 0.4, 0.3
+            formula = on_number(lambda x: friction.open_sign(law, x, *(x * 0.0 + y for y in (c, far, fall, closed))))  # noqa: B023
+            apply = numba.njit(lambda x: formula(x))  # noqa: B023
+            lam = np.tanh(x)
+            value = (lam + c * lam * (1 - lam**2)) * (far + (1 - far) * shape(fall * abs(x)))
+            value = np.where(x * closed > 0, (1 + c) * x, value)
+            np.testing.assert_allclose([apply(one)[0] for one in x], value, rtol=1e-13, atol=1e-15)
+            h = 1e-5 * np.maximum(abs(x), 1e-2)
+            slope = [(apply(one + d)[0] - apply(one - d)[0]) / (2 * d) for one, d in zip(x, h, strict=True)]
+            smooth = abs(x) > 1e-4  # second derivatives jump at 0
+            np.testing.assert_allclose(
+                np.array([apply(one)[1] for one in x])[smooth], np.array(slope)[smooth], atol=1e-6
+            )
