@@ -363,7 +363,7 @@ def integrate(task: Task, tol: float) -> Run:
 
 
 def _refuse_closed(beyond: Floats, allowed: float) -> None:
-    """ValueError if a block starts ahead of its belt by more than what is allowed: no force can have brought it there."""
+    """ValueError if a block starts ahead of its belt by more than is allowed: no force can have brought it there."""
     if (beyond > allowed).any():
         block = int(np.argmax(beyond))
         raise ValueError(
