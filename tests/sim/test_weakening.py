@@ -53,7 +53,7 @@ def test_the_closed_side_is_ahead_of_the_belt():
         (
             {"back_slip": False, "belt_speed": Piecewise([0.0, 1.0], [0.1, -0.1])},
             ValueError,
-            "back_slip: expected True for a belt that rests, or turns",
+            "back_slip: expected True for a belt that rests or turns",
         ),
     ],
 )
