@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias, cast
+from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -135,6 +135,7 @@ class Piecewise:
 
 #: A force from outside as users give it: its sum, if it is a list of such.
 Term: TypeAlias = Harmonic | Piecewise
+AnyTerm = TypeVar("AnyTerm", Harmonic, Piecewise)
 Force: TypeAlias = ArrayLike | Term | Iterable[ArrayLike | Term] | None
 
 
@@ -155,7 +156,7 @@ def forces(force: Force, n: int) -> tuple[Term, ...]:
         if not isinstance(given, Harmonic | Piecewise):
             fixed += per_block("force", cast("ArrayLike", given), n)
             continue
-        term = by_block("force", given, n)
+        term: Term = by_block("force", given, n)  # type: ignore[type-var]
         if term.is_constant:
             fixed += term.at(0.0)
         else:
@@ -163,7 +164,7 @@ def forces(force: Force, n: int) -> tuple[Term, ...]:
     return (*((constant(fixed),) if fixed.any() else ()), *changing)
 
 
-def by_block(name: str, term: Term, n: int) -> Term:
+def by_block(name: str, term: AnyTerm, n: int) -> AnyTerm:
     """The same, one for each of n blocks: rows of shape (n,)."""
     if isinstance(term, Harmonic):
         return Harmonic(
@@ -181,7 +182,6 @@ def belt(belt_speed: ArrayLike | Piecewise, n: int) -> float | Floats | Piecewis
     """Speeds of n belts: a number where all have one that does not change, (n,) where they differ, or by block."""
     if isinstance(belt_speed, Piecewise):
         moving = by_block("belt_speed", belt_speed, n)
-        assert isinstance(moving, Piecewise)
         if not moving.is_constant:
             return moving
         speed = moving.values[0]

@@ -1,10 +1,11 @@
 """Energy of a run under the exact law, segment by segment.
 
-    d/dt (|w|^2 / 2 + z K_s z / 2) = belt - damping - heat + coupling
+    d/dt (w M w / 2 + z K_s z / 2) = belt + outside - damping - heat + coupling
 
-The belt does the work v f_i on block i, f_i the friction on it: -mu_i sigma_i in slip, R_i v + (K z)_i in stick,
-where it balances all else. Damping takes w R w; the contact takes heat, -f_i (w_i - v), none in stick. Springs store
-z K_s z / 2, K_s the symmetric part of K; the skew part, couplings that are not reciprocal, gives -w K_a z.
+Its belt does the work v_i f_i on block i, f_i the friction on it: -mu_i sigma_i in slip, `System.holding_force` in
+stick, where it balances all else. Forces from outside do theirs. Damping takes w R w; the contact takes heat,
+-f_i (w_i - v_i), none in stick. Springs store z K_s z / 2, K_s the symmetric part of K; the skew part, couplings that
+are not reciprocal, gives -w K_a z.
 
 Between two events all of this is analytic, so Gauss's quadrature on the states of the series takes it to rounding.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
+from stickslip.sim.drive import Piecewise
 from stickslip.sim.run import Run
 from stickslip.sim.series import EventSeries
 from stickslip.sim.system import System
@@ -34,9 +36,9 @@ class Energy:
     t : float64
         From the start of the run to its end.
     kinetic, elastic : float64
-        |w|^2 / 2 and z K_s z / 2.
-    belt : float64
-        Work of the belt on the blocks since the start.
+        w M w / 2 and z K_s z / 2.
+    belt, outside : float64
+        Work of the belts, and of forces from outside, on the blocks since the start.
     damping, heat : float64
         What damping and the contacts took since the start.
     coupling : float64
@@ -47,6 +49,7 @@ class Energy:
     kinetic: Floats
     elastic: Floats
     belt: Floats
+    outside: Floats
     damping: Floats
     heat: Floats
     coupling: Floats
@@ -55,7 +58,7 @@ class Energy:
     def imbalance(self) -> Floats:
         """What is there beyond what came in and went out, shape (m,): zero, but for the run's own error."""
         stored = self.kinetic + self.elastic
-        return stored - stored[0] - (self.belt - self.damping - self.heat + self.coupling)
+        return stored - stored[0] - (self.belt + self.outside - self.damping - self.heat + self.coupling)
 
     def __repr__(self) -> str:
         return f"Energy({len(self.t)} times on [{self.t[0]:g}, {self.t[-1]:g}])"
@@ -85,18 +88,22 @@ def energy(system: System, run: Run) -> Energy:
     at_edges = slice(None, None, _NODES + 1)
     symmetric, skew = (system.stiffness + system.stiffness.T) / 2, (system.stiffness - system.stiffness.T) / 2
     z, w = samples.z[at_edges], samples.w[at_edges]
-    stored = 0.5 * (w * w).sum(axis=1), 0.5 * (z * (symmetric @ z.T).T).sum(axis=1)
+    stored = 0.5 * (system.mass * w * w).sum(axis=1), 0.5 * (z * (symmetric @ z.T).T).sum(axis=1)
     shape = len(edges) - 1, _NODES + 1, n
     z, w = samples.z[:-1].reshape(shape)[:, 1:], samples.w[:-1].reshape(shape)[:, 1:]
     mode = _modes(run.events, edges)[:, None]
-    v, flat = system.belt_speed, (-1, n)
+    t, flat = samples.t[:-1].reshape(shape[:2])[:, 1:], (-1, n)
+    v, pull = system.belt_speed_at(t), system.force_at(t)
+    gain = system.belt_speed.slope_at(t) if isinstance(system.belt_speed, Piecewise) else 0.0
 
     def times_matrix(matrix: object, x: Floats) -> Floats:
         return np.asarray((matrix @ x.reshape(flat).T).T).reshape(x.shape)  # type: ignore[operator]
 
-    force = np.where(mode == 0, system.damping * v + times_matrix(system.stiffness, z), -system.friction * mode)
+    holding = system.damping * v + times_matrix(system.stiffness, z) - pull + system.mass * gain
+    force = np.where(mode == 0, holding, -system.kinetic(w - v) * mode)
     powers = (
-        v * force.sum(axis=2),
+        (force * v).sum(axis=2),
+        (pull * w).sum(axis=2),
         (system.damping * w * w).sum(axis=2),
         np.where(mode == 0, 0.0, force * (v - w)).sum(axis=2),
         -(w * times_matrix(skew, z)).sum(axis=2),
@@ -116,8 +123,12 @@ _GAUSS = _gauss()
 
 
 def _edges(system: System, series: EventSeries) -> Floats:
-    """The start, the instants of the events, the end, and as many places between as segments must be short."""
-    instants = np.unique(np.concatenate(([series.t_start], series.t, [series.t_end])))
+    """The start, the instants of events and bends, the end, and as many places between as segments must be short."""
+    bends = np.concatenate(
+        [np.empty(0), *(x.times for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise))]
+    )
+    bends = bends[(bends > series.t_start) & (bends < series.t_end)]
+    instants = np.unique(np.concatenate(([series.t_start], series.t, bends, [series.t_end])))
     parts = np.maximum(np.ceil(np.diff(instants) * (system.rates.max() / _REACH)), 1).astype(int)
     start = np.repeat(instants[:-1], parts)
     share = np.concatenate([np.arange(k) / k for k in parts]) if len(parts) else np.empty(0)

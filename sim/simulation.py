@@ -11,7 +11,7 @@ from stickslip.sim.arguments import did_you_mean, flag, floats, number, per_bloc
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.run import Run, Samples
-from stickslip.sim.system import System, require_constant_friction, require_one_friction
+from stickslip.sim.system import System, require_constant_friction, require_one_belt, require_one_friction
 
 #: Of `simulate` itself, for who writes one of them nearly right.
 _KEYWORDS = ("t_start", "t_eval", "engine", "stop_early")
@@ -70,6 +70,8 @@ def simulate(
         require_one_friction(system, f"engine={engine!r}")
     if not ENGINES[engine].takes_weakening:
         require_constant_friction(system, f"engine={engine!r}")
+    if not ENGINES[engine].takes_drive:
+        require_one_belt(system.of_unit_mass, f"engine={engine!r}")
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")

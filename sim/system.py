@@ -19,7 +19,7 @@ import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim import show
-from stickslip.sim.arguments import Floats, flag, floats, per_block
+from stickslip.sim.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, forces
 from stickslip.sim.weakening import Weakening
 
@@ -247,17 +247,25 @@ class System:
         """sum_j |K_ij|, shape (n,): bounds what rounding does to (K x)_i."""
         return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
 
-    def holding_force(self, z: ArrayLike, w: ArrayLike | None = None) -> Floats:
-        """F_i = R_i v + (K z)_i + (N w)_i, shape (n,): what friction holds while block i sticks, -mu_i lambda_i.
+    def holding_force(self, z: ArrayLike, w: ArrayLike | None = None, t: float | None = None) -> Floats:
+        """What friction holds while block i sticks, -mu_i lambda_i, shape (n,).
 
-        The velocities `w` are needed with cross damping only; that of block i does not enter F_i.
+        F_i = R_i v_i + (K z)_i + (N w)_i - f_i + m_i v_i'. The velocities `w` are needed with cross damping only;
+        that of block i does not enter F_i. The time is needed where a force or the speed of a belt depends on it.
 
         Raises
         ------
         TypeError, ValueError
-            If an argument has the wrong type or shape, or `w` is needed and missing.
+            If an argument has the wrong type or shape, or `w` or `t` is needed and missing.
         """
-        force = self.damping * self.belt_speed + self.stiffness @ per_block("z", z, self.n)
+        if self.changes and t is None:
+            raise ValueError("t: expected the time, on which forces or belts depend, got None; pass it")
+        at = 0.0 if t is None else number("t", t)
+        force = self.damping * self.belt_speed_at(at) + self.stiffness @ per_block("z", z, self.n)
+        if self.force:
+            force -= self.force_at(at)
+        if isinstance(self.belt_speed, Piecewise):
+            force += self.mass * self.belt_speed.slope_at(at)
         if self.cross_damping is None:
             return force
         if w is None:
@@ -265,7 +273,7 @@ class System:
         return np.asarray(force + self.cross_damping @ per_block("w", w, self.n))
 
     def slip_matrix(self) -> Floats:
-        """A of the all-slip system x' = A x + const, x = (z, w); shape (2n, 2n)."""
+        """A of the all-slip system x' = A x + b, x = (z, w), each block's row divided by its mass; shape (2n, 2n)."""
         n = self.n
         stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
         damping = np.diag(self.damping)
@@ -274,17 +282,25 @@ class System:
         matrix = np.zeros((2 * n, 2 * n))
         np.fill_diagonal(matrix[:n, n:], 1.0)
         matrix[n:, :n], matrix[n:, n:] = -stiffness, -damping
+        if self.has_mass:
+            matrix[n:] /= self.mass[:, np.newaxis]
         return matrix
 
     def rest_state(self, slip: ArrayLike) -> Floats:
-        """Rest state with block i slipping in direction slip_i: K z = -mu slip, the fixed point of eq. (10) at w = 0.
+        """Rest state with block i slipping in direction slip_i: K z = f - mu slip, the fixed point at w = 0.
 
         Raises
         ------
+        ValueError
+            If a force depends on time: there is no rest state.
         numpy.linalg.LinAlgError
             If K is singular: the blocks then drift and there is no rest state.
         """
+        if not all(term.is_constant for term in self.force):
+            raise ValueError("force: expected a constant one, under which blocks may rest, got one that changes")
         force = -self.friction * per_block("slip", slip, self.n)
+        if self.force:
+            force += self.force_at(0.0)
         if isinstance(self.stiffness, np.ndarray):
             return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
         from scipy.sparse.linalg import splu  # with csgraph it takes a tenth of a second to load
@@ -298,10 +314,12 @@ class System:
     def rates(self) -> Floats:
         """How fast blocks can change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of those each is tied to, shape (n,).
 
-        The frequency of a force on one of them counts if it is larger.
+        Masses divide R and K. The frequency of a force on one of them counts if it is larger.
 
         Blocks are tied if K leads from one to the other, either way and over any number of blocks.
         """
+        if self.has_mass:
+            return self.of_unit_mass.rates
         own = np.abs(self.damping) + np.sqrt(self.row_sums)
         for term in self.force:
             if isinstance(term, Harmonic):

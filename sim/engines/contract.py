@@ -166,6 +166,9 @@ class Engine(ABC):
         Whether it runs systems with a full damping matrix.
     takes_static : bool
         Whether it runs systems with static friction above the kinetic.
+    takes_drive : bool
+        Whether it runs systems with forces from outside, and belts of several or changing speeds. Masses are divided
+        out before.
     takes_weakening : bool
         Whether it runs systems whose friction falls with the speed of slip, or that bar one side to it.
     """
@@ -175,6 +178,7 @@ class Engine(ABC):
     kernels: ClassVar[str] = ""
     takes_damping_matrix: ClassVar[bool] = True
     takes_static: ClassVar[bool] = False
+    takes_drive: ClassVar[bool] = False
     takes_weakening: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

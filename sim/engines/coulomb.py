@@ -34,6 +34,7 @@ class Coulomb(Engine):
     kernels = "coulomb_steps"
     takes_damping_matrix = False
     takes_static = True
+    takes_drive = True
     takes_weakening = True
 
     tol: float = setting(1e-10, TOL)

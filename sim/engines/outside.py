@@ -204,7 +204,7 @@ class Drive:
         rate = float(self._system.rates.max())
         for k, end in enumerate(ends):
             parts = 1
-            if self._moves and rate > 0:
+            if self._moves and rate > 0 and end > start:
                 speeds = self._system.belt_speed
                 gain = float(np.abs(speeds.slope_at(start)).max())
                 speed = float(np.abs(speeds.at([start, end])).max())

@@ -61,6 +61,7 @@ class Sigmoid(Engine):
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "sigmoid_steps"
     takes_static = True
+    takes_drive = True
     takes_weakening = True
 
     eps: float = setting(
