@@ -5,6 +5,8 @@ from __future__ import annotations
 import numba
 import numba.extending
 import numpy as np
+from numba.core import cgutils
+from numba.np.arrayobj import make_array, populate_array
 
 from stickslip.sim.engines.compile import inner
 
@@ -30,6 +32,22 @@ def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
         return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
 
     return numba.types.float64(numba.types.int64), codegen
+
+
+@numba.extending.intrinsic(prefer_literal=True)
+def room(typing_context, rows, columns):  # type: ignore[no-untyped-def]
+    """An array of float64 of this shape, two literals, that is gone when the function returns: no memory to get."""
+    kind = numba.types.Array(numba.types.float64, 2, "C")
+    shape = rows.literal_value, columns.literal_value
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        numbers = [context.get_constant(numba.types.intp, k) for k in (*shape, 8 * shape[1], 8)]
+        data = cgutils.alloca_once(builder, context.get_value_type(numba.types.float64), size=shape[0] * shape[1])
+        array = make_array(kind)(context, builder)
+        populate_array(array, data, numbers[:2], numbers[2:], numbers[3], None)
+        return array._getvalue()
+
+    return kind(rows, columns), codegen
 
 
 @inner

@@ -7,6 +7,9 @@ Decisions, and why:
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
 - ``no_rewrites=True``: kernels hold no array expressions, and looking for them takes time.
+- ``_nrt=False``: kernels count no references to arrays, an atomic operation for each array of each tuple that is
+  passed on, a third of the exact engine's time. Python holds all arrays. What makes one of its own, or takes one from
+  a tuple by its number, has to count: ``counts=True`` (or, for small ones, `arithmetic.room`).
 - the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
@@ -23,6 +26,7 @@ import pickle
 import uuid
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -108,21 +112,25 @@ def _warn_uncached(error: Exception) -> None:
 _CACHE = _usable_cache()
 
 
-def inner(function: Callable[..., Any]) -> Any:
+def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
     It becomes part of each `kernel` that needs it: no wrapper for Python and no file of its own, which take time.
     """
-    return _jit(**_POLICY, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    if function is None:
+        return partial(inner, counts=counts)
+    return _jit(**_POLICY, _nrt=counts, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep the result."""
+    if function is None:
+        return partial(kernel, counts=counts)
     # numba reads the directory when a function is decorated, so other users of numba keep their own
     previous = _config.CACHE_DIR
     _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        compiled = _jit(**_POLICY)(function)
+        compiled = _jit(**_POLICY, _nrt=counts)(function)
         if _CACHE is not None:
             compiled._cache = _KernelCache(function, _CACHE)
     except RuntimeError as error:  # numba found no directory that it may write

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.arithmetic import room
 from stickslip.sim.engines.collocation import (
     BELT,
     CLOSED,
@@ -49,6 +50,7 @@ PIECE_AT, PIECE_H, PIECE_Z, PIECE_U = range(4)
 PIECE = PIECE_U + 1 + STAGES
 #: Places on the bounds of a band that a block can pass in a piece: eleven polynomials of degree five, and the start.
 PASSES = 11 * STAGES + 1
+_MARKS, _NODES = PASSES + 1, STAGES + 1
 
 
 @inner
@@ -190,8 +192,8 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
     """
     bands, borne, by_force, modes = definitions
     t, macro, t_next = span
-    work = np.empty((6, PASSES + 1))
-    u, force, of_piece = np.empty(STAGES + 1), np.empty(STAGES + 1), np.empty(STAGES + 1)
+    work, nodes = room(6, _MARKS), room(3, _NODES)
+    u, force, of_piece = nodes[0], nodes[1], nodes[2]
     for d in range(len(bands)):
         mode, band = modes[d], bands[d]
         for i in range(n):
@@ -230,7 +232,7 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
     return n_recorded
 
 
-@inner
+@inner(counts=True)
 def note_stills(  # type: ignore[no-untyped-def]
     table, n, flags, pieces, piece_block, n_pieces, span, mode, first, n_recorded, events, counters
 ):
@@ -276,7 +278,7 @@ def sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counte
     t, macro, t_next = span
     times, z_there, w_there = samples
     m = counters[loop.N_SAMPLED]
-    weights = np.empty(STAGES + 1)
+    weights = room(1, _NODES)[0]
     while m < len(times) and times[m] <= t_next:
         x = min((times[m] - t) / macro, 1.0)
         for k in range(STAGES + 1):

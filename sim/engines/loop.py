@@ -130,7 +130,8 @@ def note_still(is_still, t, z, events, counters):  # type: ignore[no-untyped-def
         total = 0.0
         for i in range(len(z)):
             total += z[i]
-        events[3][0, counters[N_STILLS]], events[3][1, counters[N_STILLS]] = t, total
+        _, _, _, stills = events
+        stills[0, counters[N_STILLS]], stills[1, counters[N_STILLS]] = t, total
         counters[N_STILLS] += 1
 
 

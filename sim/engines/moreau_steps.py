@@ -38,7 +38,7 @@ def step_of(law, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
     return max(largest(z), largest(w)) <= BEYOND
 
 
-@inner
+@inner(counts=True)
 def _note_still(is_still, step, z, stills, counters):  # type: ignore[no-untyped-def]
     """Keep where the blocks are if from this step on, and not before, all of them stick, or the other way round."""
     counters[_IS_STILL] = is_still
@@ -46,7 +46,7 @@ def _note_still(is_still, step, z, stills, counters):  # type: ignore[no-untyped
     counters[_STILLS] += 1
 
 
-@kernel
+@kernel(counts=True)
 def _advance(law, state, grid, samples, events, counters):  # type: ignore[no-untyped-def]
     """Steps until the end, until the state passes `BEYOND`, or until one more might not fit what is recorded."""
     z, w, mode = state

@@ -6,11 +6,16 @@ import math
 
 import numpy as np
 
+from stickslip.sim.engines.arithmetic import room
 from stickslip.sim.engines.compile import inner
 
 #: The deepest halving of the unit interval in search of a root; below it two roots count as one touching
 _MAX_DEPTH = 44
 _MAX_DEGREE = 40
+#: Where the search keeps an interval: its coefficients, then its lower end and its width.
+_LOW, _WIDTH = _MAX_DEGREE + 1, _MAX_DEGREE + 2
+_ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
+_NARROWEST = 0.5**_MAX_DEPTH
 
 
 #: Pascal's triangle; exact in float64 up to row 56
@@ -86,20 +91,15 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
 
     Returns the number of roots; their places are in `found`, and as many are looked for as it holds.
     """
-    stack = np.empty((_MAX_DEPTH + 2, degree + 1))
-    stack_low = np.empty(_MAX_DEPTH + 2)
-    stack_depth = np.empty(_MAX_DEPTH + 2, dtype=np.int64)
+    stack = room(_ROWS, _COLUMNS)
     n_found = 0
     to_bernstein(coefficients, degree, stack[0])
-    stack_low[0] = 0.0
-    stack_depth[0] = 0
+    stack[0, _LOW], stack[0, _WIDTH] = 0.0, 1.0
     top = 0
     while top >= 0:
         changes = _sign_changes(stack[top], degree)
-        low = stack_low[top]
-        depth = stack_depth[top]
-        width = 0.5**depth
-        at_end = stack[top, degree] == 0.0 and changes == 0 and depth <= _MAX_DEPTH
+        low, width = stack[top, _LOW], stack[top, _WIDTH]
+        at_end = stack[top, degree] == 0.0 and changes == 0 and width >= _NARROWEST
         if changes == 0:
             top -= 1
             if not at_end:
@@ -108,7 +108,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
         elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
             top -= 1
             root = refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
-        elif depth >= _MAX_DEPTH:
+        elif width <= _NARROWEST:
             top -= 1
             root = low
         else:
@@ -119,10 +119,8 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
                 left[j] = right[0]
                 for k in range(degree - j):
                     right[k] = 0.5 * (right[k] + right[k + 1])
-            stack_low[top] = low + 0.5 * width
-            stack_depth[top] = depth + 1
-            stack_low[top + 1] = low
-            stack_depth[top + 1] = depth + 1
+            right[_LOW], right[_WIDTH] = low + 0.5 * width, 0.5 * width
+            left[_LOW], left[_WIDTH] = low, 0.5 * width
             top += 1
             continue
         if n_found == 0 or root > found[n_found - 1]:

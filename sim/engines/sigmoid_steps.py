@@ -172,7 +172,7 @@ def _strayed(table, n, flags, law):  # type: ignore[no-untyped-def]
     return n_strayed
 
 
-@inner
+@inner(counts=True)
 def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, law):  # type: ignore[no-untyped-def]
     """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot."""
     n_pieces = np.int64(0)
@@ -280,7 +280,7 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                     own[G + k, lane] = 0.0
 
 
-@inner
+@inner(counts=True)
 def _times(matrix, x, y):  # type: ignore[no-untyped-def]
     """y_k = K x_k at all nodes, K in panels or, when these are none, by sparse rows (indptr, indices, data)."""
     dense, _, indptr, indices, data = matrix
@@ -299,7 +299,7 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
         y[0, i], y[1, i], y[2, i], y[3, i], y[4, i] = a, b, c, d, e
 
 
-@inner
+@inner(counts=True)
 def _couple(table, n, matrices, flags, is_first, rough, work, pushes, law):  # type: ignore[no-untyped-def]
     """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
     matrix, cross, with_cross = matrices
@@ -357,7 +357,7 @@ def _worst(table, n):  # type: ignore[no-untyped-def]
     return worst
 
 
-@inner
+@inner(counts=True)
 def _sweep(  # type: ignore[no-untyped-def]
     table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
     work, pushes, law, counters,
@@ -406,7 +406,7 @@ def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-unty
         copy(table[U + k], table[KEPT_U + k])
 
 
-@kernel
+@kernel(counts=True)
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
     z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,

@@ -27,7 +27,7 @@ class Watch(NamedTuple):
 NO_WATCH = Watch(np.empty((0, 0), np.complex128), np.empty((0, 0)), np.empty(0), 0, 0.0, 0.0)
 
 
-@inner
+@inner(counts=True)
 def too_far(watch, z, w, slip):  # type: ignore[no-untyped-def]
     """After how long to ask again, if no collapse can be certain of this state; else 0. See `Collapse.certify`."""
     if slip != watch.slip:

@@ -31,7 +31,7 @@ def _rate(law, z, w, rate, moving):  # type: ignore[no-untyped-def]
         rate[i] = -(rate[i] + damping[i] * w[i] + friction[i] * math.tanh((w[i] - v) / delta[i]))
 
 
-@kernel
+@kernel(counts=True)
 def _rk4(law, z, w, h, n_steps):  # type: ignore[no-untyped-def]
     n = len(z)
     moving = np.empty(n, dtype=np.int64)
@@ -58,7 +58,7 @@ def _rk4(law, z, w, h, n_steps):  # type: ignore[no-untyped-def]
     return n_steps
 
 
-@kernel
+@kernel(counts=True)
 def _trapezoid(law, z, w, h, n_steps):  # type: ignore[no-untyped-def]
     """A step is one scalar equation a block, a w + b tanh((w - v) / delta) = right: guarded Newton."""
     columns, damping, friction, delta, v = law
@@ -95,7 +95,7 @@ def _trapezoid(law, z, w, h, n_steps):  # type: ignore[no-untyped-def]
     return n_steps
 
 
-@kernel
+@kernel(counts=True)
 def _moreau_jean(law, z, w, h, n_steps):  # type: ignore[no-untyped-def]
     columns, damping, friction, _, v = law
     n = len(z)
