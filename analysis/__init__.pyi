@@ -3,6 +3,7 @@ from .ensemble import Data as Data
 from .ensemble import Study as Study
 from .report.page import Report as Report
 from .report.page import build as build
+from .seismology import catalogue as catalogue
 from .settings import AnalysisSettings as AnalysisSettings
 from .stats.cascades import DEFINITIONS as DEFINITIONS
 from .stats.cascades import Law as Law

@@ -6,6 +6,7 @@ is held against exact events on the same systems.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -47,11 +48,11 @@ POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
 )  # fmt: skip
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
-FEWEST = 10  # episodes from a magnitude on for its rate to be drawn
+FEWEST = 30  # episodes from a magnitude on for its rate to be drawn
 _STEP = 2  # classes from point to point of the figures
 _ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first, which is what the others are held against
 _GROUPS: Mapping[str, str] = {
-    "group": S, "n_systems": I, "n_episodes": I, "largest": F, "whole": F,
+    "group": S, "method": S, "n_systems": I, "n_episodes": I, "largest": F, "whole": F,
     **{f"{name}{end}": F for name in QUANTITIES for end in ("", "_low", "_high")}, "drift": F, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
@@ -115,11 +116,15 @@ def answer(study: Study) -> Answer | None:
     contrasts = _contrasts(found, level)
     rates = _rates(found, lead, least, level)
     laws, facts = _laws(study, lead, least)
-    settings = [summary(told(rows)) | {"setting": rows[0]["setting"]} for rows in contrasts if told(rows)]
+    settings = [
+        summary(told(rows)) | {"setting": rows[0]["setting"], "method": _method(rows[0]["setting"])}
+        for rows in contrasts if told(rows)
+    ]  # fmt: skip
     facts |= {
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "least": least, "margin": MARGIN,
         "settings": settings, "agree": [one for one in settings if len(one["agree"]) == len(one["rows"])],
-        "farthest": max(settings, key=_rate_off, default=None), "t_burn": study.settings.t_burn,
+        "farthest": max((one for one in settings if one["differ"]), key=_rate_off, default=None),
+        "t_burn": study.settings.t_burn,
         "refused": [one.row for one in found if not one.is_judged], "n_blocks": lead.group.key["n"],
     }  # fmt: skip
     tables |= {
@@ -134,7 +139,7 @@ def answer(study: Study) -> Answer | None:
     else:
         run = next(one for one in lead.each() if len(one.start))
         figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
-    return Answer(facts | {"has_pairs": bool(settings)}, tables=tables, figures=figures)
+    return Answer(facts | {"has_pairs": bool(settings), "n_settings": len(found) - 1}, tables=tables, figures=figures)
 
 
 def _order(group: Group) -> tuple[Any, ...]:
@@ -173,8 +178,8 @@ def _fill(one: _Of, least: float, level: float) -> None:
     basis = enough.basis(halves, n_episodes, level, drift)
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
-        "group": one.label, "n_systems": len(one.runs), "n_episodes": n_episodes, "basis": basis.code,
-        "n_matrices": len(one.runs), "n_cascades": n_episodes, "drift": basis.drift.value,
+        "group": one.label, "method": _method(one.label), "n_systems": len(one.runs), "n_episodes": n_episodes,
+        "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, "drift": basis.drift.value,
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
     }  # fmt: skip
@@ -215,7 +220,9 @@ def _contrasts(found: Sequence[_Of], level: float) -> list[list[Row]]:
 
 
 def _rate_off(one: Row) -> float:
-    return max((abs(row["relative"]) for row in one["rows"] if row["quantity"] == RATE), default=0.0)
+    """How far the rate is off; a setting without any episode is said apart."""
+    off = next((float(row["relative"]) for row in one["rows"] if row["quantity"] == RATE), -1.0)
+    return abs(off) if off > -1 else -1.0
 
 
 # ---------------------------------------------------------------------------------------------- the law
@@ -347,9 +354,10 @@ def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _short(label: str) -> str:
-    """A group without its number of blocks, which all share."""
-    return ", ".join(part for part in label.split(", ") if not part.startswith("n ="))
+def _method(label: str) -> str:
+    """A group by its method alone: without its number of blocks, which all share."""
+    bare = label.partition(", ")[2].replace("moreau, step", "time steps, h").replace("eps", "\u03b5")
+    return re.sub(r"e-0(?=\d)", "e-", bare)
 
 
 def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]], key: str) -> None:
@@ -358,7 +366,7 @@ def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]
         if not some:
             continue
         x, y = (np.array([row[name] for row in some]) for name in ("magnitude", key))
-        ax.plot(x, y, label=_short(label), **look)
+        ax.plot(x, y, label=_method(label), **look)
         known = [row for row in some if row[f"{key}_low"] is not None]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
         ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)

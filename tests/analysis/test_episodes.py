@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
+from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.questions import episodes
 from stickslip.analysis.report import page
 from stickslip.analysis.stats import enough
@@ -166,11 +167,12 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert rate["0.001"]["verdict"] == "differ"
     assert rate["0.001"]["relative"] == pytest.approx(0.33, abs=0.05)
     assert rate["0.01"]["relative"] == -1
-    assert answer.facts["farthest"]["setting"] == found["0.01"]["setting"]
+    assert answer.facts["farthest"]["setting"] == found["0.001"]["setting"]
     over = answer.tables["episode_rates"].set_index("group")
     assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
     words = build(data, replace(settings, question=("episodes",)), "A chain", "", {})
-    assert any("100% fewer episodes" in line for line in words.headline)
+    assert any(" more (" in line and "1e-5" in line for line in words.headline)
+    assert "No episode at all: sigmoid, \u03b5 = 0.01" in words.html
 
 
 def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
@@ -197,3 +199,16 @@ def test_the_page_draws_its_figures(planted_episodes, planted, settings):
     made = build(planted_episodes(engines), replace(settings, question=("episodes",)), "A chain", "", {})
     assert {"episode_rates", "episode_rates_over"} <= made.figures.keys()
     assert "one_catalogue" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
+
+
+def test_a_catalogue_has_the_columns_of_catalogues():
+    table = pd.DataFrame({
+        "member_id": ["a", "a", "b"], "start": [1.5, 2.5, 0.25], "end": [2.0, 3.0, 1.0], "size": [1, 2, 3],
+        "moment": [10.0, 0.0, 0.1], "first_block": [7, 8, 9],
+    })  # fmt: skip
+    found = as_catalogue(table)
+    assert list(found) == ["id", "time", "lat", "lon", "dep", "magtype", "mag"]
+    assert found["id"].tolist() == ["a-0", "b-0"]
+    assert found["mag"].tolist() == pytest.approx([1.0, -1.0])
+    assert found["time"].dt.strftime("%S.%f").tolist() == ["01.500000", "00.250000"]
+    assert as_catalogue(table.drop(columns="member_id"))["id"].tolist() == ["run-0", "run-1"]

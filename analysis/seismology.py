@@ -1,0 +1,35 @@
+"""Episodes as a catalogue of earthquakes, for tools of seismology."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+
+def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Episodes with the columns of a catalogue, as ObsPy reads and writes them in CSV.
+
+    Parameters
+    ----------
+    episodes : DataFrame
+        A row an episode: start, moment, first_block, and member_id if they are of several runs.
+
+    Returns
+    -------
+    DataFrame
+        id; time, in UTC: a unit of time counts as a second since 1970; lat and dep, zero; lon, the block that left
+        first, a thousandth of a degree each; mag, log10 of the moment; magtype. Episodes without a moment > 0 have no
+        magnitude and are left out.
+    """
+    some = episodes[episodes["moment"] > 0]
+    member = some["member_id"] if "member_id" in some else pd.Series("run", index=some.index)
+    number = some.groupby(member, sort=False).cumcount()
+    return pd.DataFrame({
+        "id": member.astype(str) + "-" + number.astype(str),
+        "time": pd.to_datetime(some["start"], unit="s", utc=True),
+        "lat": 0.0,
+        "lon": 1e-3 * some["first_block"],
+        "dep": 0.0,
+        "magtype": "M",
+        "mag": np.log10(some["moment"]),
+    }).reset_index(drop=True)  # fmt: skip
