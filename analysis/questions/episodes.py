@@ -356,7 +356,7 @@ def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
 
 def _method(label: str) -> str:
     """A group by its method alone: without its number of blocks, which all share."""
-    bare = label.partition(", ")[2].replace("moreau, step", "time steps, h").replace("eps", "\u03b5")
+    bare = label.partition(", ")[2].replace("moreau, step", "time steps h").replace(", eps", " \u03b5")
     return re.sub(r"e-0(?=\d)", "e-", bare)
 
 

@@ -22,7 +22,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number with so many significant digits; a dash where there is none."""
     if value is None:
         return DASH
-    text = f"{value:,.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+    text = f"{value:,.0f}" if round(abs(value)) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
     return text.replace("-", MINUS)
 
 

@@ -148,7 +148,7 @@ def _recurrence(found: Catalogue, _: float) -> tuple[float, float]:
     return float(n / (n - 1) * np.sum((gaps / gaps.mean() - 1.0) ** 2)), float(n)
 
 
-RATE, SLIP, B_VALUE, RECURRENCE = "episodes a unit of time", "share of slip in episodes", "b", "recurrence"
+RATE, SLIP, B_VALUE, RECURRENCE = "rate of episodes", "share of slip in episodes", "b", "recurrence"
 #: By name. `RECURRENCE` is the coefficient of variation of the times from start to start: 1 for a Poisson process.
 QUANTITIES: Mapping[str, Quantity] = {
     RATE: Quantity(lambda one, _: (float(len(one.start)), one.t_stop - one.t_start)),
