@@ -108,7 +108,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
     """What blocks without memory give, and how far the runs lie from it."""
     n, mean = int(group.key["n"]), group.mean(confidence).value
-    known, over = sizes[0] == 1 and mean is not None and 0 < mean < n, Estimate()
+    known, over = n > 1 and sizes[0] == 1 and mean is not None and 0 < mean < n, Estimate()
     if known:
         means = group.by_unit()[group.counts.sum(axis=1) > 0]
         over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
