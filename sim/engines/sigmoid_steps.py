@@ -512,10 +512,11 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
     band = delta * np.log(1 / delta) if is_manifold else engine.threshold * delta
-    bands = np.vstack([band, np.multiply.outer(np.array(engine.thresholds, dtype=np.float64), delta)])
     friction, far = system.slip_friction
-    bands[:, friction == 0] = 0.0  # without friction no block sticks
-    by_force = np.array([is_manifold] + [False] * len(engine.thresholds))
+    bands = np.array([band, *(c * delta for c in engine.thresholds)])
+    bands *= friction > 0.0  # without friction no block sticks
+    by_force = np.zeros(len(bands), dtype=np.bool_)
+    by_force[0] = is_manifold
     rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
 
@@ -534,7 +535,7 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * friction * (1.0 + 2.0 * hidden) / (boost * atol))
     numbers = np.zeros((STAGES + 1, STAGES))
     numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
-    speed = max(float(np.abs(x).max()) for x in (w, system.damping * (w - v) + pull, system.friction))
+    speed = float(np.abs([w, system.damping * (w - v) + pull, system.friction]).max())
     step = min(task.t_end - task.t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
     state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 0.0)
     state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
