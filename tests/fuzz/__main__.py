@@ -60,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
                         help=", ".join(FAMILIES))  # fmt: skip
-    parser.add_argument("--terms", nargs="*", choices=TERMS, default=list(TERMS), metavar="TERM",
+    parser.add_argument("--terms", nargs="*", choices=TERMS, default=TERMS, metavar="TERM",
                         help=f"what may be drawn beside eq. (10): {', '.join(TERMS)}; all if left out")  # fmt: skip
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args(argv)

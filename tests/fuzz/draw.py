@@ -217,15 +217,8 @@ def _static(rng: Rng, mu: Floats) -> Floats:
 
 
 #: What is drawn beside eq. (10), each in half of the cases: static friction above the kinetic, forces, belts of
-#: different speeds or such as change, masses, friction that falls with speed, no back slip; and who takes it as yet.
-TERMS = {
-    "static": ("coulomb", "sigmoid"),
-    "force": ("coulomb", "sigmoid"),
-    "belt": ("coulomb", "sigmoid"),
-    "mass": ("coulomb", "sigmoid"),
-    "weakening": ("coulomb",),
-    "back_slip": ("coulomb",),
-}
+#: different speeds or such as change, masses, friction that falls with speed, no back slip.
+TERMS = ("static", "force", "belt", "mass", "weakening", "back_slip")
 _CURVED_MAX = 6  # blocks; more are slow to follow where the motion is not linear
 _LATEST = 60.0  # of a knot
 
@@ -294,12 +287,12 @@ def _with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike
     speeds_of_slip = [0.5, 1.0, 2.0] if whole else [0.1, 1.0, 3.0]
     if (own := chosen.get("weakening")) and case.n <= _CURVED_MAX:
         case = replace(case, falls=(own.choice(["rational", "exponential"]), float(own.choice(speeds_of_slip))))
-    if "back_slip" in chosen and (case.belt.values * case.belt.values[0] > 0).all():
+    if "back_slip" in chosen and (case.near > 0).all() and (case.belt.values * case.belt.values[0] > 0).all():
         case = replace(case, closed=np.sign(case.belt.values[0]))
     return case
 
 
-def draw(seed: int, number: int, terms: Collection[str] = tuple(TERMS)) -> Trial:
+def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
     """Case `number` of a seed, with some of the terms."""
     rng = np.random.default_rng([seed, number])
     family = list(FAMILIES)[number % len(FAMILIES)]
@@ -316,8 +309,7 @@ def draw(seed: int, number: int, terms: Collection[str] = tuple(TERMS)) -> Trial
     elif alike:
         r, mu = np.full(n, r[0]), np.full(n, mu[0])
     other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
-    taken = [term for term in terms if engine in TERMS[term]]
-    case = _with_terms(other, Case.of(k, r, mu, v, 0.0, v), taken, whole, alike)
+    case = _with_terms(other, Case.of(k, r, mu, v, 0.0, v), terms, whole, alike)
     at_start = case.belt.line(0.0)[0]
     if whole:
         z = rng.integers(-2, 3, n) * 1.0

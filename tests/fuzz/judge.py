@@ -170,17 +170,26 @@ def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Genera
     """By LSODA of ODEPACK, from knot to knot of the drive, at tolerances that two runs agree upon."""
 
     def state(case: Case, tol: float) -> Floats:
-        n, k, r, mu, m = case.n, case.stiffness, case.damping, case.friction, case.mass
-        c = np.array([_hidden(*pair) for pair in zip(case.static, mu, strict=True)])
+        n, k, r, m = case.n, case.stiffness, case.damping, case.mass
+        c = np.array([_hidden(*pair) for pair in zip(case.static, case.near, strict=True)])
+
+        def friction(u: Floats) -> tuple[Floats, Floats]:
+            """And its slope; on a closed side the tangent at u = 0."""
+            lam, rise = np.tanh(u / delta), 1 / np.cosh(np.clip(u / delta, -300, 300)) ** 2
+            fallen, falls = case.fallen(np.abs(u))
+            sign, most = lam * (1 + c * rise), case.near - fallen
+            slope = most * rise * (1 + c * (3 * rise - 2)) / delta - np.abs(sign) * falls
+            steepest = case.near * (1 + c) / delta
+            is_closed = u * case.closed > 0
+            return np.where(is_closed, steepest * u, sign * most), np.where(is_closed, steepest, slope)
 
         def f(x: Floats, t: float) -> Floats:
             w = x[n:]
-            lam = np.tanh((w - case.belt.line(t)[0]) / delta)
-            return np.concatenate((w, (case.force(t) - r * w - k @ x[:n] - mu * lam * (1 + c * (1 - lam * lam))) / m))
+            held = friction(w - case.belt.line(t)[0])[0]
+            return np.concatenate((w, (case.force(t) - r * w - k @ x[:n] - held) / m))
 
         def jacobian(x: Floats, t: float) -> Floats:
-            rise = 1 / np.cosh(np.clip((x[n:] - case.belt.line(t)[0]) / delta, -300, 300)) ** 2
-            slope = mu / delta * rise * (1 + c * (3 * rise - 2))
+            slope = friction(x[n:] - case.belt.line(t)[0])[1]
             return np.block([[np.zeros((n, n)), np.eye(n)], [-k / m[:, None], -np.diag((r + slope) / m)]])
 
         now, found = np.concatenate((case.z0, case.w0)), [np.empty((0, 2 * n))]
@@ -335,8 +344,9 @@ class _Judge:
         case, delta = truth.case, truth.delta
         z, y = truth.state[:, : case.n], truth.state[:, case.n :] - case.belt.at(truth.times)
         spare = (self.limit * self.tol * truth.unit)[:, None]
-        free = case.friction == 0
-        force = np.abs(case.holding(truth.times, z))
+        free = case.near == 0
+        force = case.holding(truth.times, z)
+        force = np.where(case.closed == 0, np.abs(force), case.closed * force)
         doubt = spare * (1 + np.abs(case.stiffness).sum(axis=1))
         definitions = [(None, run.events, delta * np.log(1 / delta))]
         definitions += [(c, series, c * delta) for c, series in run.by_threshold.items()]
@@ -345,7 +355,7 @@ class _Judge:
             modes = np.array([series.mode_at(t) for t in truth.times[known]]).reshape(-1, case.n)
             sticks, slips = (np.abs(y) < band - spare) & ~free, np.abs(y) > np.where(free, 0, band) + spare
             if name is None:
-                sticks &= force < case.friction - doubt  # between the two frictions the past decides
+                sticks &= force < case.near - doubt  # between the two frictions the past decides
                 slips |= (force > case.static + doubt) & (np.abs(y) > spare)
             wrong = (sticks[known] & (modes != 0)) | (slips[known] & (modes != np.sign(y[known])))
             if wrong.any():

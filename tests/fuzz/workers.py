@@ -20,7 +20,7 @@ _MEMORY = 4 << 30  # bytes of address space beyond what the process starts with
 Judged = Callable[[int], Verdict]
 
 
-def judge_case(seed: int, number: int, terms: Collection[str] = tuple(TERMS)) -> Verdict:
+def judge_case(seed: int, number: int, terms: Collection[str] = TERMS) -> Verdict:
     """Of one case; the run goes on if the fuzz itself fails."""
     try:
         return judge(draw(seed, number, terms))
