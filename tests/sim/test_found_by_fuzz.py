@@ -2,10 +2,12 @@
 
 import pytest
 
+from stickslip.sim import simulate
 from tests.fuzz.draw import Trial
-from tests.fuzz.judge import judge
+from tests.fuzz.judge import judge, made
 from tests.independent import Case
 
+SMOOTH = {"eps": 0.01, "rtol": 1e-8, "atol": 1e-8}
 FOUND = {
     # K, R, mu, v, z0, w0, t_end
     "garbage without damping": ([[3.0]], 0, 1, 1, 2, -1, 32.0),
@@ -33,3 +35,15 @@ def test_friction_that_falls_within_far_less_than_the_speed_reached(speed):
     """Terms of exp(-|u| / speed) are small from the first, and yet grow: the step went where they were not known."""
     case = Case.of([[3.73]], 0, 1.8, 0, -3.9, 0, 1.84, falls=("exponential", speed))
     assert judge(Trial(0, 0, "weakening", "coulomb", case, 8.0, {"tol": 1e-10})).failures == []
+
+
+@pytest.mark.parametrize(("engine", "settings"), [("coulomb", {"tol": 1e-10}), ("sigmoid", SMOOTH)])
+@pytest.mark.parametrize("push", [-1.5, 0.3])
+def test_a_constant_force_moves_the_rest_by_which_a_collapse_is_certain(engine, settings, push):
+    """Started where it would rest without: with -1.5 it is drawn back to the belt, with 0.3 it rests elsewhere."""
+    case = Case.of([[1.0]], 1, 1, -0.2, -1, -0.1, push=push)
+    trial = Trial(0, 0, "collapse", engine, case, 40.0, settings)
+    assert judge(trial).failures == []
+    run = simulate(made(case), case.z0, case.w0, 40.0, engine=engine, **settings)
+    assert run.outcome == "collapsed"
+    assert run.z == pytest.approx([push - 1], abs=1e-4)
