@@ -12,7 +12,7 @@ from pathlib import Path
 
 from distributed import Client, LocalCluster, as_completed
 
-from stickslip.pipeline import batches, expand, parse_scene
+from stickslip.pipeline import design, parse_scene
 from stickslip.pipeline.storage import place_of
 
 #: A shard of small runs.
@@ -25,11 +25,11 @@ def plan(n_members: int) -> None:
     source = (Path(__file__).parent / "scale.toml").read_text()
     scene = parse_scene(source.replace("matrices = 5000", f"matrices = {n_members // 2}").encode())
     started = time.process_time()
-    packed = batches(expand(scene), scene.hash)
+    packed = [batch for batch, _ in design.tasks(scene)]
     seconds = time.process_time() - started
     del packed
     tracemalloc.start()
-    packed = batches(expand(scene), scene.hash)
+    packed = [batch for batch, _ in design.tasks(scene.changed())]  # which has not kept its members yet
     memory = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     cost = sum(batch.cost for batch in packed)

@@ -2,7 +2,6 @@ from . import query as query
 from .dataset import dataset_scene as dataset_scene
 from .design import Batch as Batch
 from .design import Member as Member
-from .design import batches as batches
 from .design import expand as expand
 from .driver import Progress as Progress
 from .driver import run_ensemble as run_ensemble

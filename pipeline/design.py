@@ -253,20 +253,24 @@ def _moved_system(values: tuple[Any, ...]) -> sim.System:
     )
 
 
-def expand(scene: Scene) -> list[Member]:
-    """All members of a scene.
+def expand(scene: Scene) -> tuple[Member, ...]:
+    """All members of a scene, which keeps them.
 
     Sorted by n, matrix, point of the grid, draw of the start, change (none first), engine (as in the file) and ratio
     draw.
     """
-    members = []
+    if scene._members is None:
+        scene._members = tuple(_members(scene))
+    return scene._members
+
+
+def _members(scene: Scene) -> Iterator[Member]:
     for n, origin in scene.sources:
         kinds = list(_kinds(scene, n, origin))
         for matrix in range(scene.run.matrices):
             number = matrix if origin is None else origin.matrix(matrix)
             for before, after, member in kinds:
-                members.append(member(member_id=f"{before}-m{matrix:03d}-{after}", matrix=number))
-    return members
+                yield member(member_id=f"{before}-m{matrix:03d}-{after}", matrix=number)
 
 
 #: What stands in a member's id before its matrix, and after; and all that the member is, but for the two.
@@ -400,15 +404,6 @@ class Batch:
         return sum(member.cost for member in self.members)
 
 
-def batches(members: Sequence[Member], scene_hash: str) -> list[Batch]:
-    """Pack consecutive members into batches of about `TARGET_COST`, or more if there are many; a costly one alone.
-
-    A batch's name is fixed by its place, its members and the scene: every attempt at it writes the same file.
-    """
-    rest = iter(members)
-    return [as_batch(k, tuple(islice(rest, size)), scene_hash) for k, size in enumerate(_sizes(members))]
-
-
 def _sizes(members: Sequence[Member]) -> list[int]:
     """The numbers of members of the batches."""
     costs = [member.cost for member in members]
@@ -440,7 +435,7 @@ class PlanError(ValueError):
     """The members that are planned are not those of the scene."""
 
 
-def tasks(scene: Scene, earlier: Sequence[str], packing: Sequence[Sequence[int]]) -> list[Task]:
+def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Task]:
     """The shards of a dataset, in order.
 
     Parameters
@@ -449,7 +444,8 @@ def tasks(scene: Scene, earlier: Sequence[str], packing: Sequence[Sequence[int]]
     earlier : sequence of str
         Sources of the scenes that it grew from, the first one first.
     packing : sequence of sequences of int
-        For each of these and for `scene`: the number of members of each shard that it added.
+        For each of these and for `scene`: the number of members of each shard that it added; left out, as `pack`
+        packs `scene` alone.
 
     Raises
     ------
@@ -462,6 +458,7 @@ def tasks(scene: Scene, earlier: Sequence[str], packing: Sequence[Sequence[int]]
         raise PlanError(str(error)) from error
     planned: list[Task] = []
     known: set[str] = set()
+    packing = [pack(scene, known)] if packing is None else packing
     for stage, sizes in zip(scenes, packing, strict=True):
         new = added(stage, known)
         if sum(sizes) != len(new):

@@ -192,12 +192,12 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
         If this machine cannot hold the scene's largest system.
     """
     check_memory(scene, workers=1)
-    for member in expand(scene):
-        if member.member_id == member_id:
-            return row(member, Recording.of(scene))
-    raise ValueError(
-        f"member_id: expected a member of the scene, such as {expand(scene)[0].member_id!r}, got {member_id!r}"
-    )
+    members = {member.member_id: member for member in expand(scene)}
+    if member_id not in members:
+        raise ValueError(
+            f"member_id: expected a member of the scene, such as {next(iter(members))!r}, got {member_id!r}"
+        )
+    return row(members[member_id], Recording.of(scene))
 
 
 def _results(

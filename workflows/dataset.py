@@ -86,23 +86,14 @@ def run_scene(
     accept_version: bool = False,
     quiet: bool = False,
 ) -> Dataset:
-    """Run a scene into the dataset at `out`, or what is missing of it, with its progress on the standard error.
-
-    In a script call it under ``if __name__ == "__main__":``, for workers of this machine load the script too.
+    """Run a scene as `stickslip.pipeline.run_ensemble` does, with its progress on the standard error.
 
     Parameters
     ----------
     scene : Scene, str or Path
         A scene, a scene file, or the name of one that ships.
-    out : str, Path or Place
-        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
-        which is resumed, or of a part of it, which is extended.
-    workers : int
-        Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
-    scheduler : str or distributed.Client, optional
-        Address of a running dask cluster, or a client of one, used instead of local workers.
-    retry_failed, accept_version : bool
-        As of `stickslip.pipeline.run_ensemble`.
+    out, workers, scheduler, retry_failed, accept_version
+        As there.
     quiet : bool
         Whether to show nothing.
 
@@ -110,8 +101,8 @@ def run_scene(
     ------
     SceneError
         If the scene cannot be used; one line a problem.
-    StoreError, AddressError, ScheduleError
-        As `stickslip.pipeline.run_ensemble`.
+    ValueError, StoreError, AddressError, ScheduleError
+        As there.
     """
     found = scene if isinstance(scene, Scene) else load_scene(find(str(scene)))
     with nullcontext() if quiet else Watch(out) as watch:

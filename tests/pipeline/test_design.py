@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stickslip.pipeline import batches, expand, parse_scene
+from stickslip.pipeline import expand, parse_scene
+from stickslip.pipeline.design import as_batch, tasks
 
 ROOT = Path(__file__).parents[2]
 
@@ -211,12 +212,12 @@ def test_settings_reach_the_engine(source, monkeypatch):
 
 def test_batches_hold_every_member_once_in_order(scene):
     members = expand(scene)
-    packed = batches(members, scene.hash)
+    packed = [batch for batch, _ in tasks(scene)]
     assert len(packed) > 5
-    assert [member for batch in packed for member in batch.members] == members
+    assert [member for batch in packed for member in batch.members] == list(members)
     assert sorted({batch.name for batch in packed}) == [batch.name for batch in packed]
-    assert packed == batches(members, scene.hash)
-    assert {batch.name for batch in packed}.isdisjoint(batch.name for batch in batches(members, "another"))
+    another = as_batch(0, packed[0].members, "another")
+    assert (another.members, another.name != packed[0].name) == (packed[0].members, True)
 
 
 def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
@@ -225,6 +226,6 @@ def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.design._MANY", 3)
     for target, count in ((whole, 1), (whole / 3.01, 4), (whole / 6, 4), (whole / 24, 5)):
         monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", target)
-        packed = batches(members, scene.hash)
+        packed = [batch for batch, _ in tasks(scene)]
         assert count <= len(packed) <= count + 1
-        assert [member for batch in packed for member in batch.members] == members
+        assert [member for batch in packed for member in batch.members] == list(members)

@@ -25,7 +25,7 @@ class Here:
 @pytest.fixture
 def batches(scene, monkeypatch):
     monkeypatch.setattr(estimate, "_workers", lambda count: contextlib.nullcontext(Here()))
-    return design.batches(design.expand(scene), scene.hash)
+    return [batch for batch, _ in design.tasks(scene)]
 
 
 def test_a_pilot_that_fails_gives_a_reason_and_no_interval(scene, batches, monkeypatch):
