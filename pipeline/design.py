@@ -73,7 +73,7 @@ class Member:
     force_phase: Value | None
     weakening_rate: float | None
     weakening_speed: float | None
-    back_slip: bool
+    back_slip: str | None
     parameters: tuple[tuple[str, float], ...]
     matrix: int
     #: The file or the function of the user's that its system comes from, if one does.
@@ -225,7 +225,7 @@ def _own_system(values: tuple[Any, ...]) -> sim.System:
         given["weakening"] = Rational(member.weakening_rate)
     if member.weakening_speed is not None:
         given["weakening"] = Stribeck(member.weakening_speed)
-    if not member.back_slip:
+    if member.back_slip is not None:
         given["back_slip"] = False
     if isinstance(member.origin, SystemFunction):
         made = make(member.origin, member.n, np.random.default_rng(seed), dict(member.parameters))
@@ -312,7 +312,7 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
                 n=n,
                 coupling=scene.system.coupling,
                 **of_system,
-                back_slip=scene.system.back_slip,
+                back_slip=None if scene.system.back_slip else "barred",
                 parameters=parameters,
                 origin=origin,
                 perturbation_reading=change.reading,

@@ -167,6 +167,7 @@ class Scene(StrictTable):
             "belts": any(not isinstance(one, float) for one in values(self.system.belt_speed)) or in_files,
             "force": self.system.force is not None,
             "weakening": self.system.weakening is not None,
+            "back_slip": not self.system.back_slip,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
             "step": any("step" in engine.settings for engine in self.engines),
             "end": self.record.end,

@@ -66,6 +66,7 @@ RECORDED = {
         _column("weakening_rate", pa.float64(), "rate at which friction falls with slip; null if not rational"),
         _column("weakening_speed", pa.float64(), "speed of slip over which it falls; null if not Stribeck's"),
     ],
+    "back_slip": [_column("back_slip", pa.string(), "barred: no block gets ahead of its belt")],
     "drawn": [
         _column("drawn", pa.string(), "which parameters are drawn for each block, and from what; theirs is null"),
         _column("start_draw", pa.int32(), "number of the draw of the start; null if it is not drawn"),
@@ -124,6 +125,7 @@ ASKED_BY = {
     "belts": "a distribution, or times and values, of `belt_speed` under [system], or arrays of a file",
     "force": "`force` under [system]",
     "weakening": "`weakening` under [system]",
+    "back_slip": "`back_slip = false` under [system]",
     "drawn": "a distribution in [system] or [start], or arrays of a file",
     "step": '`[[engine]] name = "moreau"`',
     "end": "`end = true` under [record]",

@@ -281,6 +281,7 @@ def test_what_drives_the_blocks_is_swept_and_drawn(seed):
         assert np.array_equal(force.frequency, drawn(13, seed, *key).uniform(0.9, 1.1, 3))
         assert system.weakening == Rational({0.5: 2.0, 1.0: 3.0}[member.force_amplitude])
         assert not system.back_slip
+        assert member.back_slip == "barred"
     assert load_again(scene).hash == scene.hash
     assert scene.changed(system={"back_slip": True}).hash != scene.hash
 
