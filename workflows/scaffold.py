@@ -158,7 +158,9 @@ def _values(field: dict[str, Any]) -> str:
     if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it
         first, *others = field["anyOf"]
         ways = ["a list"] if any(choice.get("type") == "array" for choice in others) else []
-        ways += [f"{{{law} = {LAWS[law]}}}" for choice in others for law in choice.get("properties", ())]
+        tables = [choice["properties"] for choice in others if "properties" in choice]
+        inside = (", ".join(f"{key} = {LAWS.get(key, '[numbers]')}" for key in table) for table in tables)
+        ways += [f"{{{keys}}}" for keys in inside]
         ways += [json.dumps(choice["const"]) for choice in others if "const" in choice]
         ways += ["module:function" for choice in others if "pattern" in choice]
         return f"{_values(first)}; or {', '.join(ways)}"
