@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numba.extending
 import numpy as np
@@ -34,8 +36,7 @@ def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
     return numba.types.float64(numba.types.int64), codegen
 
 
-@numba.extending.intrinsic(prefer_literal=True)
-def room(typing_context, rows, columns):  # type: ignore[no-untyped-def]
+def _room(typing_context, rows, columns):  # type: ignore[no-untyped-def]
     """An array of float64 of this shape, two literals, that is gone when the function returns: no memory to get."""
     kind = numba.types.Array(numba.types.float64, 2, "C")
     shape = rows.literal_value, columns.literal_value
@@ -48,6 +49,9 @@ def room(typing_context, rows, columns):  # type: ignore[no-untyped-def]
         return array._getvalue()
 
     return kind(rows, columns), codegen
+
+
+room: Any = numba.extending.intrinsic(prefer_literal=True)(_room)
 
 
 @inner
