@@ -382,7 +382,6 @@ def _diffrax(problem: Problem) -> Solver:
         z, w = y[:n], y[n:]
         return jnp.concatenate([w, -(damping * w + stiffness @ z + friction * jnp.tanh((w - v) / delta))])
 
-    @jax.jit
     def end(y: Any, tolerance: Any) -> Any:
         return diffrax.diffeqsolve(
             diffrax.ODETerm(rate),
@@ -396,10 +395,10 @@ def _diffrax(problem: Problem) -> Solver:
             throw=False,
         )
 
-    start = jnp.asarray(problem.start)
+    start, compiled = jnp.asarray(problem.start), jax.jit(end)
 
     def solve(tolerance: float) -> Solution:
-        found = end(start, tolerance)
+        found = compiled(start, tolerance)
         z = np.asarray(found.ys[0, :n])
         if found.result != diffrax.RESULTS.successful:
             raise MethodError(str(found.result))
