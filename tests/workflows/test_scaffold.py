@@ -15,6 +15,7 @@ import stickslip
 from stickslip import analysis, pipeline, sim
 from stickslip.pipeline import Scene, load_scene
 from stickslip.pipeline.engine_table import TOLERANCES
+from stickslip.pipeline.quantity import LAWS
 from stickslip.pipeline.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.charts import CHARTS
@@ -148,7 +149,7 @@ def listed(chart, capsys):
 def paths(table, path=""):
     for key, value in table.items():
         for found in value if isinstance(value, list) else [value]:
-            if isinstance(found, dict):
+            if isinstance(found, dict) and not found.keys() & {*LAWS, "times"}:
                 yield from paths(found, f"{path}{key}.")
             elif key != "name":
                 yield path + key
