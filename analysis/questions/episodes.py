@@ -309,7 +309,7 @@ def _rates(found: Iterable[_Of], lead: _Of, least: float, level: float) -> list[
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
             over = Estimate()
             both = sorted(sums.keys() & reference[edge].keys())
-            if one is not lead and len(both) > 1:
+            if one is not lead and len(both) > 1 and sum(row[0] for row in reference[edge].values()) >= FEWEST:
                 first, second = (np.array([of[unit] for unit in both]) for of in (reference[edge], sums))
                 over = _over(first, second, level)
             rows.append({
@@ -357,7 +357,7 @@ def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
 def _method(label: str) -> str:
     """A group by its method alone: without its number of blocks, which all share."""
     bare = label.partition(", ")[2].replace("moreau, step", "time steps h").replace(", eps", " \u03b5")
-    return re.sub(r"e-0(?=\d)", "e-", bare)
+    return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
 
 
 def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]], key: str) -> None:
@@ -371,6 +371,12 @@ def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
         ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
+
+
+def _legend(figure: Figure, labels: Mapping[str, tuple[str, bool]]) -> None:
+    if len(labels) > 1:
+        handles, texts = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, texts, loc="outside upper center", ncols=3, fontsize=6.5, handlelength=2.2)
 
 
 def frequencies(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> Figure:
@@ -389,8 +395,7 @@ def frequencies(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> 
         ax.set_yscale("log")
         lows = [row["rate"] for row in rows if row["rate"]]
         ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
-        if len(labels) > 1:
-            ax.legend(loc="lower left", fontsize=6.5, handlelength=2.6)
+        _legend(figure, labels)
     return figure
 
 
@@ -403,6 +408,7 @@ def over_reference(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) 
         ax.axhline(1.0, color=EXACT, linewidth=1)
         _lines(ax, rows, labels, "over")
         seen = [row["over"] for row in rows if row["over"] is not None]
+        _legend(figure, labels)
         ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
     return figure
 

@@ -172,7 +172,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
     words = build(data, replace(settings, question=("episodes",)), "A chain", "", {})
     assert any(" more (" in line and "1e-5" in line for line in words.headline)
-    assert "No episode at all: sigmoid \u03b5 = 0.01" in words.html
+    assert "No episode at all: sigmoid \u03b5\u00a0=\u00a00.01" in words.html
 
 
 def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
