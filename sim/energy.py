@@ -25,6 +25,8 @@ from stickslip.sim.system import System
 
 #: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
+#: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it.
+_BENDS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,10 @@ def _edges(system: System, series: EventSeries) -> Floats:
     )
     bends = bends[(bends > series.t_start) & (bends < series.t_end)]
     instants = np.unique(np.concatenate(([series.t_start], series.t, bends, [series.t_end])))
-    parts = np.maximum(np.ceil(np.diff(instants) * (system.rates.max() / _REACH)), 1).astype(int)
+    rate = system.rates.max()
+    if system.weakening is not None:
+        rate += _BENDS * system.weakening.steepness * (system.static / system.mass).max()
+    parts = np.maximum(np.ceil(np.diff(instants) * (rate / _REACH)), 1).astype(int)
     start = np.repeat(instants[:-1], parts)
     share = np.concatenate([np.arange(k) / k for k in parts]) if len(parts) else np.empty(0)
     return np.append(start + share * np.repeat(np.diff(instants), parts), instants[-1])

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
+from stickslip.sim.energy import energy, times
 from stickslip.sim.engines import ENGINES, friction
 from stickslip.sim.engines.lanes import on_number
 from stickslip.sim.theory import folds
@@ -223,6 +224,17 @@ def test_no_block_gets_ahead_of_its_belt():
     assert run.events.t[0] == pytest.approx(41.3 / 0.2, rel=1e-13)
     with pytest.raises(ValueError, match=r"w0: expected no block ahead .* got block 0 ahead by 0.1"):
         simulate(system, 0.0, -0.3, 1.0)
+
+
+@pytest.mark.parametrize("law", [Rational(5.0), Stribeck(0.2)])
+def test_energy_balances(law):
+    system = draw_system("chain", 4, secrets.randbits(32), kappa=0.7, leaf=1.0, rho=0.2, static=1.4)
+    system, z = system.changed(weakening=law), np.random.default_rng(secrets.randbits(32)).uniform(-0.3, 0.3, 4)
+    events = simulate(system, z, -0.2, 20.0, tol=1e-13).events
+    run = simulate(system, z, -0.2, 20.0, tol=1e-13, t_eval=times(system, events))
+    account = energy(system, run)
+    assert account.heat[-1] > 1.0
+    assert np.abs(account.imbalance).max() < 1e-10
 
 
 def test_without_bound_no_escape_is_certified():
