@@ -38,7 +38,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Law, State
 from stickslip.sim.engines.outside import Drive
 from stickslip.sim.engines.roots import roots
-from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, push
+from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, known, push
 from stickslip.sim.engines.taylor import (
     ORDER_MAX,
     SPAN,
@@ -216,7 +216,9 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = law.damping[i] * v[i] + expansion.forces[0, i]
-            concerned = concerned or push(law.closed[i], force) >= law.static[i] - force_rounding(law, i, z_max)
+            noise = known(law.outside.noise, 0, i)
+            slack = force_rounding(law.damping[i] * v[i], law.row_sums[i] * z_max, law.static[i], noise)
+            concerned = concerned or push(law.closed[i], force) >= law.static[i] - slack
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0

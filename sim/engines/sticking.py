@@ -21,12 +21,18 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 
 @inner
-def force_rounding(law, i, z_max):  # type: ignore[no-untyped-def]
-    """What rounding may do to |F_i| - m_i, |z| being at most z_max."""
-    sum_of_sizes = abs(law.damping[i] * law.belt_speed[i]) + law.row_sums[i] * z_max + law.static[i]
-    if len(law.outside.poly) > 0:
-        sum_of_sizes += law.outside.noise[0, i]
-    return ROUNDING * sum_of_sizes
+def known(noise, k, i):  # type: ignore[no-untyped-def]
+    """The size of what the k-th coefficient of forces from outside on block i is summed up from."""
+    return noise[k, i] if len(noise) > 0 else 0.0
+
+
+@inner
+def force_rounding(drag, pull, most, outside):  # type: ignore[no-untyped-def]
+    """What rounding may do to |F| - m of a block, from the sizes of its terms.
+
+    It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    """
+    return ROUNDING * (abs(drag) + pull + most + outside)
 
 
 @inner
@@ -48,7 +54,7 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
         if touching[i] or mode[i] == 0:
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
-            slack = force_rounding(law, i, z_max)
+            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside.noise, 0, i))
             drive = push(closed[i], force)
             if leaves[i] != 0 or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
@@ -78,10 +84,7 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            known = law.row_sums[i] * c_max
-            if len(law.outside.poly) > 0:
-                known += law.outside.noise[k, i]
-            if abs(push) > ROUNDING * known:
+            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.outside.noise, k, i)):
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1

@@ -30,7 +30,7 @@ from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.outside import begin, may_change, take_off
 from stickslip.sim.engines.panels import ROUGH
 from stickslip.sim.engines.products import two_products, two_rough_products
-from stickslip.sim.engines.sticking import force_rounding, push, settle, settle_by_order
+from stickslip.sim.engines.sticking import force_rounding, known, push, settle, settle_by_order
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
@@ -298,8 +298,10 @@ def correct(law, expansion, block, order, span, h, allowed, rate):  # type: igno
     n = len(mode)
     mu, most = law.friction[i], law.static[i]
     force = damping[i] * v[i] + forces[0, i]
+    noise = known(law.outside.noise, 0, i)
+    rounding = force_rounding(damping[i] * v[i], row_sums[i] * largest(series[0]), most, noise)
     rate_error = row_sums[i] * allowed if len(law.outside.poly) == 0 else max(row_sums[i], rate * rate) * allowed
-    doubt = _DOUBT * (rate_error * span + force_rounding(law, i, largest(series[0])))
+    doubt = _DOUBT * (rate_error * span + rounding)
     new = -1 if force > 0.0 else 1
     if mode[i] == 0:
         if abs(abs(force) - most) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
