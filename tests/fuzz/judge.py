@@ -420,9 +420,12 @@ class _Judge:
 @cache
 def _compile() -> None:
     """Or the first case would be charged with it."""
+    plain = System([[1.0]], 0.1)
+    laws: list[dict[str, Any]] = [{}, {"static": 1.3}, {"back_slip": False}]
+    laws += [{"weakening": Rational(1.0)}, {"weakening": Stribeck(1.0), "static": 1.3}]
     for engine in ENGINES:
-        for static in (1.0, 1.3):
-            simulate(System([[1.0]], 0.1, static=static), 3.0, 1.0, 5.0, engine=engine)
+        for law in laws:
+            simulate(plain.changed(**law), 3.0, plain.belt_speed, 5.0, engine=engine)
 
 
 def judge(trial: Trial, run: Simulate = simulate) -> Verdict:

@@ -11,19 +11,29 @@ from stickslip.sim import System, simulate
 from stickslip.sim.engines import products
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import made
-from tests.independent import sensitivity
+from tests.independent import Undecided, sensitivity
 
 
 def drawn(n_cases):
-    """Short cases of the fuzz for the exact engine, of a new seed, each with the sensitivity of its run."""
+    """Short cases of the fuzz for the exact engine, of a new seed, without ties, each with its sensitivity."""
     seed = int(np.random.SeedSequence().generate_state(1)[0])
     print("seed", seed)
     for number in count():
         trial = draw(seed, number)
-        if trial.engine == "coulomb" and trial.t_end * trial.case.rate < 50 and trial.settings["tol"] > 1e-12:
+        is_tied = trial.family in ("identical", "integers")
+        if (
+            is_tied
+            or trial.engine != "coulomb"
+            or trial.settings["tol"] < 1e-12
+            or trial.t_end * trial.case.rate > 30
+        ):
+            continue
+        try:
             unit = sensitivity(trial.case, trial.t_end, np.random.default_rng(0), size=1e-7, runs=2)
-            yield trial, max(1.0, np.nan_to_num(unit.overall))
-            n_cases -= 1
+        except Undecided:
+            continue
+        yield trial, max(1.0, np.nan_to_num(unit.overall))
+        n_cases -= 1
         if n_cases == 0:
             return
 
@@ -31,7 +41,7 @@ def drawn(n_cases):
 def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monkeypatch):
     """Only systems of some size are worth them; here all have them."""
     n_changed = 0
-    for trial, unit in drawn(20):
+    for trial, unit in drawn(12):
         case, runs = trial.case, []
         system = made(case)
         for smallest in (1, 1000):
