@@ -20,7 +20,7 @@ from scipy.linalg import eig
 from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, Run, Stribeck, System, simulate
-from stickslip.sim.engines import ENGINES, products
+from stickslip.sim.engines import products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Ramp, Undecided, follow
@@ -423,7 +423,7 @@ def _compile() -> None:
     plain = System([[1.0]], 0.1)
     laws: list[dict[str, Any]] = [{}, {"static": 1.3}, {"back_slip": False}]
     laws += [{"weakening": Rational(1.0)}, {"weakening": Stribeck(1.0), "static": 1.3}]
-    for engine in ENGINES:
+    for engine in LIMIT:
         for law in laws:
             simulate(plain.changed(**law), 3.0, plain.belt_speed, 5.0, engine=engine)
 
