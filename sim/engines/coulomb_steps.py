@@ -35,7 +35,7 @@ from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.loop import Law, State
+from stickslip.sim.engines.loop import Events, Law, State
 from stickslip.sim.engines.outside import Drive
 from stickslip.sim.engines.roots import roots
 from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, known, push
@@ -52,16 +52,16 @@ from stickslip.sim.run import Run
 from stickslip.sim.system import require_diagonal_damping
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
-_REACH = 1.2
+REACH = 1.2
 #: What is left of a window is used if it is more than this share of the mean length.
 _WORTH = 0.1
 #: Memory of that mean.
-_DECAY = 0.9
+DECAY = 0.9
 
 #: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
-_STALL = 1000
+STALL = 1000
 #: So are as many steps in a row without an event, each below this share of the shortest time scale.
-_CRAWL = 1e-6
+CRAWL = 1e-6
 
 #: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
 #: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
@@ -73,7 +73,7 @@ _LOOSEST = 1e-3
 _FOLLOWED = 1e-10
 
 # behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
-_EXPOSURE, _CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
+EXPOSURE, CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 
 
 class _Goal(NamedTuple):
@@ -102,13 +102,8 @@ class _Search(NamedTuple):
 
 
 @inner
-def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
-    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
-    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
-    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
-    zeros, side = expansion.zeros, expansion.side
-    reach, poly, found = search.reach, search.poly, search.found
-    n = len(mode)
+def stray(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
+    """How far the event functions of n blocks can stray in h from their tangents, by the sizes of their terms."""
     for i in range(n):
         reach[i] = 0.0
     power = h * h
@@ -118,52 +113,72 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
         power *= h
     for i in range(n):  # F has two orders less: it is needed to the accuracy of w', not of w
         reach[i] += power * abs(slips[i] * order * series[order, i])
+
+
+@inner
+def root(law, i, series, forces, at, mode, zeros, side, reach, order, h, poly, found):  # type: ignore[no-untyped-def]
+    """Time to the first root of block i's event functions within h, and whether there is one.
+
+    Its series are the columns `at`; they stray from their tangents by at most `reach`.
+    """
+    v, static, closed, is_found = law.belt_speed[i], law.static[i], law.closed[i], False
+    if mode != 0:
+        gap = mode * (series[1, at] - v)
+        if zeros == 0 and min(gap, gap + mode * 2.0 * series[2, at] * h) > reach:
+            return h, is_found
+        degree = order - 1 - zeros
+        power = 1.0
+        for k in range(degree + 1):
+            j = k + zeros
+            c = (j + 1) * series[j + 1, at]
+            if j == 0:
+                c -= v
+            poly[k] = mode * c * power
+            power *= h
+        if roots(poly, degree, found) > 0:
+            h *= found[0]
+            is_found = True
+        return h, is_found
+    force = law.damping[i] * v + forces[0, at]
+    most = max(push(closed, force), push(closed, force + forces[1, at] * h))
+    if side == 0 and most + reach < static:
+        return h, is_found
+    for sigma in (-1, 1):
+        if sigma == closed:
+            continue
+        skip = zeros if side in (sigma, UNDECIDED_BOTH) else 0
+        degree = order - 2 - skip
+        if degree < 1:
+            continue
+        if skip == 0:
+            poly[0] = static + sigma * force
+        else:
+            poly[0] = sigma * forces[skip, at]
+        power = h
+        for k in range(1, degree + 1):
+            poly[k] = sigma * forces[k + skip, at] * power
+            power *= h
+        if poly[0] != 0.0 and roots(poly, degree, found) > 0:
+            h *= found[0]
+            is_found = True
+    return h, is_found
+
+
+@inner
+def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
+    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
+    series, forces, mode, poly, found = expansion.series, expansion.forces, expansion.mode, search.poly, search.found
+    zeros, side, reach = expansion.zeros, expansion.side, search.reach
+    stray(series, forces, expansion.slips, order, h, reach, len(mode))
     block = -1
-    for i in range(n):
-        if mode[i] != 0:
-            gap = mode[i] * (series[1, i] - v[i])
-            if zeros[i] == 0 and min(gap, gap + mode[i] * 2.0 * series[2, i] * h) > reach[i]:
-                continue
-            degree = order - 1 - zeros[i]
-            power = 1.0
-            for k in range(degree + 1):
-                j = k + zeros[i]
-                c = (j + 1) * series[j + 1, i]
-                if j == 0:
-                    c -= v[i]
-                poly[k] = mode[i] * c * power
-                power *= h
-            if roots(poly, degree, found) > 0:
-                h *= found[0]
-                block = i
-            continue
-        force = damping[i] * v[i] + forces[0, i]
-        most = max(push(closed[i], force), push(closed[i], force + forces[1, i] * h))
-        if side[i] == 0 and most + reach[i] < static[i]:
-            continue
-        for sigma in (-1, 1):
-            if sigma == closed[i]:
-                continue
-            skip = zeros[i] if side[i] == sigma or side[i] == UNDECIDED_BOTH else 0
-            degree = order - 2 - skip
-            if degree < 1:
-                continue
-            if skip == 0:
-                poly[0] = static[i] + sigma * force
-            else:
-                poly[0] = sigma * forces[skip, i]
-            power = h
-            for k in range(1, degree + 1):
-                poly[k] = sigma * forces[k + skip, i] * power
-                power *= h
-            if poly[0] != 0.0 and roots(poly, degree, found) > 0:
-                h *= found[0]
-                block = i
+    for i in range(len(mode)):
+        h, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], reach[i], order, h, poly, found)
+        block = i if is_found else block
     return h, block
 
 
 @inner
-def _record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
+def record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
     """Write down, by block, which modes are not those known; returns the events recorded, and whether all agree."""
     same = True
     for i in range(len(mode)):
@@ -249,7 +264,7 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
         if remaining <= 0.0 and not goal.is_last:
             return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         if not is_open:
-            target = min(remaining, _REACH * clock[_EXPOSURE] / clock[_CUTS])
+            target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
             target = min(target, SPAN / rate) if rate > 0.0 else target
             order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
             counters[loop.N_PRODUCTS] += n_products
@@ -259,7 +274,7 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        n_recorded, same = _record(t, mode, search.known_mode, events, n_recorded)
+        n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
         loop.note_still(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
             _sample(series, order, t, t, state)  # of a run that has no length
@@ -294,23 +309,23 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
                 h = correct(law, expansion, block, order, span, left, allowed, rate)
                 touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same
             is_cut = is_cut or h < left
-            is_open = h > _WORTH * clock[_EXPOSURE] / clock[_CUTS]
+            is_open = h > _WORTH * clock[EXPOSURE] / clock[CUTS]
         else:
             _evaluate(series, order, step, z, w)
             _on_the_edge(law, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[loop.TIME] = t_next
-        clock[_EXPOSURE] += step
+        clock[EXPOSURE] += step
         if not is_open:
-            clock[_EXPOSURE] *= _DECAY
-            clock[_CUTS] = _DECAY * (clock[_CUTS] + (1.0 if is_cut else 0.0))
+            clock[EXPOSURE] *= DECAY
+            clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
-        unseen = _CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
+        unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
         crawls = clock[loop.TIME] - t <= max(ROUNDING * max(1.0, abs(t)), unseen)
         if crawls:
             counters[loop.N_STALLED] += 1
-            if counters[loop.N_STALLED] > _STALL:
+            if counters[loop.N_STALLED] > STALL:
                 return loop.STALLED, n_recorded
         else:
             counters[loop.N_STALLED] = 0
@@ -335,22 +350,26 @@ def integrate(task: Task, tol: float) -> Run:
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
     expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
+    is_local = len(law.columns.dense) == 0 and not drive.is_driven and len(law.far) == 0
+    pull = float(system.row_sums.max())
+
+    def advance(events: Events, bound: float) -> tuple[int, int]:
+        goal = _Goal(drive.t_end, drive.is_last, tol, rate)
+        if not is_local:
+            return _advance(law, goal, state, expansion, search, events, bound, collapse.watch)
+        return nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
+
+    if is_local:
+        from stickslip.sim.engines import nearby  # it builds on this module
+
+        room = nearby.Nearby.of(system.n)
     return loop.complete(
         task,
         state,
         drive,
-        lambda events, bound: _advance(
-            law,
-            _Goal(drive.t_end, drive.is_last, tol, rate),
-            state,
-            expansion,
-            search,
-            events,
-            bound,
-            collapse.watch,
-        ),
+        advance,
         collapse,
-        stalled=f"more than {_STALL} instants that rounding cannot tell apart; this start is degenerate:"
+        stalled=f"more than {STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],

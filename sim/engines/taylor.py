@@ -39,7 +39,7 @@ SPAN = 5.0
 _ORDER_MIN = 4
 #: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
 #: far below the tolerance.
-_PASSED_ON = 0.002
+PASSED_ON = 0.002
 
 #: The share of the tolerance that products in float32 may leave out. What is smaller than _TINY would leave float32.
 _ROUNDED_OFF = 0.05
@@ -47,6 +47,7 @@ _TINY = 1e-200
 
 #: An event is decided by a series if the force is this many times its error away from another decision.
 _DOUBT = 10.0
+UNDECIDED = 2  #: what is no mode
 
 
 class Expansion(NamedTuple):
@@ -138,7 +139,7 @@ def _falls_off(law, expansion, order, h, allowed):  # type: ignore[no-untyped-de
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
         x = law.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
-        if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > _PASSED_ON * allowed:
+        if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > PASSED_ON * allowed:
             return False
     return True
 
@@ -280,6 +281,27 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
+def decide(law, i, was_stuck, force, slope, z_max, span, allowed, rate):  # type: ignore[no-untyped-def]
+    """Mode of block i after its event, from F and its slope; UNDECIDED if that is beyond the accuracy of the series.
+
+    `span` is the length of the window, over which an error `allowed` of w becomes one of z, and z_max bounds |z|.
+    """
+    most, row_sum = law.static[i], law.row_sums[i]
+    rate_error = row_sum * allowed if len(law.outside.poly) == 0 else max(row_sum, rate * rate) * allowed
+    drag, noise = law.damping[i] * law.belt_speed[i], known(law.outside.noise, 0, i)
+    doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
+    new = -1 if force > 0.0 else 1
+    if was_stuck:
+        if abs(abs(force) - most) > doubt or -slope * new <= _DOUBT * rate_error:
+            new = UNDECIDED
+    elif push(law.closed[i], force) < most - doubt:
+        new = 0
+    elif push(law.closed[i], force) <= most + doubt:
+        new = UNDECIDED
+    return new
+
+
+@inner
 def correct(law, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
@@ -297,18 +319,10 @@ def correct(law, expansion, block, order, span, h, allowed, rate):  # type: igno
     i = block
     n = len(mode)
     mu, most = law.friction[i], law.static[i]
+    was_stuck = mode[i] == 0
     force = damping[i] * v[i] + forces[0, i]
-    noise = known(law.outside.noise, 0, i)
-    rounding = force_rounding(damping[i] * v[i], row_sums[i] * largest(series[0]), most, noise)
-    rate_error = row_sums[i] * allowed if len(law.outside.poly) == 0 else max(row_sums[i], rate * rate) * allowed
-    doubt = _DOUBT * (rate_error * span + rounding)
-    new = -1 if force > 0.0 else 1
-    if mode[i] == 0:
-        if abs(abs(force) - most) > doubt or -forces[1, i] * new <= _DOUBT * rate_error:
-            return 0.0
-    elif push(law.closed[i], force) < most - doubt:
-        new = 0
-    elif push(law.closed[i], force) <= most + doubt:
+    new = decide(law, i, was_stuck, force, forces[1, i], largest(series[0]), span, allowed, rate)
+    if new == UNDECIDED:
         return 0.0
 
     if len(columns.dense) == 0:
@@ -319,7 +333,6 @@ def correct(law, expansion, block, order, span, h, allowed, rate):  # type: igno
         copy(columns.dense[i], column)
     own = column[i]
     column[i] = 0.0
-    was_stuck = mode[i] == 0
     series[1, i] = v[i]
     for k in range(order - 1):
         c = 0.0
@@ -350,8 +363,8 @@ def correct(law, expansion, block, order, span, h, allowed, rate):  # type: igno
         passed_on += largest(last) * power
         power *= h
     error = largest(row_sums) * passed_on * h / 5.0
-    if error > _PASSED_ON * allowed:
-        h *= (_PASSED_ON * allowed / error) ** 0.2
+    if error > PASSED_ON * allowed:
+        h *= (PASSED_ON * allowed / error) ** 0.2
     for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
