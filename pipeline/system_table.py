@@ -265,6 +265,12 @@ class SystemTable(StrictTable):
                     raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
                 object.__setattr__(self, key, None)
         self._files_apply()
+        falls = self.weakening is not None and self.weakening.law == "stribeck"
+        if falls and self.static is None and self.coupling != OF_FILE and not self.is_own:
+            raise ValueError(
+                'static: expected with law = "stribeck", which falls from the static friction to the kinetic, found'
+                " nothing; add e.g. `static = 1.3`"
+            )
         if self.damping is not None:
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")

@@ -52,7 +52,7 @@ class System:
     mass : float or array_like, shape (n,)
         m > 0.
     force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
-        The force on each block from outside; of a list, the sum.
+        The force on each block from outside; of a list that holds a `Harmonic` or a `Piecewise`, the sum.
     weakening : Rational or Stribeck, optional
         How kinetic friction falls with the speed of slip |w - v|, see `stickslip.sim.weakening`; left out: not.
     back_slip : bool

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from stickslip import analysis
-from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.cascades import _verdict
 from stickslip.analysis.report import page
@@ -308,3 +308,9 @@ def test_settings_out_of_range_are_refused_by_name(changes, named):
     good = {"t_burn": 0.0, "dt": (1.0,), "resamples": 10, "confidence": 0.95, "seed": 0}
     with pytest.raises(ValueError, match=named):
         AnalysisSettings(**(good | changes))
+
+
+def test_the_table_of_groups_has_what_a_scene_may_change():
+    page = (Path(ensemble.__file__).parent / "report" / "templates" / "report.html").read_text()
+    missing = [name for name in ensemble.SYSTEM_KEYS if f'"{name}"' not in page]
+    assert missing == ["z0", "w0", "perturbation_size"]  # what is swept stands in the name of the group

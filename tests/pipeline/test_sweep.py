@@ -469,3 +469,11 @@ def test_what_makes_no_sense_is_refused_in_a_line_that_names_the_key(case):
     assert len(lines) == 1
     assert all(word in lines[0] for word in words), lines[0]
     print(lines[0])
+
+
+def test_a_law_that_falls_from_static_friction_needs_one(seed):
+    text = DRAWN.replace("SEED", str(seed))
+    law = 'damping = 0.0\nweakening = {law = "stribeck", speed = 0.5}'
+    with pytest.raises(ValueError, match=r'static: expected with law = "stribeck"'):
+        scene_of(text, ("damping = {uniform = [0.0, 0.5]}", law))
+    scene_of(text, ("damping = {uniform = [0.0, 0.5]}", law + "\nstatic = 1.3"))
