@@ -77,13 +77,12 @@ def test_too_little_data_has_reasons(planted, settings, rng):
     assert "one size" in said(ones)
 
 
-def test_a_single_block_has_no_pool_to_stand_beside(planted, settings, rng):
-    """It enters and leaves in turns: every cascade has size 1, and there is no other block to stick."""
+def test_a_single_block_has_cascades_of_one_size(planted, settings, rng):
+    """It enters and leaves in turns, and there is no other block to stick, nor a pool of them."""
     members, series = planted.ensemble({"coulomb": 0.7}, 4)
     members["n"] = 1
     for name in series:
         t = np.sort(rng.uniform(0, planted.t_end, 400))
         series[name] = np.concatenate(([0.0], t)), np.concatenate(([1], np.tile([0, 1], 200)))
     found = exponential.answer(Study(Data(members, series), settings))
-    assert found.facts["lead"]["pool"] is None
     assert "one size" in said(found)

@@ -343,6 +343,7 @@ class _Judge:
         """Modes at the sample times, where the truth is clear of the edge of the layer."""
         case, delta = truth.case, truth.delta
         z, y = truth.state[:, : case.n], truth.state[:, case.n :] - case.belt.at(truth.times)
+        y = np.where(y * case.closed > 0, 0.0, y)  # what is pulled to a side that is barred creeps there, and sticks
         spare = (self.limit * self.tol * truth.unit)[:, None]
         free = case.near == 0
         force = case.holding(truth.times, z)

@@ -115,7 +115,7 @@ BAD = {
     "unknown chart": (
         '"planted"',
         '"plant"',
-        "chart: expected 'paper' or 'scaling' or 'speed_accuracy'",
+        "chart: expected 'one_block' or 'paper' or 'scaling'",
         "got 'plant'",
     ),
     "unknown key": ("n = 5", "n = 5\nnumber = 5", "number: unknown key", "remove it"),
