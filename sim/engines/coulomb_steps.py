@@ -116,16 +116,26 @@ def stray(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped
 
 
 @inner
-def root(law, i, series, forces, at, mode, zeros, side, reach, order, h, poly, found):  # type: ignore[no-untyped-def]
-    """Time to the first root of block i's event functions within h, and whether there is one.
+def is_quiet(mode, zeros, side, w, half_slope, pull, pull_slope, h, v, drag, static, closed, reach):  # type: ignore[no-untyped-def]
+    """Whether a block's event functions, which stray by at most `reach` from their tangents, have no root within h.
 
-    Its series are the columns `at`; they stray from their tangents by at most `reach`.
+    `pull` is (K z)_i. It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    """
+    if mode != 0:
+        gap = mode * (w - v)
+        return zeros == 0 and min(gap, gap + mode * 2.0 * half_slope * h) > reach
+    force = drag + pull
+    return side == 0 and max(push(closed, force), push(closed, force + pull_slope * h)) + reach < static
+
+
+@inner
+def root(law, i, series, forces, at, mode, zeros, side, order, h, poly, found):  # type: ignore[no-untyped-def]
+    """Time to the first root of block i's event functions within h, and whether there is one; see `is_quiet` first.
+
+    Its series are the columns `at`.
     """
     v, static, closed, is_found = law.belt_speed[i], law.static[i], law.closed[i], False
     if mode != 0:
-        gap = mode * (series[1, at] - v)
-        if zeros == 0 and min(gap, gap + mode * 2.0 * series[2, at] * h) > reach:
-            return h, is_found
         degree = order - 1 - zeros
         power = 1.0
         for k in range(degree + 1):
@@ -140,9 +150,6 @@ def root(law, i, series, forces, at, mode, zeros, side, reach, order, h, poly, f
             is_found = True
         return h, is_found
     force = law.damping[i] * v + forces[0, at]
-    most = max(push(closed, force), push(closed, force + forces[1, at] * h))
-    if side == 0 and most + reach < static:
-        return h, is_found
     for sigma in (-1, 1):
         if sigma == closed:
             continue
@@ -169,10 +176,16 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
     series, forces, mode, poly, found = expansion.series, expansion.forces, expansion.mode, search.poly, search.found
     zeros, side, reach = expansion.zeros, expansion.side, search.reach
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     stray(series, forces, expansion.slips, order, h, reach, len(mode))
     block = -1
     for i in range(len(mode)):
-        h, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], reach[i], order, h, poly, found)
+        if is_quiet(
+            mode[i], zeros[i], side[i], series[1, i], series[2, i], forces[0, i], forces[1, i], h, v[i],
+            damping[i] * v[i], static[i], closed[i], reach[i],
+        ):  # fmt: skip
+            continue
+        h, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], order, h, poly, found)
         block = i if is_found else block
     return h, block
 

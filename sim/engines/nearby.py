@@ -26,6 +26,7 @@ from stickslip.sim.engines.coulomb_steps import (
     EXPOSURE,
     REACH,
     STALL,
+    is_quiet,
     record,
     root,
     stray,
@@ -107,10 +108,17 @@ def _open(law, expansion, search, nearby, order, h):  # type: ignore[no-untyped-
     """Begin a window: all series are about its start, and every block's next event within h is found."""
     series, forces, mode, due = expansion.series, expansion.forces, expansion.mode, nearby.due
     zeros, side, reach, poly, found = expansion.zeros, expansion.side, search.reach, search.poly, search.found
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     n, size = len(mode), len(due) // 2
     stray(series, forces, expansion.slips, order, h, reach, n)
     for i in range(n):
-        time, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], reach[i], order, h, poly, found)
+        due[size + i] = _NEVER
+        if is_quiet(
+            mode[i], zeros[i], side[i], series[1, i], series[2, i], forces[0, i], forces[1, i], h, v[i],
+            damping[i] * v[i], static[i], closed[i], reach[i],
+        ):  # fmt: skip
+            continue
+        time, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], order, h, poly, found)
         due[size + i] = time if is_found else _NEVER
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
@@ -247,6 +255,7 @@ def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # t
     """Take over the series of the members, and find the next event of each."""
     series, forces, mode, reach = nearby.series, nearby.forces, nearby.mode, nearby.reach
     poly, found = search.poly, search.found
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     for a in range(count):
         i = nearby.members[a]
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
@@ -255,8 +264,14 @@ def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # t
         for k in range(order - 1):
             expansion.forces[k, i] = forces[k, a]
         nearby.origin[i] = s
-        time, is_found = root(law, i, series, forces, a, mode[a], zeros, 0, reach[a], order, h, poly, found)
-        _schedule(nearby.due, i, s + time if is_found else _NEVER)
+        due = _NEVER
+        if not is_quiet(
+            mode[a], zeros, 0, series[1, a], series[2, a], forces[0, a], forces[1, a], h, v[i],
+            damping[i] * v[i], static[i], closed[i], reach[a],
+        ):  # fmt: skip
+            time, is_found = root(law, i, series, forces, a, mode[a], zeros, 0, order, h, poly, found)
+            due = s + time if is_found else _NEVER
+        _schedule(nearby.due, i, due)
 
 
 @inner
