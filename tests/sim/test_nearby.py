@@ -1,0 +1,67 @@
+"""The exact engine where K is sparse beside the same K kept dense, whose steps share no search of events with it."""
+
+import numpy as np
+import pytest
+
+from stickslip import System, draw_system, simulate
+
+TOL, T = 1e-11, 20.0
+
+
+@pytest.fixture
+def rng():
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print("seed", seed)
+    return np.random.default_rng(seed)
+
+
+def pair(rng):
+    """A chain, ring, grid or network, damped or not, with one friction or two, at rest on the belt or not."""
+    n = int(rng.choice([3, 8, 40, 100]))
+    coupling = str(rng.choice(["chain", "ring", "grid"] if n == 100 else ["chain", "ring"]))
+    drawn = draw_system(
+        coupling,
+        n=n,
+        seed=int(rng.integers(2**31)),
+        kappa=float(rng.uniform(0.3, 3.0)),
+        leaf=float(rng.uniform(0.05, 1.0)),
+        damping=float(rng.choice([0.0, 0.1, 3.0])),
+        belt_speed=float(rng.choice([-0.3, 0.1])),
+    )
+    static = rng.uniform(1.0, 1.6, n) if rng.random() < 0.6 else None
+    kept = drawn.changed(static=static, friction=rng.uniform(0.7, 1.0, n))
+    dense = System(kept.stiffness.toarray(), kept.damping, kept.friction, kept.belt_speed, static)
+    w0 = kept.belt_speed if rng.random() < 0.5 else rng.uniform(-0.5, 0.5, n)
+    return kept, dense, rng.uniform(-1.0, 1.0, n), w0
+
+
+def by_block(run):
+    return (
+        run.events.block[run.events.by_block],
+        run.events.mode[run.events.by_block],
+        run.events.t[run.events.by_block],
+    )
+
+
+@pytest.mark.parametrize("trial", range(12))
+def test_sparse_and_dense_have_the_same_events(trial, rng):
+    sparse, dense, z0, w0 = pair(rng)
+    few, all_ = (simulate(system, z0, w0, T, tol=TOL, stop_early=False) for system in (sparse, dense))
+    (blocks, modes, times), (others, wanted, known) = by_block(few), by_block(all_)
+    np.testing.assert_array_equal(blocks, others)
+    np.testing.assert_array_equal(modes, wanted)
+    np.testing.assert_allclose(times, known, atol=1e-6)  # tol, and what T amplifies it by
+    np.testing.assert_allclose(few.z, all_.z, atol=1e-6)
+
+
+def test_samples_and_a_split_run_change_nothing(rng):
+    sparse, _, z0, w0 = pair(rng)
+    times = np.sort(rng.uniform(0.0, T, 50))
+    plain = simulate(sparse, z0, w0, T, tol=TOL, stop_early=False)
+    sampled = simulate(sparse, z0, w0, T, tol=TOL, stop_early=False, t_eval=times)
+    np.testing.assert_array_equal(plain.events.t, sampled.events.t)
+    np.testing.assert_array_equal(plain.z, sampled.z)
+    first = simulate(sparse, z0, w0, T / 2, tol=TOL, stop_early=False)
+    second = simulate(sparse, first.z, first.w, T, t_start=T / 2, tol=TOL, stop_early=False)
+    np.testing.assert_allclose(second.z, plain.z, atol=1e-6)
+    assert len(first.events) + len(second.events) == len(plain.events)
