@@ -223,17 +223,12 @@ def events(path: Where, member_id: str) -> sim.EventSeries:
 def episodes(path: Where) -> pd.DataFrame:
     """All episodes of a dataset whose scene records them, a row each, by member as the scene expands, then by time.
 
-    Columns
+    Returns
     -------
-    member_id : str
-    start, end : float64
-        When the first block leaves, after a time in which all stick; when all stick again.
-    size : int32
-        Number of blocks that slipped.
-    moment : float64
-        Sum over the blocks of what each slipped on the belt, counted against the belt's motion.
-    first_block : int32
-        The block that left first.
+    DataFrame
+        `member_id`; `start`, when the first block leaves after a time in which all stick, and `end`, when all stick
+        again; `size`, the number of blocks that slipped; `moment`, the sum over the blocks of what each slipped on
+        the belt, counted against the belt's motion; `first_block`, which left first.
 
     Raises
     ------
