@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.stats.estimates import Estimate
 
 #: Draws a figure when it is called, from plain data.
 Recipe = Callable[[], Figure]
@@ -55,6 +56,11 @@ def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd
     return pd.DataFrame(
         {column: pd.array([row.get(column) for row in listed], dtype=dtype) for column, dtype in columns.items()}
     )
+
+
+def named(name: str, estimate: Estimate) -> Row:
+    """An estimate as three columns: its value and the ends of its interval."""
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
 def records(table: pd.DataFrame) -> list[Row]:

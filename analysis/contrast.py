@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import F, I, Row, S
+from stickslip.analysis.answer import F, I, Row, S, named
 from stickslip.analysis.ensemble import Group
 from stickslip.analysis.stats import estimates, student
 from stickslip.analysis.stats.cascades import Window
@@ -20,6 +20,7 @@ from stickslip.analysis.stats.compare import (
     DIFFERENT,
     EQUIVALENT,
     OPEN,
+    Compared,
     equivalence_test,
     judge_together,
     mean_difference,
@@ -139,14 +140,19 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
         a, b = a / a[:, 1:], b / b[:, 1:]
     estimate = _share if one.is_share else over_matrices
     before, after = (estimate(one.of, rows, confidence) for rows in (a, b))
-    row |= _named("first", before) | _named("second", after)
+    row |= named("first", before) | named("second", after)
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
     of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None
     seen = after.value - before.value  # of shares; their test adds runs, and its centre is no difference of any two
+
+    def shown(test: Compared) -> Estimate:
+        low, high = test.interval(confidence)
+        return Estimate(seen, max(low, -1.0), min(high, 1.0)) if of else Estimate(test.difference, low, high)
+
     try:
         absolute = equivalence_test(*(of or mean_difference(one.of, a, b, paired)), one.margin)
-        row |= _named("difference", Estimate(seen if of else absolute.difference, *absolute.interval(confidence)))
+        row |= named("difference", shown(absolute))
         row["p_absolute"] = absolute.p_different
         test = equivalence_test(*(of or relative_difference(one.of, a, b, paired)), one.margin)
     except Undefined as why:
@@ -154,14 +160,10 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     half = student.quantile(confidence, test.dof) * test.error  # within the margins where equivalence is shown
     return (
         row
-        | _named("relative", Estimate(seen if of else test.difference, *test.interval(confidence)))
+        | named("relative", shown(test))
         | {"narrow_low": test.difference - half, "narrow_high": test.difference + half}
         | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}
     )
-
-
-def _named(name: str, estimate: Estimate) -> Row:
-    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
 def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estimate:

@@ -35,7 +35,8 @@ OUTCOMES = ("finished", "collapsed", "diverged", "failed")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
 OPTIONAL = (
     *("file", "parameters", "leaf", "degree", "damping", "friction", "static", "mass", "force_amplitude"),
-    *("force_frequency", "force_phase", "weakening_rate", "weakening_speed", "z0", "w0", "drawn"),
+    *("force_frequency", "force_phase", "weakening_rate", "weakening_speed", "back_slip", "z0", "w0"),
+    "drawn",
 )
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"

@@ -58,10 +58,6 @@ class Comparison:
     change: Change
     pairs: tuple[Pair, ...]
 
-    @property
-    def n_matrices(self) -> int:
-        return len({pair.matrix for pair in self.pairs})
-
 
 @dataclass(frozen=True)
 class Setting:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec
 
 import matplotlib
 import numpy as np
@@ -77,6 +78,33 @@ def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> 
 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
 EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two laws, as filled circles and open squares
+P = ParamSpec("P")
+
+
+def panel(
+    height: float = PANEL[1], **axes: Any
+) -> Callable[[Callable[Concatenate[Any, P], None]], Callable[P, Figure]]:
+    """Of a function that draws on axes, one that makes a figure half a page wide.
+
+    Parameters
+    ----------
+    height : float
+        In inches.
+    **axes
+        As `Figure.subplots` takes them; by default what draws is given one `Axes`.
+    """
+
+    def of(draw: Callable[Concatenate[Any, P], None]) -> Callable[P, Figure]:
+        @wraps(draw)
+        def made(*args: P.args, **kwargs: P.kwargs) -> Figure:
+            with matplotlib.rc_context(STYLE):
+                figure = Figure(figsize=(PANEL[0], height), layout="constrained")
+                draw(figure.subplots(**axes), *args, **kwargs)
+            return figure
+
+        return made
+
+    return of
 
 
 def size_axis(ax: Axes, largest: int) -> None:

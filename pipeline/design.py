@@ -35,6 +35,7 @@ STATIC, MASS, BELT_SPEED, FORCE_AMPLITUDE, FORCE_FREQUENCY, FORCE_PHASE = range(
 #: What a draw for each block is for, by the argument of `sim.System`, or of a force, that it gives.
 _ARGUMENTS = dict(zip(OF_BLOCKS, (DAMPING, FRICTION, STATIC, MASS, BELT_SPEED), strict=True))
 _OF_FORCE = {"force_amplitude": FORCE_AMPLITUDE, "force_frequency": FORCE_FREQUENCY, "force_phase": FORCE_PHASE}
+_DRAWN = _ARGUMENTS | _OF_FORCE
 
 #: What a file holds, by what a draw in its place would be for.
 _ARRAYS = {purpose: name for name, purpose in _ARGUMENTS.items()} | {START_Z: "z0", START_W: "w0"}
@@ -46,6 +47,8 @@ _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 #: than so many batches. Not chosen by the number of workers, on which the shards' names and bytes would then depend.
 TARGET_COST = 1.0
 _LARGER, _MANY = 5.0, 500
+#: A batch is at most such a part of what is left, so that workers end together; but not below such a part of a batch.
+_OF_REST, _SMALLEST = 0.25, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,7 @@ class Member:
     force_amplitude: Value | None
     force_frequency: Value | None
     force_phase: Value | None
+    force_course: Value | None
     weakening_rate: float | None
     weakening_speed: float | None
     back_slip: str | None
@@ -99,7 +103,7 @@ class Member:
 
     def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
         """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
-        known = (number for number in draw if number is not None)
+        known = [number for number in draw if number is not None]
         return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *known))
 
     @property
@@ -110,18 +114,20 @@ class Member:
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
         """A number as it is; of a distribution its draw, of a file or another run's end its array, shape (n,)."""
+        if isinstance(value, Course):
+            return sim.Piecewise(value.times, value.values)
+        if isinstance(value, Distribution):
+            return value.draw(self._seed(purpose, *draw), self.n)
+        if not isinstance(value, Named):
+            return value
         if value == BELT:
             system = self.system()
             return system.belt_speed if system.has_one_belt else system.belt_speed_at(0.0)
         if value == END:
             assert self.start_from is not None
             return end_of(self.start_from, self)[purpose - START_Z]
-        if isinstance(value, Course):
-            return sim.Piecewise(value.times, value.values)
-        if isinstance(value, Named):
-            assert isinstance(self.origin, SystemFile)
-            return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
-        return value.draw(self._seed(purpose, *draw), self.n) if isinstance(value, Distribution) else value
+        assert isinstance(self.origin, SystemFile)
+        return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
 
     @property
     def file(self) -> str | None:
@@ -131,7 +137,8 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        own = {key: getattr(self, key) for key in ("leaf", *_ARGUMENTS, *_OF_FORCE)} | {"z": self.z0, "w": self.w0}
+        own = {key: getattr(self, key) for key in ("leaf", *_ARGUMENTS, *_OF_FORCE)}
+        own |= {"force": self.force_course, "z": self.z0, "w": self.w0}
         given = {key: one for key, one in own.items() if isinstance(one, Distribution | Course | Named)}
         return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
 
@@ -216,11 +223,13 @@ def _own_system(values: tuple[Any, ...]) -> sim.System:
     seed = member._seed(MATRIX)
     given: dict[str, Any] = {
         name: member._by_block(value, purpose)
-        for name, purpose in (_ARGUMENTS | _OF_FORCE).items()
+        for name, purpose in _DRAWN.items()
         if (value := getattr(member, name)) is not None
     }
     if member.force_amplitude is not None:
         given["force"] = sim.Harmonic(*(given.pop(name) for name in _OF_FORCE))
+    if isinstance(member.force_course, Course):
+        given["force"] = sim.Piecewise(member.force_course.times, member.force_course.values)
     if member.weakening_rate is not None:
         given["weakening"] = Rational(member.weakening_rate)
     if member.weakening_speed is not None:
@@ -242,8 +251,9 @@ def _moved_system(values: tuple[Any, ...]) -> sim.System:
     member = _member_of_system(values)
     assert member.perturbation_reading is not None
     assert member.perturbation_draw is not None
+    own = tuple(_UNMOVED.get(name, value) for name, value in zip(_OF_A_SYSTEM, values, strict=True))
     return sim.perturb_system(
-        replace(member, **_UNMOVED).system(),
+        _own_system(own),
         member.coupling,
         member.perturbation_size,
         member._seed(PERTURBATION, member.perturbation_draw),
@@ -343,6 +353,8 @@ def _shared_cost(scene: Scene, member: Member, engine: EngineTable) -> float:
     if scene.record.separation is not None and (base := member.base) is not None:
         is_changed = base.ratio_draw == member.ratio_draw
         cost += base.cost / (copies if is_changed else len(engine.draws))
+    if scene.record.energy and engine.engine.is_exact:
+        cost += 10.0 * member.cost
     if scene.record.growth_rate:
         sharing = len(scene.engines) * len(engine.draws)
         cost += 1e-8 * member.n**3 / sharing
@@ -407,15 +419,17 @@ class Batch:
 def _sizes(members: Sequence[Member]) -> list[int]:
     """The numbers of members of the batches."""
     costs = [member.cost for member in members]
-    target = min(max(TARGET_COST, sum(costs) / _MANY), _LARGER * TARGET_COST)
+    rest = sum(costs)
+    largest = min(max(TARGET_COST, rest / _MANY), _LARGER * TARGET_COST)
     sizes: list[int] = []
-    so_far = 0.0
+    room = -math.inf
     for cost in costs:
-        if not sizes or so_far + cost > target:
+        if cost > room:
             sizes.append(0)
-            so_far = 0.0
+            room = min(largest, max(_OF_REST * rest, _SMALLEST * largest))
         sizes[-1] += 1
-        so_far += cost
+        room -= cost
+        rest -= cost
     return sizes
 
 

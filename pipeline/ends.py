@@ -30,8 +30,8 @@ _SAME = (
 #: Of several, the one is taken that is like it in these, the first ones first.
 _ALIKE = (
     *("start_draw", "kappa", "leaf", "degree", "rho", "damping", "friction", "static", "mass", "belt_speed"),
-    *("force_amplitude", "force_frequency", "force_phase", "weakening_rate", "weakening_speed", "back_slip"),
-    *("parameters", "twin_size", "engine", "settings", "ratio_draw"),
+    *("force_amplitude", "force_frequency", "force_phase", "force_course", "weakening_rate", "weakening_speed"),
+    *("back_slip", "parameters", "twin_size", "engine", "settings", "ratio_draw"),
 )
 
 

@@ -181,7 +181,7 @@ def _amounts(kinds: list[_Kind], packed: Sequence[Batch], cores: int, begin: flo
     work, spread = _work(kinds)
     machine = math.hypot(_MACHINE, 2.0 * _OTHERS * (1.0 - 1.0 / busy))
     # the last batch may run alone
-    tail = max(batch.cost for batch in packed) * work / sum(batch.cost for batch in packed)
+    tail = packed[-1].cost * work / sum(batch.cost for batch in packed)
     run = (work + len(packed) * _PER_BATCH) / cores + (0.5 * tail if cores > 1 else 0.0)
     apart = math.hypot(begin * _START_SPREAD, run * spread) / (begin + run)
     freedom = sum(len(kind.seen) - 1 for kind in kinds) + _PRIOR
@@ -279,8 +279,9 @@ def _try(member: Member, share: float, recording: Recording) -> _Seen:
     if found["outcome"] != "finished":  # it ended early, and the whole would too
         part = whole
     share = part.cost / whole.cost
-    bare = {name: [] if isinstance(value, np.ndarray | list) else value for name, value in found.items()}
-    full, head = (len(encode([values], recording.schema)) for values in (found, bare))
+    whole_row = {name: [value] for name, value in found.items()}
+    bare = whole_row | {name: [[]] for name, value in found.items() if isinstance(value, np.ndarray | list)}
+    full, head = (len(encode(columns, recording.schema)) for columns in (whole_row, bare))
     return _Seen(
         seconds=took,
         core_seconds=max(cores, 1e-6),

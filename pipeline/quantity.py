@@ -168,7 +168,7 @@ class _Key:
         if self.in_time and isinstance(given, dict) and given.keys() & {"times", "values"}:
             if given is not whole:
                 raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
-            return _course(given)
+            return course(given)
         if isinstance(given, dict) and self.laws:
             return self._distribution(given)
         within = f" in {shown(whole)}" if given is not whole else ""
@@ -240,7 +240,8 @@ class _Key:
         return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *timed, *named]}
 
 
-def _course(given: dict[str, Any]) -> Course:
+def course(given: dict[str, Any]) -> Course:
+    """What changes in time, from the table of its times and values."""
     rows = [row if isinstance(row, list | tuple) else [] for row in (given.get("times"), given.get("values"))]
     times, found = (tuple(one for one in map(_number, row) if one is not None) for row in rows)
     whole = len(given) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(found) > 0

@@ -62,6 +62,7 @@ from stickslip.pipeline.toml import (
     written,
 )
 from stickslip.sim.couplings import Reading
+from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.graphs import GRAPHS
 
@@ -78,7 +79,12 @@ MINUTES = "what it took on two cores with its report, in minutes: `stickslip sce
 _WORDS = {"title", "about", "minutes", "analysis"}
 
 #: Keys that are younger than some datasets: at their defaults, a scene is the same as without.
-_YOUNGER = (("record", "end", False), ("record", "episodes", False), ("system", "back_slip", True))
+_YOUNGER = (
+    ("record", "end", False),
+    ("record", "episodes", False),
+    ("record", "energy", False),
+    ("system", "back_slip", True),
+)
 
 
 class Scene(StrictTable):
@@ -174,6 +180,8 @@ class Scene(StrictTable):
             "growth_rate": self.record.growth_rate,
             "events": self.record.events,
             "episodes": self.record.episodes,
+            "energy": self.record.energy,
+            "episode_energy": self.record.episodes and self.record.energy,
             "separation": self.record.separation is not None,
             "thresholds": thresholds,
         }
@@ -284,6 +292,12 @@ class Scene(StrictTable):
                     f'engine[{i}].readings: expected no "damping matrix" with the engine "{engine.name}", whose'
                     f" dampings are diagonal; list the others there, as readings = {others}"
                 )
+        if self.record.energy and not any(engine.engine.is_exact for engine in self.engines):
+            exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
+            raise ValueError(
+                f"record.energy: expected an engine of the exact law, got {self.engines[0].name!r} alone; add"
+                f' [[engine]] name = "{exact}", or remove it'
+            )
         changed = self.perturbation is not None or self.twins is not None
         changed = changed or any(engine.is_drawn for engine in self.engines)
         if self.record.separation is not None and not changed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,8 +21,8 @@ def _column(name: str, kind: pa.DataType, description: str, nullable: bool = Tru
     return pa.field(name, kind, nullable, {"description": description})
 
 
-def _list(kind: pa.DataType) -> pa.ListType:
-    return pa.list_(pa.field("element", kind, nullable=False))  # Parquet's own name for it
+def _list(kind: pa.DataType, nullable: bool = False) -> pa.ListType:
+    return pa.list_(pa.field("element", kind, nullable))  # Parquet's own name for it
 
 
 def _struct(**kinds: pa.DataType) -> pa.StructType:
@@ -97,6 +97,28 @@ RECORDED = {
         _column("episode_moment", _list(pa.float64()), "sum of their slips on the belt, against the belt's motion"),
         _column("episode_first_block", _list(pa.int32()), "the block that left first"),
     ],
+    "energy": [
+        _column(
+            "kinetic_energy_start",
+            pa.float64(),
+            "sum of m w^2 / 2 at t = 0; null, as all below, if diverged or not the exact law",
+        ),
+        _column("kinetic_energy_end", pa.float64(), "sum of m w^2 / 2 at t_end"),
+        _column("elastic_energy_start", pa.float64(), "z K z / 2 at t = 0"),
+        _column("elastic_energy_end", pa.float64(), "z K z / 2 at t_end"),
+        _column("belt_work", pa.float64(), "what the belt gave, by friction"),
+        _column("force_work", pa.float64(), "what the force from outside gave"),
+        _column("coupling_work", pa.float64(), "what couplings gave that are not reciprocal, the skew part of K"),
+        _column("damping_loss", pa.float64(), "what damping took"),
+        _column("friction_loss", pa.float64(), "what slip on the belt took, as heat"),
+    ],
+    "episode_energy": [
+        _column(
+            "episode_energy",
+            _list(pa.float64(), nullable=True),
+            "what damping and friction took in each episode; null if diverged or not the exact law",
+        ),
+    ],
     "separation": [
         _column(
             "separation",
@@ -132,6 +154,8 @@ ASKED_BY = {
     "growth_rate": "`growth_rate = true` under [record]",
     "events": "`events = true` under [record]",
     "episodes": "`episodes = true` under [record]",
+    "energy": "`energy = true` under [record]",
+    "episode_energy": "both, `episodes` and `energy`",
     "separation": "`separation = 5.0` under [record]",
     "thresholds": '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"',
 }
@@ -173,8 +197,7 @@ SCHEMA = pa.schema(
             "what the size is relative to: scale, relative or damping matrix; null if unchanged",
         ),
         _column("twin_size", pa.float64(), "how far the start is moved, as a distance like `separation`; null: not"),
-        # these words are bytes of every dataset: an engine that comes later says its name with a column of its own
-        _column("engine", pa.string(), "coulomb or sigmoid", False),
+        _column("engine", pa.string(), f"method of integration: {', '.join(ENGINES)}", False),
         *_of_engines(),
         _column("picked_for", pa.string(), "what a tolerance was picked for: statistics or paths; null: all given"),
         _column("z0", pa.float64(), "displacement of every block at t = 0", False),
@@ -248,17 +271,17 @@ class Recording:
         return schema.with_metadata({"schema_version": str(SCHEMA_VERSION), "scene_hash": self.scene_hash})
 
 
-def encode(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
-    """The Parquet file of some rows, a pure function of them (for given versions of pyarrow)."""
+def encode(columns: Mapping[str, list[Any]], schema: pa.Schema) -> bytes:
+    """The Parquet file of some rows, given by column, a pure function of them (for given versions of pyarrow)."""
     kinds = zip(schema.names, schema.types, strict=True)
-    columns = [pa.array([row.get(name) for row in rows], kind) for name, kind in kinds]
+    arrays = [pa.array(columns[name], kind) for name, kind in kinds]
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
     floats: tuple[str, ...] = ("t.list.element", "event_t.list.element", "separation.list.element")
-    floats += tuple(f"episode_{name}.list.element" for name in ("start", "end", "moment"))
+    floats += tuple(f"episode_{name}.list.element" for name in ("start", "end", "moment", "energy"))
     times = [leaf for leaf in leaves if leaf.endswith(floats)]
     pq.write_table(
-        pa.Table.from_arrays(columns, schema=schema),
+        pa.Table.from_arrays(arrays, schema=schema),
         buffer,
         compression="zstd",
         # times never repeat: no dictionary; their high bytes hardly change: split, they compress

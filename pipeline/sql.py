@@ -124,13 +124,12 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
             "lock_configuration = true",
         ):
             connection.execute(f"SET {setting}")
-        # in another thread, so that this one hears an interrupt and can hand it on, whatever DuckDB is doing
-        with ThreadPoolExecutor(1) as aside:
+        with _aside(connection) as aside:
 
             def ask(work: Callable[[], Any]) -> Any:
                 # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
                 with _explained(duckdb, path, list(selections)):
-                    return _heard(aside, connection, work)
+                    return aside.submit(work).result()
 
             ask(lambda: _check(connection.extract_statements(query)))
             batches = ask(lambda: _reader(connection.sql(query)))
@@ -157,16 +156,16 @@ def _named_apart(schema: pa.Schema) -> pa.Schema:
     return pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
 
 
-def _heard(aside: Executor, connection: Any, work: Callable[[], Any]) -> Any:
-    """What `work` returns; an interrupt of the user ends it."""
-    future = aside.submit(work)
-    try:
-        return future.result()
-    except KeyboardInterrupt:
-        while not future.done():
-            connection.interrupt()  # again, if it came before the query had begun
-            wait([future], timeout=0.1)
-        raise
+@contextlib.contextmanager
+def _aside(connection: Any) -> Iterator[Executor]:
+    """A thread to ask in, so that this one hears an interrupt, whatever DuckDB is doing; what is asked then ends."""
+    with ThreadPoolExecutor(1) as aside:
+        try:
+            yield aside
+        finally:
+            last = aside.submit(lambda: None)
+            while wait([last], timeout=0.1).not_done:
+                connection.interrupt()  # again, if it came before the query had begun
 
 
 def _reader(relation: Any) -> pa.RecordBatchReader:

@@ -6,7 +6,8 @@ import math
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
 from stickslip.pipeline.quantity import (
     AboveZero,
@@ -15,19 +16,28 @@ from stickslip.pipeline.quantity import (
     BlockMass,
     BlockNumber,
     BlockScale,
+    Course,
     Quantity,
     Scale,
+    as_written,
+    course,
     size,
+    values,
 )
 from stickslip.pipeline.systems import OF_BLOCKS
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable
+from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable, shown
 from stickslip.sim.arguments import did_you_mean
 from stickslip.sim.couplings import COUPLINGS
+from stickslip.sim.drive import direction
 from stickslip.sim.graphs import GRAPHS
+from stickslip.sim.weakening import Rational, Stribeck, require_static
 
 #: The name of the coupling whose systems are read from files.
 OF_FILE = "file"
 
+
+#: The keys that a force is given by: a harmonic one, or one that is linear between times.
+_FORCES = (("amplitude", "frequency"), ("times", "values"))
 
 #: What the coupling looks like whose systems a function makes.
 _FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
@@ -67,13 +77,42 @@ class FileTable(StrictTable):
 
 
 class ForceTable(StrictTable):
-    """[system.force]: a force from outside, amplitude cos(frequency t + phase), on every block."""
+    """[system.force]: a force from outside on every block: amplitude cos(frequency t + phase), or by times."""
 
-    amplitude: BlockNumber = Field(description="amplitude of the force on every block", examples=[0.5])
-    frequency: BlockScale = Field(
-        description="frequency of the force, in radians a unit of time; 0: constant", examples=[1.0]
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [*form]} for form in _FORCES]})
+    amplitude: BlockNumber | None = Field(
+        default=None, description="amplitude of the force on every block", examples=[0.5]
     )
-    phase: BlockNumber = Field(default=0.0, description="phase of the force at t = 0", examples=[0.0])
+    frequency: BlockScale | None = Field(
+        default=None, description="frequency of the force, in radians a unit of time; 0: constant", examples=[1.0]
+    )
+    phase: BlockNumber | None = Field(default=0.0, description="phase of the force at t = 0", examples=[0.0])
+    times: Annotated[tuple[float, ...], List] | None = Field(
+        default=None,
+        description="times between which the force is linear; it is constant before and after",
+        examples=[[0.0, 100.0]],
+    )
+    values: Annotated[tuple[float, ...], List] | None = Field(
+        default=None, description="the force on every block at these times", examples=[[0.0, 0.5]]
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_form(cls, given: Any) -> Any:
+        keys = set(given) if isinstance(given, dict) else set()
+        if keys - set(cls.model_fields):
+            return given  # and what is unknown is told
+        if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
+            raise ValueError(
+                f"expected amplitude and frequency, or times and values, got {shown(given)}; write e.g."
+                " {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0, 0.5]}"
+            )
+        return given if "times" not in keys else {**as_written(course(given)), "phase": None}
+
+    @property
+    def course(self) -> Course | None:
+        """The force by its values at given times."""
+        return None if self.times is None or self.values is None else Course(self.times, self.values)
 
 
 class WeakeningTable(StrictTable):
@@ -97,7 +136,7 @@ class WeakeningTable(StrictTable):
 #: The keys that may hold lists and distributions, by the table in [system] that they stand in; "" for itself.
 _KEYS = {
     "": ("kappa", "leaf", "degree", "rho", "damping", "friction", "static", "mass", "belt_speed"),
-    "force": ("amplitude", "frequency", "phase"),
+    "force": ("amplitude", "frequency", "phase", "course"),
     "weakening": ("rate", "speed"),
 }
 #: Their names in a grid, in ids and columns: those of inner tables as `force_amplitude`.
@@ -265,12 +304,16 @@ class SystemTable(StrictTable):
                     raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
                 object.__setattr__(self, key, None)
         self._files_apply()
-        falls = self.weakening is not None and self.weakening.law == "stribeck"
-        if falls and self.static is None and self.coupling != OF_FILE and not self.is_own:
-            raise ValueError(
-                'static: expected with law = "stribeck", which falls from the static friction to the kinetic, found'
-                " nothing; add e.g. `static = 1.3`"
-            )
+        if self.weakening is not None and self.coupling != OF_FILE and not self.is_own:  # which may hold it
+            require_static({"rational": Rational, "stribeck": Stribeck}[self.weakening.law], self.static)
+        if not self.back_slip:
+            for speed in values(self.belt_speed):
+                known = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
+                if known and not direction(np.array(known)):
+                    raise ValueError(
+                        f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"
+                        f" {speed}, which loads to neither side, or to both; change it, or remove `back_slip`"
+                    )
         if self.damping is not None:
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")

@@ -167,6 +167,12 @@ class RecordTable(StrictTable):
         description="whether to keep the episodes: from all blocks stuck to all stuck again",
         examples=[True],
     )
+    energy: bool = Field(
+        default=False,
+        description="whether to keep the energy at both ends of a run by the exact law, and what came in and went out"
+        " between; it costs some ten runs",
+        examples=[True],
+    )
     growth_rate: bool = Field(
         default=False,
         description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",

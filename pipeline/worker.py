@@ -9,10 +9,9 @@ import pickle
 import socket
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +21,16 @@ from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Course, Distribution, Named
-from stickslip.pipeline.schema import COLUMNS, RECORDED, SCHEMA, Recording, encode
-from stickslip.pipeline.storage import is_locked
+from stickslip.pipeline.schema import Recording, encode
+from stickslip.sim.energy import energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.sources import cache_directory, source_digest
 from stickslip.sim.episodes import episodes
+from stickslip.sim.series import summaries
 from stickslip.version import __version__
-
-#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
-_PATIENCE = 180.0
 
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
-
-#: What a row takes over from its member, and from the settings of its engine.
-_PARAMETERS = tuple(name for name in COLUMNS if hasattr(Member, name))
-_SETTINGS = frozenset((*SCHEMA.names, *RECORDED))
-_of_member = attrgetter(*_PARAMETERS)
 
 
 @dataclass(frozen=True)
@@ -79,7 +71,7 @@ def program() -> str:
 def compute(batch: Batch, recording: Recording) -> Result:
     """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
     start = time.perf_counter()
-    return as_result(batch, recording, [row(member, recording) for member in batch.members], start)
+    return as_result(batch, recording, run_members(batch.members, recording), start)
 
 
 def compute_packed(task: bytes) -> Result:
@@ -89,13 +81,13 @@ def compute_packed(task: bytes) -> Result:
     return compute(batch, recording)
 
 
-def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], start: float) -> Result:
-    """The rows of a batch, encoded; `start` is when they were begun, by `time.perf_counter`."""
+def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], start: float) -> Result:
+    """What came of a batch, encoded; `start` is when it was begun, by `time.perf_counter`."""
     return Result(
         name=batch.name,
-        shard=encode(rows, recording.schema),
+        shard=encode(columns(batch.members, found, recording), recording.schema),
         member_ids=tuple(member.member_id for member in batch.members),
-        outcomes=dict(Counter(row["outcome"] for row in rows)),
+        outcomes=dict(Counter(one["outcome"] for one in found)),
         program=program(),
         seconds=time.perf_counter() - start,
         host=socket.gethostname(),
@@ -103,36 +95,70 @@ def as_result(batch: Batch, recording: Recording, rows: list[dict[str, Any]], st
     )
 
 
+def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
+    """The rows of some members, by column: what they are, and what came of them."""
+    rest = [dict(member.settings) | dict(member.parameters) | one for member, one in zip(members, found, strict=True)]
+    return {
+        name: [_plain(getattr(member, name)) for member in members]
+        if hasattr(Member, name)
+        else [one.get(name) for one in rest]
+        for name in recording.schema.names
+    }
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, Distribution | Course | Named) else value
+
+
 def row(member: Member, recording: Recording) -> dict[str, Any]:
     """Run a member: its row, by column; one that raised has a row that says so."""
+    return {name: one for name, (one,) in columns([member], run_members([member], recording), recording).items()}
+
+
+def run_members(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
+    """Run members: what came of each, by column; of one that raised, the words that say so."""
+    found = [_result(member, recording) for member in members]
+    summarised = iter(summaries([events for events, _ in found if events is not None]))
+    for events, result in found:
+        if events is not None:
+            t, n_stick, counts = next(summarised)
+            result |= {"t": t, "n_stick": n_stick, "n_stick_end": n_stick[-1], **counts}
+    return [result for _, result in found]
+
+
+def _result(member: Member, recording: Recording) -> tuple[sim.EventSeries | None, dict[str, Any]]:
+    """A member's events and what else came of it."""
     try:
-        return _parameters(member) | _results(member, recording)
+        return _run(member, recording)
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
         message = " ".join(str(error).split())
-        return failed_row(member, f"{type(error).__name__}: {message}")
+        return None, failed(member, f"{type(error).__name__}: {message}")
 
 
-def failed_row(member: Member, reason: str) -> dict[str, Any]:
-    """The row of a member that could not be run."""
+def failed(member: Member, reason: str) -> dict[str, Any]:
+    """The result of a member that could not be run."""
     # words of an exception may hold what Parquet's text cannot
     reason = reason.encode(errors="replace").decode()
     command = f"stickslip run scene.toml --only {member.member_id}"
-    return _parameters(member) | {"outcome": "failed", "reason": reason, "reproduce": command}
+    return {"outcome": "failed", "reason": reason, "reproduce": command}
 
 
-def _parameters(member: Member) -> dict[str, Any]:
-    own = zip(_PARAMETERS, _of_member(member), strict=True)
-    settings = {name: value for name, value in member.settings if name in _SETTINGS}
-    found = {name: None if isinstance(one, (Distribution, Course, Named)) else one for name, one in own}
-    return found | settings | dict(member.parameters)
-
-
-def _results(member: Member, recording: Recording) -> dict[str, Any]:
+def _run(member: Member, recording: Recording) -> tuple[sim.EventSeries, dict[str, Any]]:
     times, base = np.empty(0), None
     if recording.separation is not None:
         times, base = _multiples(recording.separation, member.t_end), member.base
     run = member.simulate(times if base is not None else ())
-    found = _measured(run)
+    if not np.isfinite(run.events.t).all():
+        raise FloatingPointError("the engine returned an event at a time that is not finite")
+    found: dict[str, Any] = {
+        "outcome": run.outcome,
+        "reason": run.reason or None,
+        "t_stop": run.t_end if run.t_collapse is None else run.t_collapse,
+        "n_events": run.stats.n_events,
+        "n_steps": run.stats.n_steps,
+        "n_rejected": run.stats.n_rejected,
+        "n_products": run.stats.n_products,
+    }
     if "growth_rate" in recording.parts:
         found["growth_rate"] = _growth_rate(member.of_system)
     if "end" in recording.parts:
@@ -142,12 +168,34 @@ def _results(member: Member, recording: Recording) -> dict[str, Any]:
     if "episodes" in recording.parts:
         whole = episodes(run, member.system().belt_speed)
         found |= {f"episode_{one.name}": getattr(whole, one.name) for one in fields(whole)}
+    if "energy" in recording.parts:
+        found |= _energy(member, run, found.get("episode_start", ()), found.get("episode_end", ()))
     if base is not None:
         found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
     if run.by_threshold:
-        changes = {c: series.change_points() for c, series in run.by_threshold.items()}
-        found["by_threshold"] = [{"threshold": c, "t": t, "n_stick": n} for c, (t, n) in changes.items()]
-    return found
+        changes = zip(run.by_threshold, summaries([*run.by_threshold.values()]), strict=True)
+        found["by_threshold"] = [{"threshold": c, "t": one.t, "n_stick": one.n_stick} for c, one in changes]
+    return run.events, found
+
+
+def _energy(member: Member, run: sim.Run, start: Sequence[float], end: Sequence[float]) -> dict[str, Any]:
+    """Energy of a run, and what was lost between these events, the ends of episodes."""
+    if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
+        return {"episode_energy": [None] * len(start)}
+    found = energy(member.system(), run, *member.start(), engine=member.engine, **dict(member.settings))
+    lost = found.damping + found.heat
+    return {
+        "kinetic_energy_start": found.kinetic[0],
+        "kinetic_energy_end": found.kinetic[-1],
+        "elastic_energy_start": found.elastic[0],
+        "elastic_energy_end": found.elastic[-1],
+        "belt_work": found.belt[-1],
+        "force_work": found.outside[-1],
+        "coupling_work": found.coupling[-1],
+        "damping_loss": found.damping[-1],
+        "friction_loss": found.heat[-1],
+        "episode_energy": lost[np.searchsorted(found.t, end)] - lost[np.searchsorted(found.t, start)],
+    }
 
 
 @lru_cache(maxsize=64)
@@ -189,25 +237,6 @@ def _modes(run: sim.Run, system: sim.System) -> np.ndarray:
     return np.where(mode == 0, 0, np.where(run.w > system.belt_speed_at(run.t_end), 1, -1)).astype(np.int8)
 
 
-def _measured(run: sim.Run) -> dict[str, Any]:
-    t, n_stick = run.events.change_points()
-    if not np.isfinite(t).all():
-        raise FloatingPointError("the engine returned an event at a time that is not finite")
-    return {
-        "outcome": run.outcome,
-        "reason": run.reason or None,
-        "t_stop": run.t_end if run.t_collapse is None else run.t_collapse,
-        "n_stick_end": n_stick[-1],
-        **run.events.counts(),
-        "n_events": run.stats.n_events,
-        "n_steps": run.stats.n_steps,
-        "n_rejected": run.stats.n_rejected,
-        "n_products": run.stats.n_products,
-        "t": t,
-        "n_stick": n_stick,
-    }
-
-
 # ---------------------------------------------------------------------------------------------- in a process apart
 
 
@@ -217,20 +246,20 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
     When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
     """
     start = time.perf_counter()
-    rows: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
     process: Child | None = None
     with contextlib.ExitStack() as started:
         for member in batch.members:
             for is_second in (False, True):
-                process = process or started.enter_context(Child(_row))
+                process = process or started.enter_context(Child(_run_members))
                 try:
-                    rows.append(process((member, recording)))
+                    found += process(([member], recording))
                     break
                 except ChildDied as death:
                     process = None
                     if is_second:
-                        rows.append(failed_row(member, f"its worker died ({death})"))
-    return as_result(batch, recording, rows, start)
+                        found.append(failed(member, f"its worker died ({death})"))
+    return as_result(batch, recording, found, start)
 
 
 def compute_alone_packed(task: bytes) -> Result:
@@ -238,8 +267,8 @@ def compute_alone_packed(task: bytes) -> Result:
     return compute_alone(*pickle.loads(task))
 
 
-def _row(task: tuple[Member, Recording]) -> dict[str, Any]:
-    return row(*task)
+def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
+    return run_members(*task)
 
 
 # ---------------------------------------------------------------------------------------------- kernels
@@ -257,29 +286,13 @@ def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:
 
 
 def load_kernels(members: Iterable[Member]) -> None:
-    """Load the kernels that members need, or compile them; if another process does so now, wait and load its own."""
+    """Load the kernels that members need, or compile them."""
     for engine, member in one_an_engine(members).items():
         if engine not in _loaded:
-            with _alone(engine) if is_cold(engine) else contextlib.nullcontext():
-                tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
-                if member.origin is not None:
-                    tiny = replace(tiny, origin=None, coupling="chain", kappa=0.1, leaf=0.1, belt_speed=-0.2)
-                    tiny = replace(tiny, damping=1.0, friction=1.0, static=None, mass=None)
-                    tiny = replace(tiny, z0=0.0, w0=0.0)
-                row(tiny, Recording("", (), None))
+            tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
+            if member.origin is not None:
+                tiny = replace(tiny, origin=None, coupling="chain", kappa=0.1, leaf=0.1, belt_speed=-0.2)
+                tiny = replace(tiny, damping=1.0, friction=1.0, static=1.0, mass=None)
+                tiny = replace(tiny, z0=0.0, w0=0.0)
+            row(tiny, Recording("", (), None))
             _loaded.add(engine)
-
-
-@contextlib.contextmanager
-def _alone(engine: str) -> Iterator[None]:
-    """Be the only process of this machine in here, unless nothing can be locked, or another takes too long."""
-    with contextlib.ExitStack() as held:
-        with contextlib.suppress(OSError):
-            directory = cache_directory()
-            directory.mkdir(parents=True, exist_ok=True)
-            lock = os.open(directory / f"{engine}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
-            held.callback(os.close, lock)
-            end = time.monotonic() + _PATIENCE
-            while not is_locked(lock) and time.monotonic() < end:
-                time.sleep(0.05)
-        yield

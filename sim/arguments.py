@@ -26,9 +26,12 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
         raise TypeError(f"{name}: expected {expected}, got {reprlib.repr(value)} ({error})") from error
 
 
-def per_block(name: str, value: ArrayLike, n: int) -> Floats:
-    """A read-only float64 array of shape (n,) from one finite number or one a block."""
-    if type(value) is float and math.isfinite(value):  # at once, see `number`
+def per_block(name: str, value: ArrayLike, n: int, bound: str = "") -> Floats:
+    """A read-only float64 array of shape (n,) from one finite number or one a block.
+
+    `bound` is "x > 0" or "x >= 0", by any name in the place of x.
+    """
+    if type(value) is float and math.isfinite(value) and (not bound or value > 0.0):  # at once, see `number`
         array = np.full(n, value)
     else:
         array = floats(name, value, f"a number or {n} numbers")
@@ -39,6 +42,10 @@ def per_block(name: str, value: ArrayLike, n: int) -> Floats:
         if not np.isfinite(array).all():
             block = int(np.flatnonzero(~np.isfinite(array))[0])
             raise ValueError(f"{name}: expected finite values, got {array[block]} for block {block}")
+        is_outside = np.less if bound.endswith(">= 0") else np.less_equal
+        if bound and is_outside(array, 0.0).any():
+            block = int(np.flatnonzero(is_outside(array, 0.0))[0])
+            raise ValueError(f"{name}: expected {bound}, got {array[block]:g} for block {block}")
     array.flags.writeable = False
     return array
 

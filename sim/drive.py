@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats, floats, per_block
 
@@ -190,11 +190,20 @@ def belt(belt_speed: ArrayLike | Piecewise, n: int) -> float | Floats | Piecewis
             f"belt_speed: expected a number, {n} numbers or a Piecewise, got {belt_speed!r}; a harmonic force moves"
             " the blocks instead"
         )
+    elif isinstance(belt_speed, float):
+        return float(per_block("belt_speed", belt_speed, 1)[0])
     else:
         speed = per_block("belt_speed", belt_speed, n)
     if (speed == speed[0]).all():
         return float(speed[0])
     return per_block("belt_speed", speed, n)
+
+
+def direction(speeds: Floats) -> NDArray[np.int8]:
+    """Where belts go, by their speeds in time, shape (m,) or (m, n): -1 or +1; 0 if one rests or turns."""
+    sides = np.sign(speeds)
+    goes = np.sign(sides.sum(axis=0))
+    return np.asarray(np.where((sides * goes < 0).any(axis=0), 0, goes), dtype=np.int8)
 
 
 def _finite(name: str, value: ArrayLike, expected: str) -> Floats:

@@ -12,21 +12,28 @@ Between two events all of this is analytic, so Gauss's quadrature on the states 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats
 from stickslip.sim.drive import Piecewise
-from stickslip.sim.run import Run
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.run import Run, Samples
 from stickslip.sim.series import EventSeries
+from stickslip.sim.simulation import simulate
 from stickslip.sim.system import System
 
 #: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
 #: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it.
 _BENDS = 4.0
+#: Samples of displacements that are kept at a time, 16 bytes each with their velocities; and that are worked on at a
+#: time, some hundred bytes each.
+_ROOM, _AT_A_TIME = 2**23, 2**17
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,53 +73,85 @@ class Energy:
         return f"Energy({len(self.t)} times on [{self.t[0]:g}, {self.t[-1]:g}])"
 
 
-def times(system: System, series: EventSeries) -> Floats:
-    """Where `energy` needs the state of a run with these events: to be its ``t_eval``, which changes nothing else."""
-    edges = _edges(system, series)
-    inside = edges[:-1, None] + np.diff(edges)[:, None] * _GAUSS[0]
-    return np.append(np.column_stack([edges[:-1], inside]).ravel(), edges[-1])
+def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: Any) -> Energy:
+    """Energy and its balance along a run by the exact law, which is made again for samples of its state.
 
+    Where these are too many to keep (some 4,000 events of 200 blocks), it is made again for each part of them: a path
+    may be chaotic, and no other run, not even one that begins at a sample, has the same.
 
-def energy(system: System, run: Run) -> Energy:
-    """Energy and its balance along a run of the exact engine, sampled at ``t_eval=times(system, run.events)``.
+    Parameters
+    ----------
+    system : System
+    run : Run
+        ``simulate(system, z0, w0, t_end, **settings)``
+    z0, w0 : float or array_like, shape (n,)
+    **settings
 
     Raises
     ------
     ValueError
-        If the samples are others.
+        If it is the run of another start or of other settings, or it diverged, or its law is not the exact one.
     """
-    edges, samples, n = _edges(system, run.events), run.samples, system.n
-    if not np.array_equal(samples.t, times(system, run.events)):
-        raise ValueError(
-            f"run: expected samples at the {len(times(system, run.events))} times that `times` gives, got"
-            f" {len(samples)} others; run again with t_eval=times(system, run.events)"
+    engine = settings.get("engine", "coulomb")
+    if not ENGINES[engine].is_exact:
+        raise ValueError(f"engine: expected one of the exact law, got {engine!r}")
+    if run.outcome == "diverged":
+        raise ValueError(f"run: expected one that does not diverge, got one that does by t = {run.t_end:g}")
+    series = run.events
+    edges, stored, powers = _edges(system, series), [], []
+    modes = _modes(series, edges)
+    longest, at_a_time = (max(room // ((_NODES + 1) * system.n), 1) for room in (_ROOM, _AT_A_TIME))
+    symmetric = (system.stiffness + system.stiffness.T) / 2
+    for first in range(0, max(len(edges) - 1, 1), longest):
+        part = edges[first : first + longest + 1]
+        again = simulate(system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(part), **settings)
+        if again.events.t.tobytes() != series.t.tobytes():
+            raise ValueError(
+                "run: expected that of this start and these settings, got another; pass those it was made with"
+            )
+        z, w = again.samples.z[:: _NODES + 1], again.samples.w[:: _NODES + 1]
+        within = slice(None if first + longest >= len(edges) - 1 else -1)  # else the next part begins with it
+        stored.append(
+            [0.5 * (system.mass * w * w).sum(axis=1)[within], 0.5 * (z * (symmetric @ z.T).T).sum(axis=1)[within]]
         )
-    at_edges = slice(None, None, _NODES + 1)
-    symmetric, skew = (system.stiffness + system.stiffness.T) / 2, (system.stiffness - system.stiffness.T) / 2
-    z, w = samples.z[at_edges], samples.w[at_edges]
-    stored = 0.5 * (system.mass * w * w).sum(axis=1), 0.5 * (z * (symmetric @ z.T).T).sum(axis=1)
-    shape = len(edges) - 1, _NODES + 1, n
-    z, w = samples.z[:-1].reshape(shape)[:, 1:], samples.w[:-1].reshape(shape)[:, 1:]
-    mode = _modes(run.events, edges)[:, None]
-    t, flat = samples.t[:-1].reshape(shape[:2])[:, 1:], (-1, n)
+        for k in range(0, max(len(part) - 1, 1), at_a_time):
+            m = min(at_a_time, len(part) - 1 - k)
+            powers.append(_powers(system, modes[first + k : first + k + m], again.samples, k * (_NODES + 1)))
+    lengths = np.diff(edges)[:, None] * _GAUSS[1]
+    flows = (np.append(0.0, np.cumsum((power * lengths).sum(axis=1))) for power in np.concatenate(powers, axis=1))
+    return Energy(edges, *np.concatenate(stored, axis=1), *flows)
+
+
+def _powers(system: System, mode: NDArray[np.int8], samples: Samples, first: int) -> Floats:
+    """What the five flows of `Energy` do a unit of time, at the nodes of segments from a sample on, (5, m, nodes)."""
+    shape = len(mode), _NODES + 1, system.n
+    its = slice(first, first + shape[0] * shape[1])
+    z, w = samples.z[its].reshape(shape)[:, 1:], samples.w[its].reshape(shape)[:, 1:]
+    t, mode = samples.t[its].reshape(shape[:2])[:, 1:], mode[:, None]
     v, pull = system.belt_speed_at(t), system.force_at(t)
     gain = system.belt_speed.slope_at(t) if isinstance(system.belt_speed, Piecewise) else 0.0
 
-    def times_matrix(matrix: object, x: Floats) -> Floats:
-        return np.asarray((matrix @ x.reshape(flat).T).T).reshape(x.shape)  # type: ignore[operator]
+    def times_matrix(matrix: Any, x: Floats) -> Floats:
+        return np.asarray((matrix @ x.reshape(-1, system.n).T).T).reshape(x.shape)
 
     holding = system.damping * v + times_matrix(system.stiffness, z) - pull + system.mass * gain
     force = np.where(mode == 0, holding, -system.kinetic(w - v) * mode)
-    powers = (
-        (force * v).sum(axis=2),
-        (pull * w).sum(axis=2),
-        (system.damping * w * w).sum(axis=2),
-        np.where(mode == 0, 0.0, force * (v - w)).sum(axis=2),
-        -(w * times_matrix(skew, z)).sum(axis=2),
+    skew = (system.stiffness - system.stiffness.T) / 2
+    return np.array(
+        [
+            (force * v).sum(axis=2),
+            (pull * w).sum(axis=2),
+            (system.damping * w * w).sum(axis=2),
+            np.where(mode == 0, 0.0, force * (v - w)).sum(axis=2),
+            -(w * times_matrix(skew, z)).sum(axis=2),
+        ]
     )
-    lengths = np.diff(edges)[:, None] * _GAUSS[1]
-    flows = (np.append(0.0, np.cumsum((power * lengths).sum(axis=1))) for power in powers)
-    return Energy(edges, *stored, *flows)
+
+
+def _nodes(edges: Floats) -> Floats:
+    """The edges, and Gauss's nodes between them."""
+    inside = edges[:-1, None] + np.diff(edges)[:, None] * _GAUSS[0]
+    return np.append(np.column_stack([edges[:-1], inside]).ravel(), edges[-1])
 
 
 def _gauss() -> tuple[Floats, Floats]:
@@ -143,8 +182,8 @@ def _edges(system: System, series: EventSeries) -> Floats:
 def _modes(series: EventSeries, edges: Floats) -> NDArray[np.int8]:
     """Modes of all blocks on each segment, shape (len(edges) - 1, n)."""
     modes = np.empty((len(edges) - 1, series.n), dtype=np.int8)
-    mode, done = series.initial_mode.copy(), 0
-    for k, upto in enumerate(np.searchsorted(series.t, edges[:-1], side="right")):
-        mode[series.block[done:upto]] = series.mode[done:upto]
-        modes[k], done = mode, upto
+    mode, upto = series.mode_at(edges[0]), np.searchsorted(series.t, edges, side="right")
+    for k, (done, due) in enumerate(itertools.pairwise(upto)):
+        modes[k] = mode
+        mode[series.block[done:due]] = series.mode[done:due]
     return modes

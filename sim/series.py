@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,14 +70,7 @@ class EventSeries:
 
     def counts(self) -> dict[str, int]:
         """Numbers of entries, exits and crossings."""
-        before = self.previous_mode
-        n_entries = int(np.count_nonzero(self.mode == 0))
-        n_exits = int(np.count_nonzero(before == 0))
-        return {
-            "n_entries": n_entries,
-            "n_exits": n_exits,
-            "n_crossings": len(self) - n_entries - n_exits,
-        }
+        return summaries([self])[0].counts
 
     def change_points(self) -> tuple[Floats, NDArray[np.int32]]:
         """Times at which n_stick changes, and its values: n_stick[k] holds on [t[k], t[k+1]).
@@ -84,17 +78,8 @@ class EventSeries:
         t[0] is `t_start`; what happens at one instant is merged, and an instant that leaves n_stick as it
         was is no change point.
         """
-        t, n_stick = np.empty(len(self) + 1), np.empty(len(self) + 1, dtype=np.int32)
-        t[0], t[1:] = self.t_start, self.t
-        n_stick[0], n_stick[1:] = np.count_nonzero(self.initial_mode == 0), self.mode == 0
-        n_stick[1:] -= self.previous_mode == 0
-        n_stick = np.cumsum(n_stick, dtype=np.int32)
-        kept = np.ones(len(t), dtype=bool)
-        np.not_equal(t[1:], t[:-1], out=kept[:-1])  # the last event of an instant holds
-        t, n_stick = t[kept], n_stick[kept]
-        kept = np.ones(len(t), dtype=bool)
-        np.not_equal(n_stick[1:], n_stick[:-1], out=kept[1:])
-        return t[kept], n_stick[kept]
+        found = summaries([self])[0]
+        return found.t, found.n_stick
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times (the sticking codimension), right-continuous.
@@ -146,6 +131,57 @@ class EventSeries:
         return show.table(
             f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
         )
+
+
+class Summary(NamedTuple):
+    """See `EventSeries.change_points` and `EventSeries.counts`."""
+
+    t: Floats
+    n_stick: NDArray[np.int32]
+    counts: dict[str, int]
+
+
+def summaries(many: Sequence[EventSeries]) -> list[Summary]:
+    """A summary of each series, all at once: with few events each, one by one they take as long as their runs."""
+    if not many:
+        return []
+    which, lengths, sizes = np.arange(len(many)), [len(one) for one in many], [one.n for one in many]
+    # one series, whose blocks are numbered on
+    mode, initial_mode = (np.concatenate([getattr(one, name) for one in many]) for name in ("mode", "initial_mode"))
+    block = np.concatenate([one.block for one in many]) + np.repeat(np.cumsum(sizes) - sizes, lengths)
+    enters = mode == 0
+    leaves = EventSeries(np.empty(0), block, mode, initial_mode, 0.0, 0.0).previous_mode == 0
+    of_event = which.repeat(lengths)
+    n_entries, n_exits, at_start = (
+        np.bincount(of, minlength=len(many))
+        for of in (of_event[enters], of_event[leaves], which.repeat(sizes)[initial_mode == 0])
+    )
+
+    # a row for each start too, where the sum of the changes begins anew
+    of_row = which.repeat(np.add(lengths, 1))
+    is_start = _differs(of_row)
+    t, change = np.empty(len(of_row)), np.empty(len(of_row), dtype=np.int32)
+    t[is_start], t[~is_start] = [one.t_start for one in many], np.concatenate([one.t for one in many])
+    change[is_start], change[~is_start] = at_start, enters.astype(np.int8) - leaves
+    change[np.flatnonzero(is_start)[1:]] -= (at_start + n_entries - n_exits)[:-1]
+    n_stick = np.cumsum(change, dtype=np.int32)
+    kept = np.roll(is_start | _differs(t), -1)  # the last event of an instant holds
+    t, n_stick, of_row = t[kept], n_stick[kept], of_row[kept]
+    kept = _differs(n_stick) | _differs(of_row)
+    t, n_stick = t[kept], n_stick[kept]
+    ends = np.cumsum(np.bincount(of_row[kept])).tolist()
+    kinds = zip([0, *ends[:-1]], ends, n_entries.tolist(), n_exits.tolist(), lengths, strict=True)
+    return [
+        Summary(t[first:end], n_stick[first:end], {"n_entries": n_in, "n_exits": out, "n_crossings": n - n_in - out})
+        for first, end, n_in, out, n in kinds
+    ]
+
+
+def _differs(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each is another than the one before; the first one is."""
+    found = np.ones(len(values), dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=found[1:])
+    return found
 
 
 def without_returns(series: EventSeries, shortest: Floats) -> EventSeries:

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim import show
 from stickslip.sim.arguments import Floats, flag, floats, number, per_block
-from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, forces
-from stickslip.sim.weakening import Weakening
+from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
+from stickslip.sim.weakening import Weakening, require_static
 
 
 class Columns(NamedTuple):
@@ -44,7 +44,7 @@ class System:
     damping : float or array_like, shape (n,) or (n, n)
         R, the diagonal of the damping matrix C, or C itself, dense.
     friction : float or array_like, shape (n,)
-        mu >= 0, kinetic friction; a block with mu = 0 slides freely.
+        mu >= 0, kinetic friction; a block with mu = 0 slides freely, but to a side that is barred.
     belt_speed : float, array_like, shape (n,), or Piecewise
         v; the paper takes v < 0. One for all blocks or one for each, constant or piecewise linear in time.
     static : float or array_like, shape (n,), optional
@@ -81,7 +81,7 @@ class System:
     ------
     TypeError, ValueError
         If an argument has the wrong type or shape, is not finite, a friction is negative, a static friction is
-        below the kinetic, or a mass is not positive.
+        below the kinetic, or left out beside `Stribeck`, or a mass is not positive.
     """
 
     stiffness: Floats | scipy.sparse.csc_array
@@ -124,10 +124,7 @@ class System:
             raise ValueError("stiffness: expected finite entries, got NaN or infinity")
         entries.flags.writeable = False
         n = matrix.shape[0]
-        mu = per_block("friction", friction, n)
-        if (mu < 0).any():
-            block = int(np.flatnonzero(mu < 0)[0])
-            raise ValueError(f"friction: expected mu >= 0, got {mu[block]} for block {block}")
+        mu = per_block("friction", friction, n, "mu >= 0")
         object.__setattr__(self, "stiffness", matrix)
         diagonal, cross = _damping(damping, n)
         object.__setattr__(self, "damping", diagonal)
@@ -135,9 +132,9 @@ class System:
         object.__setattr__(self, "friction", mu)
         object.__setattr__(self, "belt_speed", belt(belt_speed, n))
         object.__setattr__(self, "static", _static(static, mu))
-        object.__setattr__(self, "mass", _mass(mass, n))
+        object.__setattr__(self, "mass", per_block("mass", mass, n, "m > 0"))
         object.__setattr__(self, "force", forces(force, n))
-        object.__setattr__(self, "weakening", _weakening(weakening))
+        object.__setattr__(self, "weakening", _weakening(weakening, static))
         object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
 
     @cached_property
@@ -199,6 +196,8 @@ class System:
     @cached_property
     def fastest_belt(self) -> float:
         """The largest |v| there is at any time."""
+        if self.has_one_belt:
+            return abs(self.belt_speed)
         speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
         return float(np.abs(speeds).max())
 
@@ -272,11 +271,14 @@ class System:
             raise ValueError("w: expected the velocities, on which cross damping depends, got None; pass them")
         return np.asarray(force + self.cross_damping @ per_block("w", w, self.n))
 
-    def slip_matrix(self) -> Floats:
-        """A of the all-slip system x' = A x + b, x = (z, w), each block's row divided by its mass; shape (2n, 2n)."""
+    def slip_matrix(self, drag: Floats | float = 0.0) -> Floats:
+        """A of the all-slip system x' = A x + b, x = (z, w), each block's row divided by its mass; shape (2n, 2n).
+
+        What friction gains with speed adds `drag` to R.
+        """
         n = self.n
         stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
-        damping = np.diag(self.damping)
+        damping = np.diag(self.damping + drag)
         if self.cross_damping is not None:
             damping += self.cross_damping
         matrix = np.zeros((2 * n, 2 * n))
@@ -353,13 +355,6 @@ class System:
         if "back_slip" not in arguments:
             object.__setattr__(other, "closed", self.closed)
         return other
-
-    def linearised(self, friction: Floats, slope: Floats) -> System:
-        """The same blocks, slipping, with friction mu `friction` and damping R + mu `slope`, both of shape (n,)."""
-        damping = self.damping + self.friction * slope
-        if self.cross_damping is not None:
-            damping = self.cross_damping + np.diag(damping)
-        return self.changed(damping=damping, friction=self.friction * friction, static=None)
 
     def __repr__(self) -> str:
         kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
@@ -458,15 +453,6 @@ def require_plain(system: System, what: str) -> None:
     require_constant_friction(system, what)
 
 
-def _mass(mass: ArrayLike, n: int) -> Floats:
-    """Masses by block."""
-    masses = per_block("mass", mass, n)
-    if not (masses > 0).all():
-        block = int(np.flatnonzero(masses <= 0)[0])
-        raise ValueError(f"mass: expected m > 0, got {masses[block]:g} for block {block}")
-    return masses
-
-
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:
     """Static friction by block, from what was given beside the kinetic."""
     if static is None:
@@ -481,10 +467,13 @@ def _static(static: ArrayLike | None, friction: Floats) -> Floats:
     return held
 
 
-def _weakening(weakening: Weakening | None) -> Weakening | None:
+def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakening | None:
     """A weakening, or none, as it was given."""
-    if weakening is not None and not isinstance(weakening, Weakening):
+    if weakening is None:
+        return None
+    if not isinstance(weakening, Weakening):
         raise TypeError(f"weakening: expected Rational(rate) or Stribeck(speed), got {weakening!r}; left out: none")
+    require_static(type(weakening), static)
     return weakening
 
 
@@ -492,16 +481,14 @@ def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
     """The side to which each block may not slip, from what was given."""
     if flag("back_slip", back_slip):
         return np.zeros(n, dtype=np.int8)
-    speeds = belt_speed.values if isinstance(belt_speed, Piecewise) else belt_speed
-    sides = np.broadcast_to(np.sign(np.atleast_2d(speeds)), (np.atleast_2d(speeds).shape[0], n))
-    goes = np.sign(sides.sum(axis=0))
-    turns = (goes == 0) | (sides * goes < 0).any(axis=0)
-    if turns.any():
+    speeds = np.atleast_2d(belt_speed.values if isinstance(belt_speed, Piecewise) else belt_speed)
+    goes = direction(np.broadcast_to(speeds, (len(speeds), n)))
+    if not goes.all():
         raise ValueError(
-            f"back_slip: expected True for a belt that rests or turns, as that of block {int(np.argmax(turns))}: it"
-            " loads to neither side, or to both; got False"
+            f"back_slip: expected True for a belt that rests or turns, as that of block {int(np.argmin(goes != 0))}:"
+            " it loads to neither side, or to both; got False"
         )
-    return goes.astype(np.int8)
+    return goes
 
 
 def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:

@@ -67,7 +67,7 @@ class Rational(Weakening):
 class Stribeck(Weakening):
     """mu + (static - mu) exp(-|u| / speed): from the static friction, without a jump, to the kinetic.
 
-    Without a static friction above the kinetic nothing is left of it.
+    Where the static friction is the kinetic, nothing is left of it.
 
     Raises
     ------
@@ -89,3 +89,12 @@ class Stribeck(Weakening):
 
     def shape(self, x: Floats) -> Floats:
         return np.asarray(np.exp(-x))
+
+
+def require_static(law: type, static: object) -> None:
+    """ValueError if a law falls from the static friction, and none is given."""
+    if issubclass(law, Stribeck) and static is None:
+        raise ValueError(
+            "static: expected with the law of Stribeck, which falls from the static friction to the kinetic, found"
+            " nothing; add e.g. `static = 1.3`"
+        )

@@ -1,7 +1,9 @@
 """What holds for all tests."""
 
+import secrets
 import signal
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -15,3 +17,11 @@ def answers_to_ctrl_c():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def rng():
+    """Random numbers from a seed that is new at each run, and printed."""
+    seed = secrets.randbits(32)
+    print("seed", seed)
+    return np.random.default_rng(seed)

@@ -323,14 +323,6 @@ class Path:
         """Velocities at the end."""
         return self.at(self.t_end)[1][0]
 
-    @cached_property
-    def scale(self) -> float:
-        """The largest |z|, |w| and |v| of the run."""
-        x = np.abs([piece[1] for piece in self.pieces])
-        n, v = self.case.n, self.case.fastest_belt
-        ends = max(np.abs(self.z).max(), np.abs(self.w).max())
-        return float(max(x[:, :n].max(), v + self.case.rate * x[:, n : 2 * n].max(), ends))
-
 
 class _Flow:
     """The motion while the modes hold, on sub-intervals of the length h; time in them is tau = t / h.
@@ -715,32 +707,3 @@ def follow(case: Case, t_end: float) -> Path:
                 path.block.append(i)
                 path.mode.append(me.mode[i])
         count = 1
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """What a unit relative change of start and constants moves, over the largest of the run: the state at any of
-    `times` (the largest) and at the end; with the changed runs.
-    """
-
-    overall: float
-    at_end: float
-    changed: tuple[Path, ...]
-
-
-def sensitivity(
-    case: Case, t_end: float, rng: np.random.Generator, *, size: float = 1e-8, runs: int = 3, times: ArrayLike = ()
-) -> Sensitivity:
-    """Of a run, measured on others with start and constants changed by `size`.
-
-    Raises
-    ------
-    Undecided
-        If one of the runs is too long.
-    """
-    path = follow(case, t_end)
-    changed = tuple(follow(case.perturbed(rng, size), t_end) for _ in range(runs))
-    times = np.append(np.asarray(times, dtype=float), t_end)
-    state = np.hstack(path.at(times))
-    moved = [np.abs(np.hstack(other.at(times)) - state).max(axis=1) / (size * path.scale) for other in changed]
-    return Sensitivity(float(np.max(moved)), float(np.max(moved, axis=0)[-1]), changed)

@@ -18,17 +18,6 @@ def name_of(path: Where) -> str:
     return str(place_of(path)).rstrip("/").rpartition("/")[2]
 
 
-def data_digest(path: Where) -> str:
-    """Of all data of a dataset.
-
-    Raises
-    ------
-    pipeline.StoreError
-        If there is no manifest.
-    """
-    return read_manifest(path).digest
-
-
 def made_from(path: Where) -> str:
     """Digest of what a report depends on: data, scene, program.
 
@@ -38,7 +27,7 @@ def made_from(path: Where) -> str:
         If there is no manifest or no scene.
     """
     scene = stored_scene(path)
-    words = f"{scene.title or name_of(path)} {scene.model_dump_json()} {__version__} {data_digest(path)}"
+    words = f"{scene.title or name_of(path)} {scene.model_dump_json()} {__version__} {read_manifest(path).digest}"
     digest = hashlib.sha256(words.encode())
     folder = Path(report.__file__).parents[1]
     for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):

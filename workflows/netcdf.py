@@ -24,7 +24,7 @@ from stickslip.workflows.export import whole
 _SAMPLES = {
     "t": "change", "n_stick": "change", "event_t": "event", "event_block": "event", "event_mode": "event",
     "initial_mode": "block", "z_end": "block", "w_end": "block", "mode_end": "block", "separation": "separation_step",
-    **dict.fromkeys((column.name for column in RECORDED["episodes"]), "episode"),
+    **dict.fromkeys((column.name for part in ("episodes", "episode_energy") for column in RECORDED[part]), "episode"),
 }  # fmt: skip
 _ROWS = 65_536  # of a chunk
 

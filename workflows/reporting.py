@@ -10,13 +10,14 @@ from stickslip.analysis.ensemble import Events
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.quantity import short
 from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
 from stickslip.sim import EventSeries
 from stickslip.version import __version__
 from stickslip.workflows.asking import Asking
-from stickslip.workflows.fresh import data_digest, made_from, name_of
+from stickslip.workflows.fresh import made_from, name_of
 
 
 @lru_cache(maxsize=1)
@@ -99,7 +100,7 @@ def compared(path: Where, other: Where) -> Report:
             scene.analysis.t_burn,
             scene.analysis.margins.model_dump(),
             _provenance(scene, found),
-            data_digest(where),
+            read_manifest(where).digest,
         )
         for where, name, (scene, found) in zip(places, names, opened, strict=True)
     ]

@@ -6,17 +6,16 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats import enough, pool
 from stickslip.analysis.stats.cascades import spans
 from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
-from stickslip.analysis.style import EXACT, GREEN, GREY, PANEL, SMOOTHED, STYLE, size_axis
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 STEEPER, SHALLOWER, AS_CHANCE, UNKNOWN = "steeper", "shallower", "as chance", "cannot be told"
@@ -76,28 +75,25 @@ def _law_row(group: Group, confidence: float) -> Row:
     row: Row = {
         "group": group.label, "n": group.key["n"], "engine": group.key["engine"], "n_matrices": int(some.sum()),
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
-        "chance": LN2, "difference": None, "difference_low": None, "difference_high": None, "gamma_pool": None,
-        "over_pool": None, "over_pool_low": None, "over_pool_high": None,
+        "chance": LN2, **named("difference", _less(rate, LN2)), "gamma_pool": None, **named("over_pool", Estimate()),
         "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
         "n_runs": len(group.members), "n_moving": len(group.moving),
     }  # fmt: skip
-    if rate.value is not None:
-        row["difference"] = rate.value - LN2
-    if rate.low is not None and rate.high is not None and rate.value is not None:
-        row |= {"difference_low": rate.low - LN2, "difference_high": rate.high - LN2}
-        if basis.code in enough.JUDGED:
-            row["verdict"] = _verdict(rate, LN2)
+    if basis.code in enough.JUDGED:
+        row["verdict"] = _verdict(rate, LN2)
     mean = group.mean(confidence).value
     if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:
         rows = np.hstack([sums, group.by_unit()[:, [0, 4]]])[some]
         over = over_matrices(pool.against(group.key["n"]), rows, confidence)
-        row |= {
-            "gamma_pool": pool.gamma(group.key["n"], mean),
-            "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high,
-        }  # fmt: skip
+        row |= {"gamma_pool": pool.gamma(group.key["n"], mean), **named("over_pool", over)}
         if basis.code in enough.JUDGED:
             row["pool_verdict"] = _verdict(over, 0.0)
     return row
+
+
+def _less(estimate: Estimate, number: float) -> Estimate:
+    value, low, high = (None if x is None else x - number for x in (estimate.value, estimate.low, estimate.high))
+    return Estimate(value, low, high)
 
 
 def _verdict(estimate: Estimate, chance: float) -> str:
@@ -148,101 +144,84 @@ def _one_run(study: Study, group: Group) -> tuple[Any, ...]:
     return *study.data.series[member_id], win.t_stop, study.settings.t_burn, one
 
 
+_Span = tuple[int, float, float]  # of a cascade: size, first exit, last exit
+
+
+@panel()
 def one_run(
-    t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: tuple[int, float, float] | None
-) -> Figure:
-    """n_stick(t) of one run, what is left out shaded, and one cascade enlarged.
-
-    Parameters
-    ----------
-    t, n_stick : ndarray, shape (m,)
-        Change points, the last value holding to t_stop.
-    cascade : (size, first exit, last exit), optional
-    """
+    ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: _Span | None
+) -> None:
+    """n_stick(t) of one run by its change points, what is left out shaded, and one cascade enlarged."""
     t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
-        ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
-        ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY, fontsize=7)
-        ax.set(
-            xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$"
-        )
-        if cascade is not None:
-            size, first, last = cascade
-            wide = max(4 * (last - first), 1e-6)
-            seen = (t >= first - wide) & (t <= last + wide)
-            ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
-            inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
-            inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
-            let_go = (t >= first) & (t <= last)
-            start = np.flatnonzero(let_go)[0]
-            inset.step(
-                np.append(first, t[let_go]), np.append(n_stick[start - 1], n_stick[let_go]), where="post",
-                color=SMOOTHED, linewidth=1.8,
-            )  # fmt: skip
-            inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=7, loc="right")
-            inset.tick_params(labelsize=6)
-            inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
-            inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
-    return figure
+    ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
+    ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
+    ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY, fontsize=7)
+    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$")
+    if cascade is not None:
+        size, first, last = cascade
+        wide = max(4 * (last - first), 1e-6)
+        seen = (t >= first - wide) & (t <= last + wide)
+        ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
+        inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
+        inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
+        let_go = (t >= first) & (t <= last)
+        start = np.flatnonzero(let_go)[0]
+        inset.step(
+            np.append(first, t[let_go]), np.append(n_stick[start - 1], n_stick[let_go]), where="post",
+            color=SMOOTHED, linewidth=1.8,
+        )  # fmt: skip
+        inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=7, loc="right")
+        inset.tick_params(labelsize=6)
+        inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
+        inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
 
 
-def size_law(laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> Figure:
+@panel(nrows=2, height_ratios=(1.0, 1.3))
+def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> None:
     """Share of cascades of each size on a log axis for some groups with the fit; below, over the coin's.
 
     The lower one has the sizes whose shares are known to within `SHOWN`, so that it shows what gamma differs by.
-
-    Parameters
-    ----------
-    laws : sequence of (label, rows)
-        Rows of the table `sizes`, by events, of each group.
-    fitted : mapping
-        Of the first group `gamma`, `gamma_low` and `gamma_high`.
+    `laws` are rows of the table `sizes` by group; `fitted` is the first group's row of `law`.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        top, below = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
-        largest, widest, ends = 1, 1, [1.0]
-        for k, (label, rows) in enumerate(laws):
-            seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
-            if not seen:
-                continue
-            sizes = np.array([row["size"] for row in seen], dtype=float)
-            share, less, more = (np.array([row["share" + end] for row in seen]) for end in ("", "_low", "_high"))
-            largest, chance = max(largest, int(sizes[-1])), 0.5**sizes
-            form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
-            form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-            at = sizes + 0.12 * k
-            top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
-            known = more - less < 2 * SHOWN * share
-            over, less, more = (x[known] / chance[known] for x in (share, less, more))
-            below.errorbar(at[known], over, yerr=[over - less, more - over], **form)
-            widest, ends = max(widest, *sizes[known].astype(int), 1), [*ends, *less, *more]
-        grid = np.arange(1, largest + 1)
-        fit, low, high = (
-            None if fitted[name] is None else -np.expm1(-fitted[name]) * np.exp(-fitted[name] * (grid - 1))
-            for name in ("gamma", "gamma_low", "gamma_high")
-        )
-        if fit is not None:
-            top.plot(grid, fit, color=EXACT, linewidth=1)
-            below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1, label="fit")
-        if low is not None and high is not None:
-            below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
-        by_pool = [row for row in laws[0][1] if row["pool"] is not None]
-        if by_pool:
-            sizes = np.array([row["size"] for row in by_pool])
-            over = np.array([row["pool"] for row in by_pool]) * 2.0**sizes
-            below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="pool")
-        below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="coin")
-        top.set_yscale("log")
-        top.yaxis.set_minor_locator(NullLocator())
-        top.set(xlabel="cascade size s", ylabel="share, f")
-        margin = 0.08 * (max(ends) - min(ends)) + 0.002
-        below.set(ylabel="f / coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
-        size_axis(top, largest)
-        size_axis(below, widest)
-        top.legend(loc="upper right", fontsize=7)
-        below.legend(loc="lower left", fontsize=7)
-    return figure
+    top, below = axes
+    largest, widest, ends = 1, 1, [1.0]
+    for k, (label, rows) in enumerate(laws):
+        seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
+        if not seen:
+            continue
+        sizes = np.array([row["size"] for row in seen], dtype=float)
+        share, less, more = (np.array([row["share" + end] for row in seen]) for end in ("", "_low", "_high"))
+        largest, chance = max(largest, int(sizes[-1])), 0.5**sizes
+        form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
+        form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
+        at = sizes + 0.12 * k
+        top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
+        known = more - less < 2 * SHOWN * share
+        over, less, more = (x[known] / chance[known] for x in (share, less, more))
+        below.errorbar(at[known], over, yerr=[over - less, more - over], **form)
+        widest, ends = max(widest, *sizes[known].astype(int), 1), [*ends, *less, *more]
+    grid = np.arange(1, largest + 1)
+    fit, low, high = (
+        None if fitted[name] is None else -np.expm1(-fitted[name]) * np.exp(-fitted[name] * (grid - 1))
+        for name in ("gamma", "gamma_low", "gamma_high")
+    )
+    if fit is not None:
+        top.plot(grid, fit, color=EXACT, linewidth=1)
+        below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1, label="fit")
+    if low is not None and high is not None:
+        below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
+    by_pool = [row for row in laws[0][1] if row["pool"] is not None]
+    if by_pool:
+        sizes = np.array([row["size"] for row in by_pool])
+        over = np.array([row["pool"] for row in by_pool]) * 2.0**sizes
+        below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="pool")
+    below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="coin")
+    top.set_yscale("log")
+    top.yaxis.set_minor_locator(NullLocator())
+    top.set(xlabel="cascade size s", ylabel="share, f")
+    margin = 0.08 * (max(ends) - min(ends)) + 0.002
+    below.set(ylabel="f / coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
+    size_axis(top, largest)
+    size_axis(below, widest)
+    top.legend(loc="upper right", fontsize=7)
+    below.legend(loc="lower left", fontsize=7)

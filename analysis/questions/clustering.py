@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame
@@ -18,7 +17,7 @@ from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Pa
 from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps, triggered
-from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE
+from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel
 
 SLOW = 100.0  # the period above which motion is called slow: five of the blocks' own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
@@ -176,32 +175,23 @@ def _closest(rows: Sequence[Row], delay: float) -> Row | None:
     return row | {"share": FOLLOW * max(row["high"] - 1, 0.0) / gain if gain > 0 else None}
 
 
-def spectrum(groups: Mapping[str, Sequence[Row]]) -> Figure:
-    """Power of n_stick over that of independent blocks, against the period.
-
-    Parameters
-    ----------
-    groups : mapping of str to sequence of Row
-        Of some groups, by name, rows of the table `spectrum`.
-    """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-        for k, (label, rows) in enumerate(groups.items()):
-            seen = [row for row in rows if row["low"] is not None]
-            period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
-            ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
-            colour = (EXACT, SMOOTHED)[k % 2]
-            ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
-            ax.plot(
-                period, ratio, color=colour, marker="os"[k % 2], markersize=3.2, label=label,
-                markerfacecolor=(colour, "white")[k % 2],
-            )  # fmt: skip
-        ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
-        for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-            axis.set_major_formatter(lambda x, _: f"{x:g}")
-            axis.set_minor_locator(NullLocator())
-        ax.legend(loc="upper left", fontsize=7)
-    return figure
+@panel()
+def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
+    """Power of n_stick over that of independent blocks, against the period; rows of the table `spectrum` by group."""
+    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+    for k, (label, rows) in enumerate(groups.items()):
+        seen = [row for row in rows if row["low"] is not None]
+        period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
+        ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
+        colour = (EXACT, SMOOTHED)[k % 2]
+        ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
+        ax.plot(
+            period, ratio, color=colour, marker="os"[k % 2], markersize=3.2, label=label,
+            markerfacecolor=(colour, "white")[k % 2],
+        )  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_major_formatter(lambda x, _: f"{x:g}")
+        axis.set_minor_locator(NullLocator())
+    ax.legend(loc="upper left", fontsize=7)

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
@@ -19,7 +18,7 @@ from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, Window
 from stickslip.analysis.stats.effects import LESS, MORE, over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
 from stickslip.analysis.stats.nulls import DRAWS, Sums, block_steps, random_order, rotations
-from stickslip.analysis.style import CYCLE, GREY, PANEL, STYLE
+from stickslip.analysis.style import CYCLE, GREY, panel
 
 ORDER, BLOCKS = "order", "blocks"  # nulls: random order, and rotation of blocks
 STEEPER, SHALLOWER = "steeper", "shallower"
@@ -161,47 +160,37 @@ def _thresholds(rows: Sequence[Row]) -> Row | None:
     return {"low": min(every), "high": max(every), "definition": definition, "dt": dt, "rate": rate, "over": over}
 
 
-def over_chance(rows: Sequence[Row], null: str) -> Figure:
-    """gamma over what a null gives, against the sampling step, by definition; the band is `events`.
+@panel()
+def over_chance(ax: Axes, rows: Sequence[Row], null: str) -> None:
+    """gamma over what `ORDER` or `BLOCKS` gives, against the sampling step, by definition; the band is `events`.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        Of the table `definitions`, of one group.
-    null : str
-        `ORDER` or `BLOCKS`.
+    The rows are those of the table `definitions` of one group.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-        known = [row for row in rows if row[f"{null}_low"] is not None]
-        for row in known:
-            if row["dt"] is None:
-                ax.axhspan(
-                    row[f"{null}_low"], row[f"{null}_high"], color=GREY, alpha=0.3, linewidth=0, label="events"
-                )
-        for k, name in enumerate(SAMPLED):
-            some = sorted((row for row in known if row["definition"] == name), key=lambda row: row["dt"])
-            if some:
-                dt, value, low, high = (
-                    np.array([row[key] for row in some])
-                    for key in ("dt", *(f"{null}_{x}" for x in ("over", "low", "high")))
-                )
-                ax.errorbar(
-                    dt * 1.03 ** (k - 1.5), value, yerr=[value - low, high - value], label=name, color=CYCLE[k],
-                    fmt="oDs^"[k], linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9,
-                )  # fmt: skip
-        ax.set_xscale("log")
-        steps = sorted({row["dt"] for row in known if row["dt"] is not None})
-        ax.set_xticks(steps[:: max(1, -(-len(steps) // 5))])
-        ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
-        ax.xaxis.set_minor_formatter(NullFormatter())
-        ax.minorticks_off()
-        over = {ORDER: "random order", BLOCKS: "independent blocks"}[null]
-        ax.set(xlabel="sampling step dt", ylabel=f"γ / γ by {over}")
-        both = [row[f"{n}_{end}"] for row in rows for n in (ORDER, BLOCKS) for end in ("low", "high")]
-        ends = [x for x in both if x is not None]
-        ax.set_ylim(min(0.99, *ends) - 0.01, min(max(1.01, *ends) + 0.01, 2.5))
-        ax.legend(loc="upper left", fontsize=7)
-    return figure
+    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+    known = [row for row in rows if row[f"{null}_low"] is not None]
+    for row in known:
+        if row["dt"] is None:
+            ax.axhspan(row[f"{null}_low"], row[f"{null}_high"], color=GREY, alpha=0.3, linewidth=0, label="events")
+    for k, name in enumerate(SAMPLED):
+        some = sorted((row for row in known if row["definition"] == name), key=lambda row: row["dt"])
+        if some:
+            dt, value, low, high = (
+                np.array([row[key] for row in some])
+                for key in ("dt", *(f"{null}_{x}" for x in ("over", "low", "high")))
+            )
+            ax.errorbar(
+                dt * 1.03 ** (k - 1.5), value, yerr=[value - low, high - value], label=name, color=CYCLE[k],
+                fmt="oDs^"[k], linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9,
+            )  # fmt: skip
+    ax.set_xscale("log")
+    steps = sorted({row["dt"] for row in known if row["dt"] is not None})
+    ax.set_xticks(steps[:: max(1, -(-len(steps) // 5))])
+    ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.minorticks_off()
+    over = {ORDER: "random order", BLOCKS: "independent blocks"}[null]
+    ax.set(xlabel="sampling step dt", ylabel=f"γ / γ by {over}")
+    both = [row[f"{n}_{end}"] for row in rows for n in (ORDER, BLOCKS) for end in ("low", "high")]
+    ends = [x for x in both if x is not None]
+    ax.set_ylim(min(0.99, *ends) - 0.01, min(max(1.01, *ends) + 0.01, 2.5))
+    ax.legend(loc="upper left", fontsize=7)

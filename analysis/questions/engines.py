@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import matplotlib
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, B, F, Row, S, frame
 from stickslip.analysis.contrast import (
@@ -31,7 +30,7 @@ from stickslip.analysis.contrast import (
     weight,
 )
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
-from stickslip.analysis.style import BLUE, GREY, ORANGE, PANEL, STYLE
+from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
@@ -41,8 +40,7 @@ _BY_THRESHOLD = ("mean", "rate", "gamma")
 _MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
 _WIDEST = 3.0  # margins to each side in the figure: what lies further out would leave no room for the others
 _TABLE: Mapping[str, str] = {
-    "kind": S, "setting": S, "reference": S, "threshold": F, **SCHEMA, "sampling_error": F, "is_within_error": B,
-    "is_suspect": B,
+    "kind": S, "setting": S, "reference": S, "threshold": F, **SCHEMA, "is_suspect": B,
 }  # fmt: skip
 
 
@@ -80,7 +78,6 @@ def answer(study: Study) -> Answer | None:
     for rows in families.values():
         judge(rows, 1 - level)
         for row in rows:
-            row |= _sampling(row)
             row["is_suspect"] = _is_suspect(row)
     found = [row for rows in families.values() for row in rows]
     tables, facts = {"engines": frame(_TABLE, found)}, _facts(found)
@@ -141,14 +138,6 @@ def _exactness(group: Group) -> tuple[bool, bool, float]:
     """The exact engine first, then the least smoothing, then the shortest step."""
     eps, step = group.key["eps"], group.key["step"]
     return step is not None, eps is not None, float(eps or step or 0.0)
-
-
-def _sampling(row: Row) -> Row:
-    """Half the width of the reference's own interval, and whether the whole interval of the bias is within it."""
-    if row["difference_low"] is None or row["first_low"] is None:
-        return {"sampling_error": None, "is_within_error": None}
-    error = 0.5 * (row["first_high"] - row["first_low"])
-    return {"sampling_error": error, "is_within_error": max(-row["difference_low"], row["difference_high"]) <= error}
 
 
 def _is_suspect(row: Mapping[str, Any]) -> bool:
@@ -222,14 +211,14 @@ def _shown_first(row: Row) -> tuple[bool, float]:
 
 
 def _sufficient(rows: Sequence[Row]) -> Row | None:
-    """The loosest tolerance that is sufficient, as are all tighter ones."""
+    """The loosest tolerance at which every statistic agrees with the reference, as at all tighter ones."""
     by_setting = _parted(rows, "setting")  # from the tightest to the loosest
     known = told(rows)
     if not known:
         return None
     enough = None
     for some in by_setting:
-        if not all(row["is_within_error"] for row in some if not row["is_share"]):
+        if {row["verdict"] for row in told(some)} != {AGREE}:
             break
         enough = some[0]["setting"]
     settings = [some[0]["setting"] for some in by_setting]
@@ -258,29 +247,23 @@ def _moved(rows: Sequence[Row]) -> Row | None:
     return of | {"least": min(thresholds), "most": max(thresholds), "moved": moved}
 
 
-def contrasts(rows: Sequence[Row]) -> Figure:
+@panel()
+def contrasts(ax: Axes, rows: Sequence[Row]) -> None:
     """Relative differences in units of their margins with the intervals of the equivalence tests, a line a statistic.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Contrasts with a difference; an arrowhead marks one that lies beyond the axis.
+    An arrowhead marks one that lies beyond the axis.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axvspan(-1, 1, color=GREY, alpha=0.13, linewidth=0)
-        ax.axvline(0, color=GREY, linewidth=0.8)
-        ends = [abs(row[end]) / row["margin"] for row in rows for end in ("narrow_low", "narrow_high")]
-        widest = min(max(1.3, *(1.08 * end for end in ends)), _WIDEST)
-        for y, row in enumerate(rows):
-            mark, colour = _MARKS[row["verdict"]]
-            x, *bar = (row[name] / row["margin"] for name in ("relative", "narrow_low", "narrow_high"))
-            if abs(x) > widest:
-                mark = ">" if x > 0 else "<"
-            ax.plot(bar, [y, y], color=colour, linewidth=1.4)
-            ax.plot([min(max(x, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
-        ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference / margin")
-        ax.set_yticks(range(len(rows)), [row["quantity"] for row in rows])
-        ax.tick_params(axis="y", length=0)
-    return figure
+    ax.axvspan(-1, 1, color=GREY, alpha=0.13, linewidth=0)
+    ax.axvline(0, color=GREY, linewidth=0.8)
+    ends = [abs(row[end]) / row["margin"] for row in rows for end in ("narrow_low", "narrow_high")]
+    widest = min(max(1.3, *(1.08 * end for end in ends)), _WIDEST)
+    for y, row in enumerate(rows):
+        mark, colour = _MARKS[row["verdict"]]
+        x, *bar = (row[name] / row["margin"] for name in ("relative", "narrow_low", "narrow_high"))
+        if abs(x) > widest:
+            mark = ">" if x > 0 else "<"
+        ax.plot(bar, [y, y], color=colour, linewidth=1.4)
+        ax.plot([min(max(x, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
+    ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference / margin")
+    ax.set_yticks(range(len(rows)), [row["quantity"] for row in rows])
+    ax.tick_params(axis="y", length=0)

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge, told
 from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
 from stickslip.analysis.questions.engines import summary
@@ -41,7 +39,7 @@ from stickslip.analysis.stats.families import maximise
 from stickslip.analysis.stats.goodness import REJECTED, goodness
 from stickslip.analysis.stats.rivals import parameter, rivals
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREEN, GREY, PANEL, SMOOTHED, STYLE
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 MARGIN = 0.1  # of every statistic, relative: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
@@ -184,8 +182,7 @@ def _fill(one: _Of, least: float, level: float) -> None:
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
     }  # fmt: skip
     for name, quantity in QUANTITIES.items():
-        found = over_matrices(quantity.of, one.sample.rows(name)[1], level)
-        one.row |= {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+        one.row |= named(name, over_matrices(quantity.of, one.sample.rows(name)[1], level))
     one.row["regularity"] = _regularity(one.row) if one.row["basis"] in enough.JUDGED else UNKNOWN
 
 
@@ -315,7 +312,7 @@ def _rates(found: Iterable[_Of], lead: _Of, least: float, level: float) -> list[
             rows.append({
                 "group": one.label, "magnitude": float(edge), "n_episodes": n_episodes, "rate": rate.value,
                 "rate_low": None if rate.low is None else max(rate.low, 0.0), "rate_high": rate.high,
-                "over": over.value, "over_low": over.low, "over_high": over.high,
+                **named("over", over),
             })  # fmt: skip
     return rows
 
@@ -371,55 +368,36 @@ def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
         ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
-
-
-def _legend(figure: Figure, labels: Mapping[str, tuple[str, bool]]) -> None:
     if len(labels) > 1:
-        handles, texts = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, texts, loc="outside upper center", ncols=3, fontsize=6.5, handlelength=2.2)
+        ax.figure.legend(loc="outside upper center", ncols=3, fontsize=6.5, handlelength=2.2)
 
 
-def frequencies(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> Figure:
+@panel()
+def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> None:
     """Episodes a unit of time from each magnitude on, a line a group, bands of their intervals.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        Of the table `episode_rates`.
-    labels : mapping of str to (engine, leads)
+    Rows are those of the table `episode_rates`; labels are (engine, leads) by group.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        _lines(ax, rows, labels, "rate")
-        ax.set_yscale("log")
-        lows = [row["rate"] for row in rows if row["rate"]]
-        ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
-        _legend(figure, labels)
-    return figure
+    _lines(ax, rows, labels, "rate")
+    ax.set_yscale("log")
+    lows = [row["rate"] for row in rows if row["rate"]]
+    ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
 
 
-def over_reference(rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> Figure:
+@panel()
+def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> None:
     """The same over the reference's, on the same systems; parameters as of `frequencies`."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
-        ax.axhline(1.0, color=EXACT, linewidth=1)
-        _lines(ax, rows, labels, "over")
-        seen = [row["over"] for row in rows if row["over"] is not None]
-        _legend(figure, labels)
-        ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
-    return figure
+    ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
+    ax.axhline(1.0, color=EXACT, linewidth=1)
+    _lines(ax, rows, labels, "over")
+    seen = [row["over"] for row in rows if row["over"] is not None]
+    ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
 
 
-def one_catalogue(t: np.ndarray, magnitude: np.ndarray) -> Figure:
+@panel()
+def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
     """Magnitude against time of the episodes of one run, each (m,)."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        floor = float(magnitude.min()) - 0.1
-        ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
-        ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
-        ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
-    return figure
+    floor = float(magnitude.min()) - 0.1
+    ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
+    ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
+    ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.stats import pool
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
-from stickslip.analysis.stats.dispersion import difference, dispersion, moments
-from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma_difference, over_matrices
+from stickslip.analysis.stats.dispersion import excess, moments
+from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma, over_matrices, paired_difference
 from stickslip.analysis.stats.families import truncate
-from stickslip.analysis.stats.goodness import goodness, line, quotients
+from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated_steps
 from stickslip.analysis.stats.rivals import Rival, rivals
-from stickslip.analysis.style import EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
+from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
 THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
 CLOSE = 0.1  # of the variance: a departure up to here is called close to exponential
@@ -30,7 +29,7 @@ _EXPONENTIAL: Mapping[str, str] = {
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
     "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma_over_rotation": F,
     "gamma_over_rotation_low": F, "gamma_over_rotation_high": F, "gap": F, "gap_at": I,
-    "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "line": F, "reason": S,
+    "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
     "group": S, "size": I, "n_cascades": I, "share": F, "fit": F, "value": F, "low": F, "high": F, "pool": F,
@@ -87,21 +86,19 @@ def _cut(group: Group, smallest: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
     level = study.settings.confidence
-    excess = dispersion(moments(counts), level)
+    over = over_matrices(excess, moments(counts), level)
     fit = goodness(sizes, counts, level, study.generator(group.label))
-    pooled = counts.sum(axis=0)
     row: Row = {
         "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
         **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
         "gap": fit.gap, "gap_at": fit.at, "gap_bound": fit.bound, "p_value": fit.p_value, "p_least": fit.p_least,
-        "p_most": fit.p_most, "fit": fit.verdict(1 - level), "reason": excess.reason or fit.reason or None,
-        "line": line(sizes, pooled) if np.count_nonzero(pooled) > 1 else None,
+        "p_most": fit.p_most, "fit": fit.verdict(1 - level), "reason": over.reason or fit.reason or None,
     }  # fmt: skip
-    if excess.value is None or excess.low is None or excess.high is None:
+    if over.value is None or over.low is None or over.high is None:
         return row
-    row |= {"variance": 1 + excess.value, "variance_low": 1 + excess.low, "variance_high": 1 + excess.high}
-    row["verdict"] = THINNER if excess.high < 0 else THICKER if excess.low > 0 else AS_EXPONENTIAL
+    row |= {"variance": 1 + over.value, "variance_low": 1 + over.low, "variance_high": 1 + over.high}
+    row["verdict"] = THINNER if over.high < 0 else THICKER if over.low > 0 else AS_EXPONENTIAL
     return row
 
 
@@ -113,7 +110,7 @@ def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float
         means = group.by_unit()[group.counts.sum(axis=1) > 0]
         over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
     value = 1 + pool.excess(n, mean) if known and mean is not None else None
-    return {"pool": value, "over_pool": over.value, "over_pool_low": over.low, "over_pool_high": over.high}
+    return {"pool": value, **named("over_pool", over)}
 
 
 def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
@@ -129,16 +126,13 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
                 sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
     sums = sums[group.counts.sum(axis=1) > 0]
     seen = sums[:, 0] > 0
-    value, over, of_gamma = dispersion(sums[seen], settings.confidence).value, Estimate(), Estimate()
+    value, over, of_gamma = over_matrices(excess, sums[seen], settings.confidence).value, Estimate(), Estimate()
     if value is not None:
         both = np.hstack([moments(counts), sums])[seen]
-        over = over_matrices(difference, both, settings.confidence)
-        of_gamma = over_matrices(gamma_difference, both[:, [1, 0, 4, 3]], settings.confidence)
-    return {
-        "rotation": None if value is None else 1 + value, "over_rotation": over.value,
-        "over_rotation_low": over.low, "over_rotation_high": over.high, "gamma_over_rotation": of_gamma.value,
-        "gamma_over_rotation_low": of_gamma.low, "gamma_over_rotation_high": of_gamma.high,
-    }  # fmt: skip
+        over = over_matrices(paired_difference(excess), both, settings.confidence)
+        of_gamma = over_matrices(paired_difference(gamma), both[:, [1, 0, 4, 3]], settings.confidence)
+    own = {"rotation": None if value is None else 1 + value}
+    return own | named("over_rotation", over) | named("gamma_over_rotation", of_gamma)
 
 
 def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:
@@ -170,33 +164,24 @@ def _rival_row(label: str, one: Rival) -> Row:
     }  # fmt: skip
 
 
-def over_fit(groups: Mapping[str, Sequence[Row]]) -> Figure:
-    """Each size's share over the fitted exponential's, with the pool's law.
-
-    Parameters
-    ----------
-    groups : mapping of str to sequence of Row
-        Of some groups, by name, rows of the table `over_fit`.
-    """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhline(1.0, color=GREY, linewidth=0.8)
-        largest = 1
-        for k, (label, rows) in enumerate(groups.items()):
-            seen = [row for row in rows if row["low"] is not None]
-            if not seen:
-                continue
-            size = np.array([row["size"] for row in seen], dtype=float)
-            value, low, high = (np.array([row[key] for row in seen]) for key in ("value", "low", "high"))
-            largest = max(largest, int(size[-1]))
-            ax.errorbar(
-                size + 0.12 * k, value, yerr=[value - low, high - value], label=label, fmt="os"[k % 2],
-                color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], markersize=3.5, lw=0.9,
-            )  # fmt: skip
-            if k == 0 and seen[0]["pool"] is not None:
-                ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="finite pool")
-        ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
-        size_axis(ax, largest)
-        ax.legend(loc="lower left", fontsize=7)
-    return figure
+@panel()
+def over_fit(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
+    """Each size's share over the fitted exponential's, with the pool's law; rows of the table `over_fit` by group."""
+    ax.axhline(1.0, color=GREY, linewidth=0.8)
+    largest = 1
+    for k, (label, rows) in enumerate(groups.items()):
+        seen = [row for row in rows if row["low"] is not None]
+        if not seen:
+            continue
+        size = np.array([row["size"] for row in seen], dtype=float)
+        value, low, high = (np.array([row[key] for row in seen]) for key in ("value", "low", "high"))
+        largest = max(largest, int(size[-1]))
+        ax.errorbar(
+            size + 0.12 * k, value, yerr=[value - low, high - value], label=label, fmt="os"[k % 2],
+            color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], markersize=3.5, lw=0.9,
+        )  # fmt: skip
+        if k == 0 and seen[0]["pool"] is not None:
+            ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="finite pool")
+    ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
+    size_axis(ax, largest)
+    ax.legend(loc="lower left", fontsize=7)

@@ -10,9 +10,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
@@ -31,13 +31,13 @@ from stickslip.analysis.stats.fates import (
     median,
     survival,
 )
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, STYLE
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, panel
 
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 _DRAWN = ("n", "coupling", "file")  # what draws depend on: along other keys they are shared
-_FATES = {
+FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), SILENT: ("went quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), DIVERGED: ("ran away", ORANGE, "^"),
 }  # fmt: skip
@@ -105,7 +105,9 @@ def _figures(
     if facts["total"][SUSTAINED] < facts["total"]["runs"]:
         some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
         if len(facts["systems"]) > 1 or facts["linear"]:
-            shown["fates"] = partial(shares, facts["systems"])
+            systems = facts["systems"]
+            counts = {name: [row[f"n_{name}"] for row in systems] for name in FATES}
+            shown["fates"] = partial(shares, *_by_system(systems), counts)
         shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
@@ -174,15 +176,14 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     samples = effective(group.effective, span, level) if group.units else None
-    half = Estimate() if curve is None else median(curve)
+    half = Estimate() if curve is None else median(curve.t, curve.survival, curve.low, curve.high)
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
         **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
-        "half": half, "median": half.value, "median_low": half.low, "median_high": half.high,
+        "half": half, **named("median", half),
         "first_end": min(ends, default=None), "last_end": max(ends, default=None),
-        "n_quiet": group.n_quiet, "mean": mean.value, "mean_low": mean.low, "mean_high": mean.high,
-        "drifts": drift, "drift": drift.value, "drift_low": drift.low, "drift_high": drift.high,
+        "n_quiet": group.n_quiet, **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,
         "basis": basis.code,
     }  # fmt: skip
@@ -249,39 +250,29 @@ def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
     return win.t_start + (np.arange(n_blocks) + 0.5) * (win.t_stop - win.t_start) / n_blocks, win.means(n_blocks)
 
 
-def shares(systems: Sequence[Row]) -> Figure:
-    """Shares of runs by fate, a bar a system.
-
-    Parameters
-    ----------
-    systems : sequence of mapping
-        `system`, `n_runs` and the number of each fate.
-    """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        floor = np.zeros(len(systems))
-        for name, (label, colour, _) in _FATES.items():
-            share = np.array([row[f"n_{name}"] / row["n_runs"] for row in systems])
-            if share.any():
-                ax.bar(range(len(systems)), share, 0.7, floor, color=colour, label=label)
-                floor += share
-        _by_system(ax, systems)
-        ax.set_ylabel("share of runs")
-        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
-    return figure
+@panel()
+def shares(ax: Axes, key: str, ticks: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
+    """Shares of runs by fate, a bar a value of a key; `counts` are the runs at each value, by fate."""
+    total, floor = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(ticks))
+    for name, some in counts.items():
+        if any(some):
+            label, colour, _ = FATES[name]
+            ax.bar(range(len(ticks)), some / total, 0.7, floor, color=colour, label=label)
+            floor += some / total
+    ax.set(xlim=(-0.6, len(ticks) - 0.4), xlabel=key, ylabel="share of runs")
+    ax.set_xticks(range(len(ticks)), ticks)
+    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
 
 
-def _by_system(ax: Any, systems: Sequence[Row]) -> None:
-    names = [str(row["system"]).replace(", ", "\n") for row in systems]
+def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
+    """What an axis of systems is called, and its ticks."""
     if len({row["n"] for row in systems}) == len(systems):
-        names = [str(row["n"]) for row in systems]
-        ax.set_xlabel("blocks, n")
-    ax.set_xticks(range(len(systems)), names)
-    ax.set_xlim(-0.6, len(systems) - 0.4)
+        return "blocks, n", [str(row["n"]) for row in systems]
+    return "", [str(row["system"]).replace(", ", "\n") for row in systems]
 
 
-def growth(systems: Sequence[Row], runs: Sequence[Row]) -> Figure:
+@panel()
+def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
     """Linear growth rate of the all-slip state of each run, marked by its fate, in order of size within a system."""
     points: dict[str, list[tuple[float, float]]] = {}
     for k, system in enumerate(systems):
@@ -289,43 +280,34 @@ def growth(systems: Sequence[Row], runs: Sequence[Row]) -> Figure:
         for rank, row in enumerate(own):
             x = k + 0.6 * (rank / max(len(own) - 1, 1) - 0.5)
             points.setdefault(row["fate"], []).append((x, row["growth_rate"]))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhline(0, color=GREY, linewidth=0.8)
-        for name, (label, colour, marker) in _FATES.items():
-            if name in points:
-                ax.plot(*zip(*points[name], strict=True), marker, color=colour, markersize=3, label=label)
-        _by_system(ax, systems)
-        ax.set_ylabel("linear growth rate, all slip")
-        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
-    return figure
+    ax.axhline(0, color=GREY, linewidth=0.8)
+    for name, (label, colour, marker) in FATES.items():
+        if name in points:
+            ax.plot(*zip(*points[name], strict=True), marker, color=colour, markersize=3, label=label)
+    key, ticks = _by_system(systems)
+    ax.set(xlim=(-0.6, len(ticks) - 0.4), xlabel=key, ylabel="linear growth rate, all slip")
+    ax.set_xticks(range(len(ticks)), ticks)
+    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
 
 
-def survival_curves(curves: Sequence[tuple[str, Curve]], t_end: float) -> Figure:
+@panel()
+def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float) -> None:
     """Share of runs in motion against time, a curve a group; with their intervals where there are two at most."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        for (label, curve), colour in zip(curves, colours, strict=True):
-            some = np.unique(np.linspace(0, len(curve.t) - 1, MOST_STEPS).astype(np.int64))
-            t = np.append(curve.t[some], t_end)
-            alive, low, high = (np.append(y[some], y[-1]) for y in (curve.survival, curve.low, curve.high))
-            ax.step(t, alive, where="post", color=colour, label=label)
-            if len(curves) <= 2:
-                ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
-        ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share in motion")
-        figure.legend(loc="outside upper center", ncols=2, fontsize=7, handlelength=1.2)
-    return figure
+    for (label, curve), colour in zip(curves, colours, strict=True):
+        some = np.unique(np.linspace(0, len(curve.t) - 1, MOST_STEPS).astype(np.int64))
+        t = np.append(curve.t[some], t_end)
+        alive, low, high = (np.append(y[some], y[-1]) for y in (curve.survival, curve.low, curve.high))
+        ax.step(t, alive, where="post", color=colour, label=label)
+        if len(curves) <= 2:
+            ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share in motion")
+    ax.figure.legend(loc="outside upper center", ncols=2, fontsize=7, handlelength=1.2)
 
 
-def all_runs(paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> Figure:
+@panel()
+def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     """n_stick of every run, in means over blocks of time."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        for t, mean in paths:
-            ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
-        ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))
-    return figure
+    for t, mean in paths:
+        ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
+    ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))

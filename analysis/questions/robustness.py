@@ -9,11 +9,10 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
 from stickslip.analysis.stats import components, enough
@@ -24,7 +23,7 @@ from stickslip.analysis.stats.fates import SUSTAINED, fate
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import GREY, PANEL, SMOOTHED, STYLE
+from stickslip.analysis.style import GREY, SMOOTHED, panel
 
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 #: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
@@ -41,7 +40,6 @@ _MATRICES: Mapping[str, str] = {
     "setting": S, "quantity": S, "label": S, "n_matrices": I, "n_replicates": I, "correlation": F,
     "correlation_low": F, "correlation_high": F,
 }  # fmt: skip
-_RUNS: Mapping[str, str] = {"setting": S, "matrix": I, "member_id": S, "change": S, **dict.fromkeys(PRIMARY, F)}
 
 
 def answer(study: Study) -> Answer | None:
@@ -53,7 +51,6 @@ def answer(study: Study) -> Answer | None:
     tables = {
         "robustness": frame(_CHANGES, [row for one in judged for row in one.rows]),
         "robustness_matrices": frame(_MATRICES, [row for one in judged for row in one.matrices]),
-        "robustness_runs": frame(_RUNS, [row for one in judged for row in one.run_rows()]),
     }
     lead = judged[0]
     facts: dict[str, Any] = {
@@ -207,25 +204,10 @@ class _Judged:
             rows.append(
                 {
                     "setting": self.setting.label, "quantity": quantity, "label": QUANTITIES[quantity].label,
-                    "n_matrices": len(own), "n_replicates": len(own[0]), "correlation": found.value,
-                    "correlation_low": found.low, "correlation_high": found.high,
+                    "n_matrices": len(own), "n_replicates": len(own[0]), **named("correlation", found),
                 }
             )  # fmt: skip
         return rows
-
-    def run_rows(self) -> list[Row]:
-        """The quantities of each run."""
-        names = {base: (matrix, "none") for matrix, base in self.setting.bases.items()}
-        for one in self.setting.comparisons:
-            names |= {pair.changed: (pair.matrix, str(one.change)) for pair in one.pairs}
-        return [
-            {
-                "setting": self.setting.label, "matrix": names[member][0], "member_id": member,
-                "change": names[member][1],
-                **{name: float(self._values(name, [[member]])[0, 0]) for name in PRIMARY},
-            }
-            for member in self.sums
-        ]  # fmt: skip
 
     def points(self) -> list[tuple[str, bool, np.ndarray]]:
         """Of each replicate and change its name, whether it is a change, and the mean n_stick of base and copy."""
@@ -264,27 +246,22 @@ def _sums(win: Window) -> np.ndarray | None:
     return rows
 
 
-def against_base(points: Sequence[tuple[str, bool, np.ndarray]]) -> Figure:
+@panel(3.4)
+def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> None:
     """Mean n_stick of each copy against that of its base, one point a matrix; replicates open, changes filled.
 
-    Parameters
-    ----------
-    points : sequence of (name, whether it is a change, means of shape (G, 2))
+    Points are (name, whether it is a change, means of shape (G, 2)).
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
-        ax = figure.subplots()
-        both = np.concatenate([some.ravel() for _, _, some in points])
-        margin = 0.05 * (both.max() - both.min())
-        ends = (both.min() - margin, both.max() + margin)
-        ax.plot(ends, ends, "--", color=GREY, linewidth=0.9)
-        marks = {True: iter("s^Dv"), False: iter("ophP")}
-        colours = {True: iter(("#f0a860", SMOOTHED, "#8c2d04")), False: iter(("#2171b5", "#6baed6", "#9ecae1"))}
-        for name, is_change, means in points:
-            colour = next(colours[is_change], GREY)
-            form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}
-            ax.plot(means[:, 0], means[:, 1], markerfacecolor=colour if is_change else "white", label=name, **form)
-        ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
-        ax.set_ylabel("mean $n_{stick}$ of the copy")
-        figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
-    return figure
+    both = np.concatenate([some.ravel() for _, _, some in points])
+    margin = 0.05 * (both.max() - both.min())
+    ends = (both.min() - margin, both.max() + margin)
+    ax.plot(ends, ends, "--", color=GREY, linewidth=0.9)
+    marks = {True: iter("s^Dv"), False: iter("ophP")}
+    colours = {True: iter(("#f0a860", SMOOTHED, "#8c2d04")), False: iter(("#2171b5", "#6baed6", "#9ecae1"))}
+    for name, is_change, means in points:
+        colour = next(colours[is_change], GREY)
+        form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}
+        ax.plot(means[:, 0], means[:, 1], markerfacecolor=colour if is_change else "white", label=name, **form)
+    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
+    ax.set_ylabel("mean $n_{stick}$ of the copy")
+    ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)

@@ -7,17 +7,17 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
 from stickslip.analysis.stats import parting
-from stickslip.analysis.stats.estimates import over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.fates import kaplan_meier, median
 from stickslip.analysis.stats.growth import growth
-from stickslip.analysis.style import CYCLE, GREY, PANEL, STYLE
+from stickslip.analysis.style import CYCLE, GREY, panel
 
 GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
 PARTS, STAYS_NEAR = "parts", "stays near"
@@ -116,7 +116,7 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> tuple
     )  # fmt: skip
     rate = found.rate
     row |= {
-        "rate": rate.value, "rate_low": rate.low, "rate_high": rate.high, "t_from": found.t_from, "t_to": found.t_to,
+        **named("rate", rate), "t_from": found.t_from, "t_to": found.t_to,
         "n_used": found.n_pairs - found.n_floor - found.n_ceiling, "n_floor": found.n_floor,
         "n_ceiling": found.n_ceiling, "is_selected": found.is_selected,
     }  # fmt: skip
@@ -138,26 +138,24 @@ def _parting_row(
     for one in watched:
         by_matrix.setdefault(one.pair.matrix, []).append(one)
     one_each = [some[0] for some in by_matrix.values()]  # of several draws one: matrices are the independent units
-    times = [one.t_stop if one.t is None else one.t for one in one_each]
-    median = parting.median_time(times, [one.t is not None for one in one_each], confidence)
+    times = np.array([one.t_stop if one.t is None else one.t for one in one_each])
+    half = median(*kaplan_meier(times, np.array([one.t is not None for one in one_each]), confidence))
     t_end = float(setting.key["t_end"])
     row: Row = {
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
         "of": change, "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
-        "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), "median": median.value,
-        "median_low": median.low, "median_high": median.high, "early": None, "early_low": None, "early_high": None,
-        "verdict": UNKNOWN,
+        "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), **named("median", half),
+        **named("early", Estimate()), "verdict": UNKNOWN,
     }  # fmt: skip
-    if median.high is not None:
+    if half.high is not None:
         row["verdict"] = PARTS
-    elif median.low is None and all(one.t_stop >= t_end for one in watched):
+    elif half.low is None and all(one.t_stop >= t_end for one in watched):
         is_told = 2 * 0.5 ** len(one_each) < 1 - confidence  # as the interval of a median without any parting
         row["verdict"] = STAYS_NEAR if is_told else UNKNOWN
     at = round((EARLY - parting.SPAN) / parting.STEP)
     soon = np.array([np.mean([one.gaps[at] for one in some if len(one.gaps) > at]) for some in by_matrix.values()])
     if np.isfinite(soon).all():
-        found = over_matrices(ratio, np.column_stack([soon / apart, np.ones(len(soon))]), confidence)
-        row |= {"early": found.value, "early_low": found.low, "early_high": found.high}
+        row |= named("early", over_matrices(ratio, np.column_stack([soon / apart, np.ones(len(soon))]), confidence))
     return row
 
 
@@ -185,8 +183,8 @@ def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watc
     return rows
 
 
-Line = tuple[str, np.ndarray, np.ndarray]
-Stretch = tuple[str, np.ndarray, np.ndarray, tuple[float, float]]
+Line = tuple[str, np.ndarray, np.ndarray]  # name, times, values
+Stretch = tuple[str, np.ndarray, np.ndarray, tuple[float, float]]  # and from when to when its slope is taken
 
 
 def _by_change(rows: Sequence[Row]) -> list[Line]:
@@ -212,44 +210,28 @@ def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row])
     return lines
 
 
-def parting_curves(lines: Sequence[Line]) -> Figure:
-    """Gap of n_stick between copy and base, over that of two matrices, against time.
-
-    Parameters
-    ----------
-    lines : sequence of (name, times, gaps)
-    """
+@panel(3.4)
+def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
+    """Gap of n_stick between copy and base, over that of two matrices, against time."""
     colours = ("#08306b", "#2171b5", "#6baed6", "#f0a860", "#c4561a", "#8c2d04")
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
-        ax = figure.subplots()
-        for k, (name, t, gaps) in enumerate(lines):
-            ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)
-        ax.axhline(1.0, linestyle="--", color=GREY, linewidth=0.9)
-        ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-        ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
-        ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-        ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap (two matrices: 1)")
-        figure.legend(loc="outside lower center", ncols=2)
-    return figure
+    for k, (name, t, gaps) in enumerate(lines):
+        ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)
+    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=0.9)
+    ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+    ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
+    ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+    ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap (two matrices: 1)")
+    ax.figure.legend(loc="outside lower center", ncols=2)
 
 
-def distances(lines: Sequence[Stretch]) -> Figure:
-    """Median distance of displaced runs from their base, on a logarithmic axis; heavy where its slope is taken.
-
-    Parameters
-    ----------
-    lines : sequence of (name, times, distances, (from, to))
-    """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(PANEL[0], 3.4), layout="constrained")
-        ax = figure.subplots()
-        for k, (name, t, distance, (start, stop)) in enumerate(lines):
-            colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
-            ax.plot(t, np.maximum(distance, FLOOR), form, color=colour, linewidth=0.8)
-            some = (t >= start) & (t <= stop)
-            ax.plot(t[some], distance[some], form, color=colour, linewidth=2.2, label=name)
-        ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
-        ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
-        figure.legend(loc="outside lower center", ncols=1, fontsize=7)
-    return figure
+@panel(3.4)
+def distances(ax: Axes, lines: Sequence[Stretch]) -> None:
+    """Median distance of displaced runs from their base, on a logarithmic axis; heavy where its slope is taken."""
+    for k, (name, t, distance, (start, stop)) in enumerate(lines):
+        colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
+        ax.plot(t, np.maximum(distance, FLOOR), form, color=colour, linewidth=0.8)
+        some = (t >= start) & (t <= stop)
+        ax.plot(t[some], distance[some], form, color=colour, linewidth=2.2, label=name)
+    ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
+    ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
+    ax.figure.legend(loc="outside lower center", ncols=1, fontsize=7)

@@ -6,6 +6,7 @@ draws are the same at all of them. A row of a comparison is a unit, its runs at 
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,31 +15,29 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stickslip.analysis import contrast
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
+from stickslip.analysis.questions.fates import shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, FAILED, SILENT, SUSTAINED, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, STYLE
+from stickslip.analysis.style import EXACT, GREY, panel
 
 RISES, FALLS, STAYS, UNKNOWN = "rises", "falls", "stays", "cannot be told"
 MOVING = "share in motion"
 MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
 MOST_LINES = 6  # in one figure
 #: What tells the runs of a sweep apart that is not swept.
-_FIXED = ("n", "coupling", "file", "t_end", "perturbation_size")
+_FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
-_FATES = {
-    SUSTAINED: ("in motion", GREEN), SILENT: ("went quiet", "#56B4E9"), COLLAPSED: ("slips for good", BLUE),
-    DIVERGED: ("ran away", ORANGE),
-}  # fmt: skip
+_FATES = (SUSTAINED, SILENT, COLLAPSED, DIVERGED)
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
     "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*_FATES, FAILED)},
@@ -231,7 +230,7 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
             if one.is_share and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=study.settings.confidence)
-            yield row | _plain_share(row) | {
+            yield row | {
                 "setting": setting, "key": axis.name, "first_value": said(base), "second_value": said(value),
                 "is_last": value == others[-1],
             }  # fmt: skip
@@ -240,14 +239,6 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
     """Of how many units a statistic is known at one value of an axis."""
     return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
-
-
-def _plain_share(row: Row) -> Row:
-    """A difference of shares as it is; the test's is drawn in, and its interval may reach beyond one."""
-    if not row["is_share"] or row["difference"] is None:
-        return {}
-    ends = {f"difference{end}": float(np.clip(row[f"difference{end}"], -1, 1)) for end in ("_low", "_high")}
-    return ends | {"difference": row["second"] - row["first"]}
 
 
 def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:
@@ -311,13 +302,12 @@ def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
 def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: float) -> Row:
     names = [key for axis in axes for key in axis.keys]
     keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
-    estimates = {name: estimate(of, [point], confidence) for name, of in _OF.items()}
+    estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
     return {
         "setting": setting, "group": point.group.label, "at": ", ".join(map(said, point.at.values())), **keys,
         "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in _FATES),
         **{f"n_{name}": n for name, n in point.fates.items()},
-        **{f"{name}{end}": getattr(one, end[1:] or "value") for name, one in estimates.items()
-           for end in ("", "_low", "_high")},
+        **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
     }  # fmt: skip
 
@@ -396,103 +386,56 @@ def _lines(
     return found
 
 
+@panel()
 def curves(
-    what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
+    ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
     lines: Sequence[tuple[str, Sequence[Estimate | None]]],
-) -> Figure:  # fmt: skip
+) -> None:  # fmt: skip
     """A statistic against a key, with intervals, a line a value of another key, drawn a little apart.
 
-    Parameters
-    ----------
-    what, key : str
-    x : sequence of float, optional
-        Values of the key; evenly spaced by default.
-    ticks : sequence of str
-        The values as text.
-    lines : sequence of (label, estimates)
-        None where there is no value.
+    Where the key's values are no numbers, `x` is None and they stand evenly spaced.
     """
     at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        for k, (name, line) in enumerate(lines):
-            seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
-            value = np.array([one.value for _, one in seen], dtype=float)
-            ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
-            apart = 0.008 * (at.max() - at.min()) * (k - 0.5 * (len(lines) - 1))
-            here, mark = [place + apart for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
-            ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
-                        color=colours[k], label=name)  # fmt: skip
-        if x is None:
-            ax.set_xticks(at, ticks)
-        else:
-            ax.xaxis.set_major_locator(MaxNLocator(nbins=6))
-        margin = 0.05 * (at.max() - at.min())
-        ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
-        if len(lines) > 1:
-            figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
-    return figure
+    for k, (name, line) in enumerate(lines):
+        seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
+        value = np.array([one.value for _, one in seen], dtype=float)
+        ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
+        apart = 0.008 * (at.max() - at.min()) * (k - 0.5 * (len(lines) - 1))
+        here, mark = [place + apart for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
+        ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
+                    color=colours[k], label=name)  # fmt: skip
+    if x is None:
+        ax.set_xticks(at, ticks)
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(nbins=6))
+    margin = 0.05 * (at.max() - at.min())
+    ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
+    if len(lines) > 1:
+        ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
 
 
-def shares(key: str, ticks: Sequence[str], counts: Mapping[str, Sequence[int]]) -> Figure:
-    """Shares of runs by fate, a bar a value of a key.
-
-    Parameters
-    ----------
-    key : str
-    ticks : sequence of str
-    counts : mapping
-        Runs at each value, by fate.
-    """
-    total = np.maximum(np.sum([*counts.values()], axis=0), 1)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        floor = np.zeros(len(ticks))
-        for name, some in counts.items():
-            if any(some):
-                text, colour = _FATES[name]
-                ax.bar(range(len(ticks)), some / total, 0.75, floor, color=colour, label=text)
-                floor += some / total
-        ax.set_xticks(range(len(ticks)), ticks)
-        ax.set(xlabel=key, ylabel="share of runs", ylim=(0, 1))
-        figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
-    return figure
-
-
+@panel()
 def heat_map(
+    ax: Axes,
     what: str,
     across: tuple[str, Sequence[str]],
     up: tuple[str, Sequence[str]],
     cells: Sequence[Sequence[float | None]],
-) -> Figure:
-    """A statistic at each point of a grid of two keys, its number in each cell; grey where there is none.
-
-    Parameters
-    ----------
-    what : str
-    across, up : (name, values as text)
-    cells : sequence of sequences
-        A row a value of `up`.
-    """
+) -> None:
+    """A statistic at each point of a grid of two keys, a row a value of `up`; grey where there is none."""
     shown = np.array(cells, dtype=float)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.set_facecolor("#d8d8d8")
-        image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")
-        if shown.size <= 80:
-            middle = 0.5 * (np.nanmin(shown) + np.nanmax(shown)) if np.isfinite(shown).any() else 0.0
-            for (row, column), value in np.ndenumerate(shown):
-                if np.isfinite(value):
-                    colour = "white" if value < middle else "black"
-                    ax.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=7, color=colour)
-        for axis, (name, ticks) in ((ax.xaxis, across), (ax.yaxis, up)):
-            axis.set_label_text(name)
-            axis.set_ticks(range(len(ticks)), ticks)
-        bar = figure.colorbar(image, ax=ax, label=what)
-        bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
-        bar.outline.set_edgecolor(GREY)
-    return figure
+    ax.set_facecolor("#d8d8d8")
+    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")
+    if shown.size <= 80:
+        middle = 0.5 * (np.nanmin(shown) + np.nanmax(shown)) if np.isfinite(shown).any() else 0.0
+        for (row, column), value in np.ndenumerate(shown):
+            if np.isfinite(value):
+                colour = "white" if value < middle else "black"
+                ax.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=7, color=colour)
+    for axis, (name, ticks) in ((ax.xaxis, across), (ax.yaxis, up)):
+        axis.set_label_text(name)
+        axis.set_ticks(range(len(ticks)), ticks)
+    bar = ax.figure.colorbar(image, ax=ax, label=what)
+    bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
+    bar.outline.set_edgecolor(GREY)

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any
 
 import pandas as pd
+from markupsafe import Markup
 
 from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, Data, Study
@@ -30,7 +31,7 @@ _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters", "drawn")), F), "drawn": S,
+    **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters")), F), "back_slip": S, "drawn": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
 }  # fmt: skip
 
@@ -203,9 +204,7 @@ class _Shown:
         """What a macro of the template makes of the facts; nothing if there is none of that name."""
         return str(getattr(self.words, name)(self.facts)).strip() if hasattr(self.words, name) else ""
 
-    def figure(self, name: str, alt: str) -> Any:
-        from markupsafe import Markup
-
+    def figure(self, name: str, alt: str) -> Markup:
         drawn = self.answer.figures[name]
         return Markup('<img src="{}" alt="{}">').format(drawn.address(), alt)
 
@@ -216,9 +215,7 @@ def _rank(alert: str) -> int:
     return int(given[1]) if given else 9
 
 
-def _safe(texts: Sequence[str]) -> list[Any]:
-    from markupsafe import Markup
-
+def _safe(texts: Sequence[str]) -> list[Markup]:
     return [Markup(text) for text in texts]  # made by templates, which escape
 
 

@@ -93,10 +93,6 @@ class Window:
         # The relative slack keeps a last sample that rounding of (t_stop - t_start) / dt would lose.
         return int(np.floor((self.t_stop - self.t_start) / dt * (1 + 1e-12)))
 
-    def grid(self, dt: float) -> np.ndarray:
-        """Sample times."""
-        return self.t_start + dt * np.arange(self.n_steps(dt) + 1)
-
     def places(self, dt: float) -> np.ndarray:
         """The first sample, by its number, at or after each change; it may lie beyond the last."""
         if dt not in self._placed:
@@ -130,10 +126,6 @@ class Window:
     def time_variance(self) -> float:
         """Exact variance over time of n_stick in the window."""
         return self._moments[1]
-
-    def exits(self) -> np.ndarray:
-        """Times at which blocks are let go, one each: a change by -k is k of them."""
-        return np.repeat(self.t, np.maximum(-self.step, 0))
 
     def means(self, count: int) -> np.ndarray:
         """Exact time means of n_stick over so many equal parts of the window."""

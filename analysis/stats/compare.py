@@ -18,12 +18,10 @@ import numpy as np
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife
+from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
 from stickslip.analysis.stats.multiplicity import holm
 
 EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
-POWER = 0.8  # of the equivalence test, for the number of matrices that would be needed
-MOST_MATRICES = 100_000  # beyond this, more matrices are no practical answer
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
         If the statistic has no value on these, or with one row left out.
     """
     if paired:
-        value, error = jackknife(lambda sums: of(sums[:, 2:]) - of(sums[:, :2]), np.hstack([first, second]))
+        value, error = jackknife(paired_difference(of), np.hstack([second, first]))
         return value, error, len(first) - 1.0
     (before, error_a), (after, error_b) = jackknife(of, first), jackknife(of, second)
     return after - before, *_welch(error_a, error_b, len(first), len(second))
@@ -163,35 +161,6 @@ def judge_together(rows: Sequence[dict[str, Any]], alpha: float) -> None:
         row["verdict"] = verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
         row["by_itself"] = verdict(row["p_equivalent"], row["p_different"], alpha)
         row["n_tests"] = len(tested)
-
-
-def power(n_matrices: int, spread: float, margin: float, alpha: float) -> float:
-    """Chance that the paired test says `EQUIVALENT` when there is no difference.
-
-    2 F(margin sqrt(n) / spread - t) - 1 and at least 0, F and t of Student's distribution with n - 1 degrees of
-    freedom: exact for a known spread (standard deviation of the paired differences), good to 0.02 for an estimated
-    one where the power is above one half.
-    """
-    dof = n_matrices - 1
-    reach = margin * np.sqrt(n_matrices) / spread - student.quantile(1 - alpha, dof)
-    return max(2 * student.below(reach, dof) - 1, 0.0)
-
-
-def matrices_needed(spread: float, margin: float, alpha: float) -> int | None:
-    """Fewest matrices at which `power` reaches `POWER`; None above `MOST_MATRICES`."""
-    if spread == 0:
-        return 2
-
-    few, many = 2, MOST_MATRICES
-    if power(many, spread, margin, alpha) < POWER:
-        return None
-    while few < many:
-        middle = (few + many) // 2
-        if power(middle, spread, margin, alpha) < POWER:
-            few = middle + 1
-        else:
-            many = middle
-    return few
 
 
 def wilson(successes: float, trials: float, confidence: float) -> tuple[float, float]:

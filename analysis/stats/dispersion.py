@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+from stickslip.analysis.stats.estimates import Undefined
 
 
 def moments(counts: np.ndarray) -> np.ndarray:
@@ -46,20 +46,3 @@ def excess(sums: np.ndarray) -> np.ndarray:
     # (N + 1) / (N - 1) in the place of 1 makes the expectation exactly zero for N independent geometric sizes.
     unbiased = (squares / count - mean**2) * (count + 1) / (count - 1)
     return unbiased / (mean * (mean - 1)) - 1
-
-
-def difference(sums: np.ndarray) -> np.ndarray:
-    """`excess` of columns 0 to 2 less that of columns 3 to 5, paired matrix by matrix."""
-    return excess(sums[:, :3]) - excess(sums[:, 3:])
-
-
-def dispersion(rows: np.ndarray, confidence: float) -> Estimate:
-    """`excess` of the whole ensemble with a jackknife-t interval over matrices.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (G, 3)
-        `moments`, one row a matrix.
-    confidence : float
-    """
-    return over_matrices(excess, rows, confidence)

@@ -71,9 +71,14 @@ def gamma(sums: np.ndarray) -> np.ndarray:
     return -np.log1p(-count / total)
 
 
-def gamma_difference(sums: np.ndarray) -> np.ndarray:
-    """gamma of columns 0 and 1 minus gamma of columns 2 and 3, paired matrix by matrix."""
-    return gamma(sums[:, 0:2]) - gamma(sums[:, 2:4])
+def paired_difference(of: Statistic) -> Statistic:
+    """A statistic of the first half of the columns minus that of the second, paired matrix by matrix."""
+
+    def difference(sums: np.ndarray) -> np.ndarray:
+        half = sums.shape[1] // 2
+        return of(sums[:, :half]) - of(sums[:, half:])
+
+    return difference
 
 
 def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:

@@ -156,10 +156,6 @@ class Fit:
         """ln P(k) for each size, shape (K,)."""
         return log_shares(self.family, self.sizes, self.theta)
 
-    def tail(self, size: int) -> float:
-        """P(a cascade has at least `size` blocks)."""
-        return float(np.exp(self.log_shares())[self.sizes >= size].sum())
-
 
 def log_shares(family: Family, sizes: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """ln P(k) on k_min..k_max, shape (K,)."""

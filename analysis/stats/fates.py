@@ -38,7 +38,6 @@ class Curve:
         Of `kaplan_meier`.
     incidence : dict of str to ndarray, shape (m,)
         By end, one of `ENDS`; with the survival they add up to one.
-    n_runs, n_ends : int
     """
 
     t: np.ndarray
@@ -46,8 +45,6 @@ class Curve:
     low: np.ndarray
     high: np.ndarray
     incidence: dict[str, np.ndarray]
-    n_runs: int
-    n_ends: int
 
 
 def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve:
@@ -70,12 +67,11 @@ def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve
     if at.ndim != 1 or at.shape != how.shape or not len(at):
         raise ValueError(f"times, ends: expected two non-empty arrays of one length, got {at.shape} and {how.shape}")
     by_end = {end: at[how == end] for end in ENDS}
-    ended = np.isin(how, ENDS)
-    t, alive, low, high = kaplan_meier(at, ended, confidence)
+    t, alive, low, high = kaplan_meier(at, np.isin(how, ENDS), confidence)
     before = np.concatenate(([1.0], alive[:-1]))
     hazard = before / np.maximum(_at_risk(at, t), 1)
     incidence = {end: np.cumsum(hazard * _at(some, t)) for end, some in by_end.items()}
-    return Curve(t, alive, low, high, incidence, len(at), int(ended.sum()))
+    return Curve(t, alive, low, high, incidence)
 
 
 def kaplan_meier(
@@ -120,19 +116,19 @@ def _at(times: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.searchsorted(listed, t, side="right") - np.searchsorted(listed, t, side="left")
 
 
-def median(curve: Curve) -> Estimate:
-    """Time by which half of the runs have ended; None where half are never seen to.
+def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) -> Estimate:
+    """Time by which half have ended, of what `kaplan_meier` returns; None where half are never seen to.
 
-    The interval holds the times at which that of the survival contains one half (Brookmeyer and Crowley 1982,
-    Biometrics 38, 29); an end that the data do not reach is None.
+    The interval holds the times of ends at which that of the share contains one half (Brookmeyer and Crowley 1982,
+    Biometrics 38, 29); an end of it that the data do not reach is None.
     """
 
     def first(below: np.ndarray) -> float | None:
-        return float(curve.t[np.argmax(below)]) if below.any() else None
+        return float(t[1:][np.argmax(below)]) if below.any() else None
 
-    value = first(curve.survival <= 0.5)
+    value = first(share[1:] <= 0.5)
     reason = "fewer than half have ended" if value is None else ""
-    return Estimate(value, first(curve.low <= 0.5), first(curve.high < 0.5), reason)
+    return Estimate(value, first(low[1:] <= 0.5), first(high[1:] < 0.5), reason)
 
 
 def fate(outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float) -> str:

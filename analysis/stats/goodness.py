@@ -190,17 +190,3 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
         share, fitted = float(pooled[k] / total), float(shares[k])
         found.append(Quotient(int(sizes[k]), int(pooled[k]), share, fitted, float(values[i]), *ends))
     return found
-
-
-def line(sizes: np.ndarray, counts: np.ndarray) -> float:
-    """Minus the slope of a straight line through ln(number) against size, every size seen weighing alike.
-
-    No estimate of gamma: the rare sizes weigh as much as the common ones, and what does not occur is left out.
-
-    Parameters
-    ----------
-    sizes, counts : ndarray, shape (K,)
-        At least two sizes seen.
-    """
-    seen = counts > 0
-    return float(-np.polyfit(sizes[seen], np.log(counts[seen]), 1)[0])

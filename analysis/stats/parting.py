@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from stickslip.analysis.stats.cascades import sample
-from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.fates import kaplan_meier
 
 SPAN = 20.0
 SHARE = 0.5
@@ -80,22 +78,3 @@ def level(bases: Sequence[ChangePoints], t_from: float, t_stop: float) -> float:
     values = np.sort([sample(*base, times) for base in bases], axis=0)
     weights = 2 * np.arange(g) - g + 1
     return float((weights @ values).mean() / (g * (g - 1) / 2))
-
-
-def median_time(times: Sequence[float], has_parted: Sequence[bool], confidence: float) -> Estimate:
-    """Time by which half have parted; what was watched to a time without parting is censored there.
-
-    Kaplan and Meier's survival; the interval holds the times at which Greenwood's interval on the log-log scale
-    contains one half (Brookmeyer and Crowley 1982, Biometrics 38, 29). An end that the data do not reach is None.
-    """
-    at, parted = np.asarray(times, dtype=np.float64), np.asarray(has_parted, dtype=bool)
-    if not parted.any():
-        return Estimate(reason="none has parted")
-    t, left, low, high = (column[1:] for column in kaplan_meier(at, parted, confidence))
-
-    def first(below: np.ndarray) -> float | None:
-        return float(t[np.argmax(below)]) if below.any() else None
-
-    value = first(left <= 0.5)
-    reason = "fewer than half have parted" if value is None else ""
-    return Estimate(value, first(low <= 0.5), first(high < 0.5), reason)

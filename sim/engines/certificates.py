@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
-from stickslip.sim.engines.watch import NO_WATCH, Watch
+from stickslip.sim.engines.watch import Watch
 from stickslip.sim.system import System
 
 #: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
@@ -22,9 +22,9 @@ _DIVERGENCE_FACTOR = 1e6
 #: Beyond this no run can be followed much longer in float64: it ends, whatever was asked.
 BEYOND_NUMBERS = 1e100
 
-#: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: seconds). Beyond, nothing is certified,
-#: and what passes the bound counts as diverged.
-_EIGENVALUES_MAX = 1000
+#: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: a second or two). Beyond, nothing is
+#: certified, and what passes the bound counts as diverged.
+_EIGENVALUES_MAX = 500
 
 #: What rounding does to an eigenvalue, over |A| and its condition number, the length of its row of T^-1: real parts
 #: closer to zero are not told from zero. Of m modes that are almost one it makes a circle as wide as 1e-16^(1/m).
@@ -52,7 +52,8 @@ _NEVER = float("inf")
 def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
     """From where on of |z| or |w| to ask a run from this start for its escape; beyond which |w| it has diverged."""
     start = max(1.0, system.fastest_belt, float(np.abs(z).max()), float(np.abs(w).max()))
-    start = max(start, float(system.most_force.max()))
+    if system.force:
+        start = max(start, float(system.most_force.max()))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
 
 
@@ -138,6 +139,21 @@ class _Modes:
     inverse: NDArray[np.complex128]
     rounding: Floats
 
+    @classmethod
+    def of(cls, matrix: Floats) -> _Modes:
+        """The modes of A."""
+        eigenvalues, vectors = np.linalg.eig(matrix)
+        eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
+        try:
+            inverse = np.linalg.inv(vectors)
+        except np.linalg.LinAlgError:
+            inverse = np.full_like(vectors, np.inf)
+        sizes = np.abs(inverse)
+        if not sizes.max() < _DEFECTIVE:  # no certificate by these bounds
+            inverse, sizes = np.full_like(vectors, np.inf), np.full_like(matrix, np.inf)
+        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.sqrt((sizes * sizes).sum(axis=1))
+        return cls(eigenvalues, vectors, inverse, rounding)
+
     @cached_property
     def sizes(self) -> Floats:
         """|T_ij|."""
@@ -166,18 +182,7 @@ _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
 def _modes(system: System) -> _Modes:
     modes = _MODES.get(system)
     if modes is None:
-        matrix = system.slip_matrix()
-        eigenvalues, vectors = np.linalg.eig(matrix)
-        eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
-        try:
-            inverse = np.linalg.inv(vectors)
-        except np.linalg.LinAlgError:
-            inverse = np.full_like(vectors, np.inf)
-        sizes = np.abs(inverse)
-        if not sizes.max() < _DEFECTIVE:  # no certificate by these bounds
-            inverse, sizes = np.full_like(vectors, np.inf), np.full_like(matrix, np.inf)
-        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.linalg.norm(sizes, axis=1)
-        modes = _MODES[system] = _Modes(eigenvalues, vectors, inverse, rounding)
+        modes = _MODES[system] = _Modes.of(system.slip_matrix())
     return modes
 
 
@@ -232,22 +237,16 @@ class Collapse:
         self._system, self._allowed, self._delta = system, allowed, delta
         self._hidden = np.zeros(system.n) if hidden is None else hidden
         self._band, self._widest = band, max(band, widest)
-        self._rests: dict[int, Floats | None] = {}
-        #: What kernels need to see for themselves that it is too early to ask.
-        self.watch = NO_WATCH
+        # else what slips is not linear, or w = 0, the rest, is across the belt or in the layer
+        may = system.has_one_belt and system.weakening is None and system.n <= _EIGENVALUES_MAX
+        may = may and band < abs(system.belt_speed)
+        #: What kernels need to see for themselves that it is too early to ask, or of no use.
+        self.watch = Watch.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0)
 
-    def certify(self, z: Floats, w: Floats, slip: int) -> Certificate:
-        """Whether it is certain of a state, shape (n,) each, in which all blocks slip in the direction +1 or -1."""
-        system = self._system
-        # w = 0, the rest, is across the belt or in the layer
-        if slip * system.belt_speed >= 0 or self._band >= abs(system.belt_speed):
-            return Certificate(False)
-        if system.weakening is not None:  # what slips is not linear
-            return Certificate(False)
-        if system.n > _EIGENVALUES_MAX or not (modes := _modes(self._linear)).decay:
-            return Certificate(False)
-        rest = self._rest(slip)
-        if rest is None:
+    def certify(self, z: Floats, w: Floats) -> Certificate:
+        """Whether it is certain of a state, shape (n,) each, in which all blocks slip the way `watch.slip`."""
+        system, modes = self._system, self._modes
+        if not modes.decay or (rest := self._rest) is None:
             return Certificate(False)
         coefficients = modes.inverse @ np.concatenate((z - rest, w))
         reach = float((modes.sizes[system.n :] @ np.abs(coefficients)).max())
@@ -267,34 +266,34 @@ class Collapse:
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            self.watch = Watch(modes.inverse, modes.sizes[system.n :], rest, slip, limit, modes.growth)
+            self.watch = Watch(modes.inverse, modes.sizes[system.n :], rest, self.watch.slip, limit, modes.growth)
         # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
         return Certificate(bool(reason), reason, None, 0.25 * float(np.log(reach / wanted)) / -modes.growth)
 
     @cached_property
-    def _linear(self) -> System:
-        """The system whose all-slip motion, and rest, are those of the law far from the belt's speed."""
+    def _modes(self) -> _Modes:
+        """Of the law far from the belt's speed."""
         if self._delta is None:
-            return self._system
-        return self._system.linearised(*self._tangent)
+            return _modes(self._system)
+        return _Modes.of(self._system.slip_matrix(self._system.friction * self._tangent[1]))
 
     @cached_property
     def _tangent(self) -> tuple[Floats, Floats]:
-        """The smoothed law of friction at rest, and its slope, both over mu."""
-        assert self._delta is not None
+        """The law of friction at rest, and its slope, both over mu."""
+        if self._delta is None:
+            return np.ones(self._system.n), np.zeros(self._system.n)
         far = abs(self._system.belt_speed) / self._delta
         lam, rise = np.tanh(far), _rise(far)
         c = self._hidden
         return lam + c * lam * rise, rise * (1.0 + c * (3.0 * rise - 2.0)) / self._delta
 
-    def _rest(self, slip: int) -> Floats | None:
-        """Where all blocks rest that slip one way; None if K is singular."""
-        if slip not in self._rests:
-            try:
-                self._rests[slip] = self._linear.rest_state(float(slip))
-            except np.linalg.LinAlgError:
-                self._rests[slip] = None
-        return self._rests[slip]
+    @cached_property
+    def _rest(self) -> Floats | None:
+        """Where all blocks rest that slip that way; None if K is singular."""
+        try:
+            return self._system.rest_state(self.watch.slip * self._tangent[0])
+        except np.linalg.LinAlgError:
+            return None
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
@@ -302,7 +301,7 @@ class Collapse:
         speed, delta = abs(self._system.belt_speed), self._delta
         if delta is None:
             return speed, speed
-        n, response, c = self._system.n, _modes(self._linear).response, self._hidden
+        n, response, c = self._system.n, self._modes.response, self._hidden
         if (delta == delta[0]).all() and (c == c[0]).all():  # one law for all
             delta, c = delta[:1], c[:1]
         rise = _rise(speed / delta)
@@ -321,8 +320,10 @@ class Collapse:
             bend = np.abs(at_rest - concave(speed - r) - slope * r)
             if (band < _INFLECTION * delta).any():  # then it may stray more on the other side
                 bend = np.maximum(bend, np.abs(concave(speed + r) - at_rest - slope * r))
-            strayed = self._system.friction * bend @ response.T
-            return r[:, 0] - strayed[:, n:].max(axis=1), strayed.max(axis=1)
+            # by rows of all bounds: maxima along short rows are slow
+            strayed = np.ascontiguousarray((self._system.friction * bend @ response.T).T)
+            of_w = strayed[n:].max(axis=0)
+            return r[:, 0] - of_w, np.maximum(of_w, strayed[:n].max(axis=0))
 
         own, strayed = tried(self._band)
         limit = float(own.max(initial=0.0))

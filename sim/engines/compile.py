@@ -6,10 +6,11 @@ Decisions, and why:
 - ``fastmath`` off, ``parallel`` off: reordered sums would make the order of events depend on the machine's
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
-- ``no_rewrites=True``: kernels hold no array expressions, and looking for them takes time.
 - ``_nrt=False``: kernels count no references to arrays, an atomic operation for each array of each tuple that is
   passed on, a third of the exact engine's time. Python holds all arrays. What makes one of its own, or takes one from
   a tuple by its number, has to count: ``counts=True`` (or, for small ones, `arithmetic.room`).
+- only a kernel is optimised and made machine code, with all that is linked into it: numba would do both at every
+  call on the way up, half of the time of a cold start.
 - the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
@@ -20,9 +21,11 @@ Decisions, and why:
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import pickle
+import time
 import uuid
 import warnings
 from collections.abc import Callable
@@ -31,8 +34,12 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba._dynfunc import make_function
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.serialize import dumps
+from numba.core.types import unliteral
 
 from stickslip.sim.engines.sources import cache_directory
 
@@ -49,9 +56,11 @@ def _usable_cache() -> Path | None:
     return directory
 
 
+#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
+_PATIENCE = 180.0
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _jit: Any = numba.njit
-_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_rewrites": True}
+_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class _KernelFiles:
@@ -59,12 +68,40 @@ class _KernelFiles:
 
     def __init__(self, directory: Path, name: str) -> None:
         self._directory, self._name = directory, name
+        self._locks: dict[str, contextlib.ExitStack] = {}
 
     def _file(self, key: object) -> Path:
         return self._directory / f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: object) -> Any:
-        """What was saved under a key; None if nothing, or if a byte of it has changed."""
+        """What was saved under a key; None if nothing, or if a byte of it has changed: compile it then.
+
+        If another process does so now, wait and load its own.
+        """
+        kept = self._read(key)
+        if kept is None and repr(key) not in self._locks:
+            self._locks[repr(key)] = self._alone(key)
+            kept = self._read(key)
+            if kept is not None:
+                self._locks.pop(repr(key)).close()
+        return kept
+
+    def _alone(self, key: object) -> contextlib.ExitStack:
+        """Until this is closed no other process compiles it, unless nothing can be locked, or it takes too long."""
+        held = contextlib.ExitStack()
+        with contextlib.suppress(OSError):
+            lock = os.open(self._file(key).with_suffix(".lock"), os.O_RDONLY | os.O_CREAT, 0o644)
+            held.callback(os.close, lock)
+            end = time.monotonic() + _PATIENCE
+            while time.monotonic() < end:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    time.sleep(0.05)
+        return held
+
+    def _read(self, key: object) -> Any:
         try:
             content = self._file(key).read_bytes()
         except OSError:
@@ -82,6 +119,8 @@ class _KernelFiles:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
+        finally:
+            self._locks.pop(repr(key), contextlib.ExitStack()).close()
 
     def flush(self) -> None:
         for file in self._directory.glob(f"{self._name}.*.nbc"):
@@ -100,6 +139,29 @@ class _KernelCache(FunctionCache):
             _warn_uncached(error)
 
 
+class _Part(JITCodeLibrary):
+    """What an `inner` function is compiled to: code that is linked into a kernel's, and optimised there."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+class _PartCompiler(Compiler):
+    """Compiles to a `_Part`; what numba then knows the function by cannot be called."""
+
+    def _compile_core(self) -> Any:
+        target = self.state.targetctx
+        self.state.flags.no_compile = True
+        self.state.library = _Part(target.codegen(), self.state.func_id.func_qualname)
+        result = super()._compile_core()
+        entry = make_function(numba, "", "", 0, result.environment, ())
+        target.insert_user_function(entry, result.fndesc, [result.library])
+        return result._replace(entry_point=entry)
+
+
 def _warn_uncached(error: Exception) -> None:
     why = error.strerror if isinstance(error, OSError) else error
     warnings.warn(
@@ -115,11 +177,17 @@ _CACHE = _usable_cache()
 def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
-    It becomes part of each `kernel` that needs it: no wrapper for Python and no file of its own, which take time.
+    It becomes part of each `kernel` that needs it: no wrapper for Python, no machine code and no file of its own,
+    which take time.
     """
     if function is None:
         return partial(inner, counts=counts)
-    return _jit(**_POLICY, _nrt=counts, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled = _jit(**_POLICY, **no_wrappers, _nrt=counts, pipeline_class=_PartCompiler)(function)
+    template = compiled.get_call_template
+    # numba would compile it for each number that is written out in a call
+    compiled.get_call_template = lambda args, kws: template([unliteral(kind) for kind in args], kws)
+    return compiled
 
 
 def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
@@ -130,7 +198,7 @@ def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) 
     previous = _config.CACHE_DIR
     _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        compiled = _jit(**_POLICY, _nrt=counts)(function)
+        compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True)(function)
         if _CACHE is not None:
             compiled._cache = _KernelCache(function, _CACHE)
     except RuntimeError as error:  # numba found no directory that it may write

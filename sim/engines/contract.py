@@ -23,7 +23,6 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip.sim.arguments import Floats, floats, number, per_block
@@ -130,11 +129,7 @@ class Ratios(Setting):
     @staticmethod
     def for_blocks(name: str, value: ArrayLike, n: int) -> Floats:
         """A number for each of n blocks, shape (n,), from what was set."""
-        array = per_block(name, value, n)
-        if not (array > 0).all():
-            block = int(np.flatnonzero(array <= 0)[0])
-            raise ValueError(f"{name}: expected r_i > 0, got {array[block]} for block {block}")
-        return array
+        return per_block(name, value, n, "r_i > 0")
 
 
 def setting(default: Any, about: Setting) -> Any:
@@ -162,6 +157,8 @@ class Engine(ABC):
         One line for scenes.
     kernels : str
         The module beside this one whose kernels it compiles; "" if it has none.
+    is_exact : bool
+        Whether its law is the exact one, of which `stickslip.sim.energy` knows the balance.
     takes_damping_matrix : bool
         Whether it runs systems with a full damping matrix.
     takes_static : bool
@@ -176,6 +173,7 @@ class Engine(ABC):
     name: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
+    is_exact: ClassVar[bool] = False
     takes_damping_matrix: ClassVar[bool] = True
     takes_static: ClassVar[bool] = False
     takes_drive: ClassVar[bool] = False

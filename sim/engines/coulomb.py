@@ -32,6 +32,7 @@ class Coulomb(Engine):
     name = "coulomb"
     about = "exact, event-driven."
     kernels = "coulomb_steps"
+    is_exact = True
     takes_damping_matrix = False
     takes_static = True
     takes_drive = True

@@ -18,12 +18,14 @@ An event changes the law of one block. That block's own series changes from the 
 others from the fourth, by a column of K: `sim.engines.taylor.correct` carries most events over in O(n), without a
 product, and one expansion serves a window of several events.
 
-The series are explicit: a damping far above the other rates (R h about 5 limits the step) calls for engine="sigmoid".
+The series are explicit: R h is about 5 at most. Blocks of far larger R are followed on their slow motion, once they
+are there: `stickslip.sim.engines.overdamped`.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +39,7 @@ from stickslip.sim.engines.compile import inner, kernel
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Events, Law, State
 from stickslip.sim.engines.outside import Drive
+from stickslip.sim.engines.overdamped import Slow, follow
 from stickslip.sim.engines.roots import roots
 from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, known, push
 from stickslip.sim.engines.taylor import (
@@ -66,6 +69,8 @@ CRAWL = 1e-6
 #: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
 #: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
 _TOUCH = 4.0
+#: So many steps are announced.
+_MANY = 1e8
 #: The loosest tolerance that is worked with. A looser one leaves events undecided: they end windows, and cost more.
 _LOOSEST = 1e-3
 #: The motion after a collapse is that of the modes if a bound of their rounding, some hundred times what it comes to,
@@ -244,7 +249,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = law.damping[i] * v[i] + expansion.forces[0, i]
-            noise = known(law.outside.noise, 0, i)
+            noise = known(law.outside, 0, i)
             slack = force_rounding(law.damping[i] * v[i], law.row_sums[i] * z_max, law.static[i], noise)
             concerned = concerned or push(law.closed[i], force) >= law.static[i] - slack
         count += concerned
@@ -253,8 +258,15 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
     return count
 
 
+@inner
+def stalls(counters, moved, least):  # type: ignore[no-untyped-def]
+    """Whether too many steps in a row were too short."""
+    counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if moved <= least else 0
+    return counters[loop.N_STALLED] > STALL
+
+
 @kernel
-def _advance(law, goal, state, expansion, search, events, bound, watch):  # type: ignore[no-untyped-def]
+def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  # type: ignore[no-untyped-def]
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
     A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
@@ -264,8 +276,8 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
     z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
     series, touching, near = expansion.series, expansion.touching, search.near
     n = len(z)
-    n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
-    is_open, is_cut = False, False
+    n_recorded = 0
+    is_open, is_cut, is_slow = False, False, False
     order, h, span, allowed = 0, 0.0, 0.0, 0.0
     n_left = loop.STEPS_A_SLICE
     while n_left > 0:
@@ -278,11 +290,15 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
             return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         if not is_open:
             target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
-            target = min(target, SPAN / rate) if rate > 0.0 else target
-            order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
+            order, h, allowed, n_products = follow(slow, law, expansion, z, w, t, target, goal.tol)
             counters[loop.N_PRODUCTS] += n_products
+            is_slow = order > 0
+            if not is_slow:
+                target = min(target, SPAN / rate) if rate > 0.0 else target
+                order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
+                counters[loop.N_PRODUCTS] += n_products
             span = h
-            is_open, is_cut = True, len(law.far) > 0 and h < target
+            is_open, is_cut = True, law.fall is not None and h < target
         if counters[loop.N_STEPS] == 0:
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
@@ -311,7 +327,7 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
         t_next = t_end if step == remaining else min(t + step, t_end)
         _sample(series, order, t, t_next, state)
         left = h - step
-        is_inside = block >= 0 and left > 0.0 and len(law.far) == 0  # else no event can be carried over
+        is_inside = block >= 0 and left > 0.0 and law.fall is None and not is_slow  # else it ends the window
         if is_inside:
             shift(series, order, step)
             shift(expansion.forces, order - 2, step)
@@ -335,13 +351,8 @@ def _advance(law, goal, state, expansion, search, events, bound, watch):  # type
             clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-        crawls = clock[loop.TIME] - t <= max(ROUNDING * max(1.0, abs(t)), unseen)
-        if crawls:
-            counters[loop.N_STALLED] += 1
-            if counters[loop.N_STALLED] > STALL:
-                return loop.STALLED, n_recorded
-        else:
-            counters[loop.N_STALLED] = 0
+        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(1.0, abs(t)), unseen)):
+            return loop.STALLED, n_recorded
         if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
@@ -353,29 +364,34 @@ def integrate(task: Task, tol: float) -> Run:
     require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
     law, v = Law.of(system, drive), drive.belt_speed
-    _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
     near, far = system.slip_friction
-    # bounds |eigenvalues|, and frequencies of forces
-    rate = float(system.rates.max() + ((near - far) * law.steepness).max())
+    # bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself
+    rate = float(system.rates.max())
+    if law.fall is not None:
+        rate += law.fall.steepness * float((near - far).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
-    mode[mode * system.closed > 0] = 0
+    if not system.back_slip:
+        _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
+        mode[mode * system.closed > 0] = 0
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
-    expansion, search = Expansion.blank(mode, len(law.far) > 0), _Search.of(mode)
+    expansion, search = Expansion.blank(mode, law.fall is not None), _Search.of(mode)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
-    is_local = len(law.columns.dense) == 0 and not drive.is_driven and len(law.far) == 0
-    pull = float(system.row_sums.max())
+    slow = Slow.of(system, drive.fastest) if law.fall is None else None
+    if slow is None and rate * (task.t_end - task.t_start) > SPAN * _MANY:
+        _warn_of_short_steps(task)
+    is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
         goal = _Goal(drive.t_end, drive.is_last, tol, rate)
         if not is_local:
-            return _advance(law, goal, state, expansion, search, events, bound, collapse.watch)
+            return _advance(law, goal, state, expansion, search, slow, events, bound, collapse.watch)
         return nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
 
     if is_local:
         from stickslip.sim.engines import nearby  # it builds on this module
 
-        room = nearby.Nearby.of(system.n)
+        room, pull = nearby.Nearby.of(system.n), float(system.row_sums.max())
     return loop.complete(
         task,
         state,
@@ -386,14 +402,28 @@ def integrate(task: Task, tol: float) -> Run:
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
+        # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other; and
+        # what drives a block may turn it round in less time than its own motion takes
         shortest=np.divide(
             _TOUCH * math.sqrt(tol),
             system.rates,
             out=np.zeros(system.n),
-            where=(system.rates > 0) & (system.static == near),
+            where=(system.rates > 0) & (system.static == near) & (law.outside is None),
         ),
     )
+
+
+def _warn_of_short_steps(task: Task) -> None:
+    """RuntimeWarning if damping makes a run as long as few would wait for."""
+    most = float(task.system.damping.max())
+    n_steps = most * (task.t_end - task.t_start) / SPAN
+    if n_steps > _MANY:
+        warnings.warn(
+            f"damping: R = {most:g} allows steps of {SPAN / most:.0e}, {n_steps:.0e} of them to t = {task.t_end:g}: a"
+            " minute or more for each 1e8; engine='sigmoid' takes long ones",
+            RuntimeWarning,
+            stacklevel=2,
+        )
 
 
 def _refuse_closed(beyond: Floats, allowed: float) -> None:

@@ -36,8 +36,19 @@ N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_STILL, N_S
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
 
+class Fall(NamedTuple):
+    """How friction falls with the speed of slip: exp(-x) or 1 / (1 + x), x = steepness |w - v|."""
+
+    far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
+    steepness: float
+    is_exponential: bool
+
+
 class Law(NamedTuple):
-    """What kernels know of a system. They take named tuples, which numba types by position and compiles away."""
+    """What kernels know of a system. They take named tuples, which numba types by position and compiles away.
+
+    What is None is compiled away too: a function that is given it asks first whether it is.
+    """
 
     columns: Columns
     pairs: Pairs
@@ -46,16 +57,17 @@ class Law(NamedTuple):
     friction: Floats  #: kinetic, of a block that begins to slip
     static: Floats
     closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
-    far: Floats  #: kinetic friction of a slip without bound, over that; empty if it does not fall with speed
-    steepness: float
-    is_exponential: bool  #: how it falls: exp(-x) or 1 / (1 + x), x = steepness |w - v|
+    fall: Fall | None
     belt_speed: Floats
-    outside: Outside
+    outside: Outside | None
 
     @classmethod
     def of(cls, system: System, drive: Drive) -> Law:
         near, far = system.slip_friction
-        falls = system.weakening
+        fall, weakening = None, system.weakening
+        if weakening is not None:
+            share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+            fall = Fall(share, weakening.steepness, isinstance(weakening, Stribeck))
         return cls(
             system.columns,
             Pairs.of(system),
@@ -64,16 +76,14 @@ class Law(NamedTuple):
             near,
             system.static,
             system.closed,
-            np.empty(0) if falls is None else np.divide(far, near, out=np.ones(system.n), where=near > 0),
-            0.0 if falls is None else falls.steepness,
-            isinstance(falls, Stribeck),
+            fall,
             drive.belt_speed,
             drive.outside,
         )
 
 
 class Events(NamedTuple):
-    """Room for the events of a slice; those of one block come in order. And for its `Stills`, t and total."""
+    """Room for events; those of one block come in order. And for its `Stills`, t and total."""
 
     t: Floats
     block: NDArray[np.int32]
@@ -86,11 +96,18 @@ class Events(NamedTuple):
         t, stills = np.empty(capacity), np.empty((2, capacity + 1))
         return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), stills)
 
+    def part(self, first: int, last: int) -> Events:
+        """The room for some of the events, and that for all stills."""
+        return Events(self.t[first:last], self.block[first:last], self.mode[first:last], self.stills)
+
     def first(self, n: int, n_stills: int) -> Events:
-        """A copy of the first ones."""
-        return Events(
-            self.t[:n].copy(), self.block[:n].copy(), self.mode[:n].copy(), self.stills[:, :n_stills].copy()
-        )
+        """The first ones; the stills in an array of their own."""
+        return self.part(0, n)._replace(stills=self.stills[:, :n_stills].copy())
+
+    @classmethod
+    def joined(cls, parts: list[Events]) -> Events:
+        """All of some."""
+        return parts[0] if len(parts) == 1 else cls(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
 
 
 class Room(NamedTuple):
@@ -114,10 +131,9 @@ class State(NamedTuple):
     @classmethod
     def at_start(cls, task: Task, z: Floats, w: Floats, mode: NDArray[np.int8], *clocks: float) -> State:
         """The state at the start of a task, in arrays of its own; `clocks` are the engine's."""
-        clock = np.array([0.0] * N_CLOCKS + list(clocks))
-        clock[TIME] = task.t_start
         may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
-        clock[CHECK : CHECK + 2] = -np.inf if may_collapse else np.inf
+        check = -np.inf if may_collapse else np.inf
+        clock = np.array([task.t_start, check, check, *clocks])
         samples = Room(task.samples.t, task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
@@ -174,17 +190,21 @@ def complete(
         Prepares the engine for the next piece, `state` and `drive` being there already.
     """
     system, (z, w, mode, clock, counters, _) = task.system, state
-    capacity = max(2 * events_a_step, 4096)
-    events = Events.blank(capacity)
-    recorded: list[Events] = []
+    capacity = max(2 * events_a_step, 4096)  # of a slice
+    events, n_events, n_stills = Events.blank(2 * capacity), 0, 0
+    full: list[Events] = []
     bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
     while True:
-        status, n_recorded = advance(events, bound)
-        recorded.append(events.first(n_recorded, int(counters[N_STILLS])))
-        counters[N_STILLS] = 0
-        drive.place_stills(recorded[-1].stills)
+        if n_events > capacity:
+            full.append(events.first(n_events, n_stills))
+            events, n_events, n_stills = Events.blank(2 * capacity), 0, 0
+            counters[N_STILLS] = 0
+        status, n_recorded = advance(events.part(n_events, n_events + capacity), bound)
+        n_events += n_recorded
+        drive.place_stills(events.stills[:, n_stills : counters[N_STILLS]])
+        n_stills = int(counters[N_STILLS])
         t = float(clock[TIME])
         if status == DONE:
             if drive.is_last:
@@ -194,15 +214,14 @@ def complete(
             go_on()
             counters[N_STALLED] = 0
         if status == ALL_SLIP:
-            slip = int(mode[0])
-            certificate = collapse.certify(z, w, slip)
+            certificate = collapse.certify(z, w)
             if certificate.is_certain and t_collapse is None:
                 outcome, reason, t_collapse = "collapsed", certificate.reason, t
             if certificate.flow is not None:
                 _follow(certificate.flow, t, task, state)
                 t = task.t_end
                 break
-            clock[CHECK + (slip > 0)] = t + certificate.ask_again_after
+            clock[CHECK + int(mode[0] > 0)] = t + certificate.ask_again_after
         elif status == DIVERGED:
             z_there, w_there = drive.of_user(t, z, w)
             speed = float(np.abs(w_there).max())
@@ -225,7 +244,7 @@ def complete(
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
     z, w = drive.of_user(t, z, w)
     _to_user(drive, state, n_placed)
-    event_t, event_block, event_mode, stills = (np.concatenate(parts, -1) for parts in zip(*recorded, strict=True))
+    event_t, event_block, event_mode, stills = Events.joined([*full, events.first(n_events, n_stills)])
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     series = []
@@ -236,7 +255,7 @@ def complete(
         )
     if shortest is not None:
         series[0] = without_returns(series[0], shortest)
-    n_steps, n_rejected, n_products = (int(counters[k]) for k in (N_STEPS, N_REJECTED, N_PRODUCTS))
+    counts = counters.tolist()
     return Run(
         z=z,
         w=w,
@@ -244,9 +263,9 @@ def complete(
         events=series[0],
         outcome=outcome,
         reason=reason,
-        stats=Stats(n_steps, n_rejected, n_products, len(series[0])),
+        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(series[0])),
         t_collapse=t_collapse,
-        samples=task.samples.first(int(counters[N_SAMPLED])),
+        samples=task.samples.first(counts[N_SAMPLED]),
         stills=Stills(*stills),
         by_threshold=dict(zip(thresholds, series[1:], strict=True)),
     )
@@ -255,10 +274,11 @@ def complete(
 def _to_user(drive: Drive, state: State, first: int) -> int:
     """Put the samples of the present piece, from this one on, into the user's frame; returns how many there are."""
     samples, last = state.samples, int(state.counters[N_SAMPLED])
-    of_piece = slice(first, last)
-    samples.z[of_piece], samples.w[of_piece] = drive.of_user(
-        samples.t[of_piece], samples.z[of_piece], samples.w[of_piece]
-    )
+    if last > first:
+        of_piece = slice(first, last)
+        samples.z[of_piece], samples.w[of_piece] = drive.of_user(
+            samples.t[of_piece], samples.z[of_piece], samples.w[of_piece]
+        )
     return last
 
 

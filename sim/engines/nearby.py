@@ -25,10 +25,10 @@ from stickslip.sim.engines.coulomb_steps import (
     DECAY,
     EXPOSURE,
     REACH,
-    STALL,
     is_quiet,
     record,
     root,
+    stalls,
     stray,
 )
 from stickslip.sim.engines.sticking import force_rounding, push
@@ -345,13 +345,6 @@ def _close(law, expansion, search, nearby, order, s, h, z, w, block):  # type: i
         expansion.touching[block] = expansion.mode[block] != 0
 
 
-@inner
-def _stalls(counters, moved, least):  # type: ignore[no-untyped-def]
-    """Whether too many steps in a row were too short."""
-    counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if moved <= least else 0
-    return counters[loop.N_STALLED] > STALL
-
-
 @kernel
 def advance(law, goal, state, expansion, search, nearby, events, bound, watch, pull):  # type: ignore[no-untyped-def]
     """Windows until the end, or until Python has something to do; goes on where it stopped when called again."""
@@ -359,7 +352,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
     z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
     due = nearby.due
     n = len(z)
-    n_recorded = np.int64(0)  # a literal would have what it is passed to compiled twice
+    n_recorded = 0
     n_last = counters[loop.N_STEPS] + loop.STEPS_A_SLICE
     while counters[loop.N_STEPS] < n_last:
         if n_recorded + n > len(events.t):
@@ -406,7 +399,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
             instant = ROUNDING * max(1.0, abs(now))
             before = n_recorded
-            if _stalls(counters, moved, max(instant, unseen)):
+            if stalls(counters, moved, max(instant, unseen)):
                 return loop.STALLED, n_recorded
             if not is_event:
                 block = -1

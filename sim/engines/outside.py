@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,17 +23,14 @@ from stickslip.sim.engines.arithmetic import ROUNDING
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.system import System
 
-#: What rounding does to a phase, over what it does to a sum.
+#: What rounding does to a time or a phase, over what it does to a sum.
 _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
 #: How far y and z may be apart, over what a belt moves in the shortest time scale.
 _APART = 100.0
 
 
 class Outside(NamedTuple):
-    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m t + phase_m), in place.
-
-    All are empty if there is no force from outside, and no belt changes its speed.
-    """
+    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m t + phase_m), in place."""
 
     poly: Floats  #: shape (3, n)
     start: Floats  #: of the piece, shape (1,)
@@ -47,6 +44,8 @@ class Outside(NamedTuple):
 @inner
 def begin(outside, t):  # type: ignore[no-untyped-def]
     """Prepare the coefficients about the time t."""
+    if outside is None:
+        return
     amplitude, frequency, phase, waves = outside.amplitude, outside.frequency, outside.phase, outside.waves
     m = len(amplitude)
     for j in range(m):
@@ -62,6 +61,8 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
 
     Returns the largest coefficient.
     """
+    if outside is None:
+        return 0.0
     poly, waves, noise = outside.poly, outside.waves, outside.noise[k]
     frequency, phase = outside.frequency, outside.phase
     s, m, most = t - outside.start[0], len(frequency), 0.0
@@ -69,9 +70,12 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
         value, size = 0.0, 0.0
         if k < 3:
             for p in range(k, 3):
-                term = (2.0 if k == 1 and p == 2 else 1.0) * poly[p, i] * s ** (p - k)
+                factor = (2.0 if k == 1 and p == 2 else 1.0) * poly[p, i]
+                term = factor * s ** (p - k)
                 value += term
                 size += abs(term)
+                if p > k:
+                    size += _OF_PHASE * abs((p - k) * factor * s ** (p - k - 1) * t)
         for j in range(m):
             cosine, sine = waves[j, i], waves[m + j, i]
             value += cosine
@@ -87,6 +91,8 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
 @inner
 def may_change(outside, t, h):  # type: ignore[no-untyped-def]
     """Bounds what g changes by from t to t + h."""
+    if outside is None:
+        return 0.0
     poly, amplitude, frequency = outside.poly, outside.amplitude, outside.frequency
     s, most = t - outside.start[0], 0.0
     for i in range(poly.shape[1]):
@@ -100,6 +106,8 @@ def may_change(outside, t, h):  # type: ignore[no-untyped-def]
 @inner
 def value_at(outside, t, values):  # type: ignore[no-untyped-def]
     """g at the time t, shape (n,)."""
+    if outside is None:
+        return
     poly, amplitude, frequency, phase = outside.poly, outside.amplitude, outside.frequency, outside.phase
     s = t - outside.start[0]
     for i in range(len(values)):
@@ -116,12 +124,11 @@ class Drive:
     ----------
     belt_speed : float64, shape (n,)
         v of the present piece, as `outside` kept in place.
-    outside : Outside
+    outside : Outside or None
+        None if there is no force from outside, and no belt changes its speed.
     t_end : float
         Of the present piece.
     is_last : bool
-    is_driven : bool
-        Whether there is any force from outside, or belt that changes its speed.
     fastest : float
         The largest frequency of a force.
     """
@@ -129,24 +136,21 @@ class Drive:
     def __init__(self, system: System, t_start: float, t_end: float, orders: int) -> None:
         n = system.n
         self._system, self._moves = system, isinstance(system.belt_speed, Piecewise)
+        self.belt_speed = np.empty(n)
+        self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
+        self._gains, self._is_carried = np.zeros(n), False
+        self.outside: Any = None
+        self.fastest, self.t_end, self.is_last = 0.0, t_end, True
+        if not (self._moves or system.force):
+            return
         self._bends = [term for term in system.force if isinstance(term, Piecewise)]
         waves = [term for term in system.force if isinstance(term, Harmonic)]
-        is_driven = self._moves or bool(system.force)
         amplitude, frequency, phase = (
             np.array([getattr(wave, name) for wave in waves]).reshape(len(waves), n)
             for name in ("amplitude", "frequency", "phase")
         )
-        self.outside = Outside(
-            np.zeros((3 if is_driven else 0, n)),
-            np.array([t_start]),
-            amplitude,
-            frequency,
-            phase,
-            np.zeros((2 * len(waves), n)),
-            np.zeros((orders if is_driven else 0, n)),
-        )
-        self.belt_speed = np.array(system.belt_speed_at(t_start))
-        self.is_driven, self._gains = is_driven, np.zeros(n)
+        room = np.zeros((3, n)), np.array([t_start]), np.zeros((2 * len(waves), n)), np.zeros((orders, n))
+        self.outside = Outside(*room[:2], amplitude, frequency, phase, *room[2:])
         self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in waves), default=0.0)
         knots = [term.times for term in (*self._bends, *((system.belt_speed,) if self._moves else ()))]
         inside = np.unique(np.concatenate(knots)) if knots else np.empty(0)
@@ -172,20 +176,18 @@ class Drive:
 
         A block that sticks has its belt's speed at that time to the last bit.
         """
-        if not self._gains.any():
+        if not self._is_carried:
             return z, w
         s = np.expand_dims(t - self.outside.start[0], -1)
         return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
 
     def place_stills(self, stills: Floats) -> None:
         """Put sums of z, the second row, at the times of the first, into the user's frame in place."""
-        if self._gains.any():
+        if self._is_carried:
             stills[1] += 0.5 * (stills[0] - self.outside.start[0]) ** 2 * self._gains.sum()
 
     def _enter(self, t: float) -> None:
         system, outside = self._system, self.outside
-        if len(outside.poly) == 0:
-            return
         outside.start[0] = t
         outside.poly[:] = 0.0
         for term in self._bends:
@@ -193,6 +195,7 @@ class Drive:
             outside.poly[1] += term.slope_at(t)
         if self._moves:
             gains = self._gains = system.belt_speed.slope_at(t)
+            self._is_carried = bool(gains.any())
             self.belt_speed[:] = system.belt_speed.at(t)
             cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
             outside.poly[0] -= gains

@@ -504,7 +504,7 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     """
     system, n = task.system, task.system.n
     drive = Drive(system, task.t_start, task.t_end, 0)
-    v, pushes = drive.belt_speed, np.zeros((STAGES if drive.is_driven else 0, n))
+    v, pushes = drive.belt_speed, np.zeros((0 if drive.outside is None else STAGES, n))
     delta = Ratios.for_blocks("ratio", engine.ratio, n) * engine.eps
     is_manifold = engine.stick == "manifold"
     if is_manifold and not (delta < 1).all():
@@ -515,28 +515,36 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     friction, far = system.slip_friction
     bands = np.array([band, *(c * delta for c in engine.thresholds)])
     bands *= friction > 0.0  # without friction no block sticks
-    by_force = np.zeros(len(bands), dtype=np.bool_)
-    by_force[0] = is_manifold
+    by_force = np.array([is_manifold, *(False for _ in engine.thresholds)])
+    kinetic = np.empty_like(bands)
+    kinetic[:] = system.kinetic(bands)
     rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
 
     law, hidden, peak = _law(system)
     z, w, cross = task.z0.copy(), task.w0.copy(), system.cross_damping
     drag, pull = _forces(system, drive, z, w)
-    modes = _modes(system, w - v, pull, bands, by_force, peak * delta)
+    modes = _modes(system, w - v, pull, bands, is_manifold, peak * delta)
     table = _table(system, z, w, v, delta, drag, pull)
     table[HIDDEN, :n], table[PEAK, :n], table[STATIC, :n] = hidden, peak * delta, system.static
-    table[CLOSED, :n] = system.closed
+    table[CLOSED, :n], table[FINE, :n] = system.closed, 1.0
     if system.weakening is not None:
         table[FALL, :n] = system.weakening.steepness * delta
         table[FAR, :n] = np.divide(far, friction, out=np.ones(n), where=friction > 0)
-    table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
+    if system.is_static_above:
+        table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     # how deep in the layer friction differs from kinetic by what counts
     table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * friction * (1.0 + 2.0 * hidden) / (boost * atol))
     numbers = np.zeros((STAGES + 1, STAGES))
     numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
-    speed = float(np.abs([w, system.damping * (w - v) + pull, system.friction]).max())
-    step = min(task.t_end - task.t_start, 0.1, (atol**0.2) * 0.3 / speed if speed > 0 else 0.1)
+
+    def first_step(speeds: Floats) -> float:
+        speed = float(np.abs(speeds).max())
+        return (atol**0.2) * 0.3 / speed if speed > 0 else np.inf
+
+    speeds = np.array([w, system.damping * (w - v) + pull, system.friction])
+    step = min(task.t_end - task.t_start, 0.1, first_step(speeds))
+    next_h = np.full(n, step / 4)
     state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 0.0)
     state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
 
@@ -545,8 +553,8 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     arguments = (
         table, np.zeros((N_ROWS, WIDTH)), numbers, law, _matrices(system), ROUGH * float(system.row_sums.max()),
         (np.zeros((STAGES, table.shape[1])), single[0], single[1]),
-        (bands, np.broadcast_to(system.kinetic(bands), bands.shape).copy(), by_force, modes),
-        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.full(n, step / 4),
+        (bands, kinetic, by_force, modes),
+        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), next_h,
         np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
         tuple(state.samples),
     )  # fmt: skip
@@ -555,9 +563,13 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
     longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
 
     def go_on() -> None:
-        """At the start of a piece: u and F are what they were, but that belts' speeds change by another rate."""
+        """At the start of a piece: u is what it was; F jumps where belts' speeds change by another rate."""
+        before = table[FORCE0, :n].copy()
         table[Z0, :n], table[BELT, :n] = z, v
         table[DRAG, :n], table[FORCE0, :n] = _forces(system, drive, z, w)
+        step = first_step(table[FORCE0, :n] - before)
+        state.clock[_STEP] = min(state.clock[_STEP], step)
+        next_h[:] = np.minimum(next_h, step / 4)
 
     return loop.complete(
         task,
@@ -592,7 +604,7 @@ def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats,
     if cross is not None:
         drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
         pull += cross @ w
-    if drive.is_driven:
+    if drive.outside is not None:
         pull -= drive.value()
     return drag, pull
 
@@ -611,7 +623,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
         law = Exponential() if isinstance(falls, Stribeck) else Rational()
     elif not system.back_slip:
         law = Steady()
-    if (friction[system.closed != 0] == 0).any():
+    if not system.back_slip and (friction[system.closed != 0] == 0).any():
         block = int(np.flatnonzero((friction == 0) & (system.closed != 0))[0])
         raise ValueError(
             f"back_slip: engine='sigmoid' bars a side by friction that grows, got none at block {block}; give it a"
@@ -632,14 +644,15 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
 
 
 def _modes(
-    system: System, u: Floats, pull: Floats, bands: Floats, by_force: NDArray[np.bool_], peak: Floats
+    system: System, u: Floats, pull: Floats, bands: Floats, is_manifold: bool, peak: Floats
 ) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
-    ahead, outward = u * system.closed > 0, pull * system.closed < 0
-    u, pull = np.where(ahead, 0.0, u), np.where(outward, 0.0, pull)
+    if not system.back_slip:
+        u, pull = np.where(u * system.closed > 0, 0.0, u), np.where(pull * system.closed < 0, 0.0, pull)
     held = np.abs(u) < bands
-    is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.slip_friction[0])
-    held[by_force] &= (np.abs(pull) < system.static) & ~is_driven
+    if is_manifold:
+        is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.slip_friction[0])
+        held[0] &= (np.abs(pull) < system.static) & ~is_driven
     side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
     return np.where(held, 0, side).astype(np.int8)
 

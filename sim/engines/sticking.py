@@ -21,9 +21,11 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 
 @inner
-def known(noise, k, i):  # type: ignore[no-untyped-def]
+def known(outside, k, i):  # type: ignore[no-untyped-def]
     """The size of what the k-th coefficient of forces from outside on block i is summed up from."""
-    return noise[k, i] if len(noise) > 0 else 0.0
+    if outside is None:
+        return 0.0
+    return outside.noise[k, i]
 
 
 @inner
@@ -54,7 +56,7 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
         if touching[i] or mode[i] == 0:
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
-            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside.noise, 0, i))
+            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside, 0, i))
             drive = push(closed[i], force)
             if leaves[i] != 0 or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
@@ -84,7 +86,7 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.outside.noise, k, i)):
+            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i)):
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1

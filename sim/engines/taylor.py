@@ -36,7 +36,7 @@ from stickslip.sim.engines.sticking import force_rounding, known, push, settle, 
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
 ORDER_MAX = 32
 SPAN = 5.0
-_ORDER_MIN = 4
+ORDER_MIN = 4
 #: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
 #: far below the tolerance.
 PASSED_ON = 0.002
@@ -81,64 +81,68 @@ class Expansion(NamedTuple):
 
 
 @inner
-def _fall(law, expansion, k):  # type: ignore[no-untyped-def]
+def _shape(fall, law, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
     series, shape, mode = expansion.series, expansion.shape, expansion.mode
     n = len(mode)
     if k == 0:
         for i in range(n):
-            x = law.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
-            shape[0, i] = math.exp(-x) if law.is_exponential else 1.0 / (1.0 + x)
+            x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+            shape[0, i] = math.exp(-x) if fall.is_exponential else 1.0 / (1.0 + x)
         return
     shape[k] = 0.0
     for j in range(1, k + 1):
-        weight = j * (j + 1.0) / k if law.is_exponential else j + 1.0
+        weight = j * (j + 1.0) / k if fall.is_exponential else j + 1.0
         for i in range(n):
             shape[k, i] += weight * series[j + 1, i] * shape[k - j, i]
     for i in range(n):
-        shape[k, i] *= -law.steepness * mode[i] * (1.0 if law.is_exponential else shape[0, i])
+        shape[k, i] *= -fall.steepness * mode[i] * (1.0 if fall.is_exponential else shape[0, i])
 
 
 @inner
-def _resist(law, expansion, k):  # type: ignore[no-untyped-def]
+def _resist(fall, law, expansion, k):  # type: ignore[no-untyped-def]
     """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
+    if fall is None:
+        return
     series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
-    _fall(law, expansion, k)
+    _shape(fall, law, expansion, k)
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        falls = law.friction[i] * (1.0 - law.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
+        falls = law.friction[i] * (1.0 - fall.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
         series[k + 2, i] += slips[i] * factor * falls * mode[i]
 
 
 @inner
-def _known_within(law, expansion):  # type: ignore[no-untyped-def]
+def _known_within(fall, expansion):  # type: ignore[no-untyped-def]
     """How far the series of 1 / (1 + a p) may be of use: half of where a p with the slope that it has is -1."""
     time = np.inf
+    if fall is None:
+        return time
     for i in range(len(expansion.mode)):
-        rise = abs(2.0 * law.steepness * expansion.series[2, i] * expansion.shape[0, i])
+        rise = abs(2.0 * fall.steepness * expansion.series[2, i] * expansion.shape[0, i])
         if rise * time > 0.5:
             time = 0.5 / rise
     return time
 
 
 @inner
-def _falls_off(law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+def _falls_off(fall, law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
     """Whether terms of exp(-x) beyond an order are on their way down, or too small to matter, up to h.
 
     Where x is large the first terms are far below any tolerance, and yet x may fall by more than the order.
     """
-    if not law.is_exponential:
+    if fall is None or not fall.is_exponential:
         return True
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
-        drop = law.friction[i] * (1.0 - law.far[i]) * h
+        drop = law.friction[i] * (1.0 - fall.far[i]) * h
         if mode[i] == 0 or drop == 0.0:
             continue
-        change, power = 0.0, law.steepness
+        change, power = 0.0, fall.steepness
         for k in range(1, order):
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
-        x = law.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+        x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
         if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > PASSED_ON * allowed:
             return False
     return True
@@ -188,25 +192,20 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
     copy(z, series[0])
     copy(w, series[1])
     two_products(law.columns, law.pairs, series[:2], forces[:2])
-    outside, pushed, pushed_next = law.outside, 0.0, 0.0
-    is_driven = len(outside.poly) > 0
-    if is_driven:
-        begin(outside, t)
-        take_off(outside, t, 0, forces[0])
-        pushed_next = take_off(outside, t, 1, forces[1])
+    outside, fall, pushed, pushed_next = law.outside, law.fall, 0.0, 0.0
+    begin(outside, t)
+    for k in range(2):
+        pushed_next = take_off(outside, t, k, forces[k])
     w_max = largest(w)
     n_undecided = settle(law, largest(z), expansion)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    falls = len(law.far) > 0
-    if falls:
-        _resist(law, expansion, np.int64(0))  # a literal would have it compiled twice
-        target = min(target, _known_within(law, expansion))
+    _resist(fall, law, expansion, 0)
+    target = min(target, _known_within(fall, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
     allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
-    if is_driven:
-        allowed = max(allowed, tol * target * may_change(outside, t, target))
+    allowed = max(allowed, tol * target * may_change(outside, t, target))
 
     n_small = 0
     last = 0.0
@@ -219,9 +218,8 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
                 two_rough_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
             else:
                 two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
-            if is_driven:
-                pushed = take_off(outside, t, k, forces[k])
-                pushed_next = take_off(outside, t, k + 1, forces[k + 1])
+            pushed = take_off(outside, t, k, forces[k])
+            pushed_next = take_off(outside, t, k + 1, forces[k + 1])
         else:
             pushed = pushed_next
         if n_undecided > 0:
@@ -236,8 +234,7 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        if falls:
-            _resist(law, expansion, k)
+        _resist(fall, law, expansion, k)
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
@@ -245,15 +242,15 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
         # the last term's share of w decides; two in a row, since one can vanish by chance
-        if size == 0.0 and last == 0.0 and order >= _ORDER_MIN:
+        if size == 0.0 and last == 0.0 and order >= ORDER_MIN:
             # a polynomial: exact however far
-            is_exact = not is_rough and not (falls and largest(slips) > 0.0)
+            is_exact = not is_rough and (fall is None or largest(slips) == 0.0)
             return order, remaining if is_exact else target, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
-            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(_ORDER_MIN, rate * target)
-            if is_enough and (not falls or _falls_off(law, expansion, order, target, allowed)):
+            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(ORDER_MIN, rate * target)
+            if is_enough and _falls_off(fall, law, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -265,7 +262,7 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while falls and h > 0.0 and not _falls_off(law, expansion, order, h, allowed):
+    while h > 0.0 and not _falls_off(fall, law, expansion, order, h, allowed):
         h *= 0.7
     return order, h, allowed, n_products
 
@@ -287,8 +284,8 @@ def decide(law, i, was_stuck, force, slope, z_max, span, allowed, rate):  # type
     `span` is the length of the window, over which an error `allowed` of w becomes one of z, and z_max bounds |z|.
     """
     most, row_sum = law.static[i], law.row_sums[i]
-    rate_error = row_sum * allowed if len(law.outside.poly) == 0 else max(row_sum, rate * rate) * allowed
-    drag, noise = law.damping[i] * law.belt_speed[i], known(law.outside.noise, 0, i)
+    rate_error = row_sum * allowed if law.outside is None else max(row_sum, rate * rate) * allowed
+    drag, noise = law.damping[i] * law.belt_speed[i], known(law.outside, 0, i)
     doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
     new = -1 if force > 0.0 else 1
     if was_stuck:

@@ -1,7 +1,7 @@
 """The tolerances of the engines: what each means, its bounds, and what is picked where only the purpose is said.
 
-Of statistics the chart `statistics` found 1e-4 tight enough (n = 200, 20 matrices, eps = 0.03); what is picked is a
-decade tighter, and half the cost of paths.
+Of statistics the scene `statistics` finds 1e-3 tight enough (n = 200, 20 matrices, eps = 0.03); what is picked is two
+decades tighter, and half the cost of paths.
 """
 
 from __future__ import annotations

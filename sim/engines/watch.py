@@ -18,19 +18,25 @@ class Watch(NamedTuple):
     inverse: NDArray[np.complex128]  #: T^-1
     sizes: Floats  #: |T_{w_i, j}|, shape (n, 2n)
     rest: Floats
-    slip: int  #: the direction in which blocks may slip for ever; 0: not known
-    limit: float
+    slip: int  #: the direction in which blocks may slip for ever; 0: in none
+    limit: float  #: 0: not known yet
     growth: float
 
+    @classmethod
+    def blank(cls, slip: int) -> Watch:
+        """Before more than the direction is known."""
+        return cls(_NO_INVERSE, _NO_SIZES, _NO_REST, slip, 0.0, 0.0)
 
-#: Before anything is known.
-NO_WATCH = Watch(np.empty((0, 0), np.complex128), np.empty((0, 0)), np.empty(0), 0, 0.0, 0.0)
+
+_NO_INVERSE, _NO_SIZES, _NO_REST = np.empty((0, 0), np.complex128), np.empty((0, 0)), np.empty(0)
 
 
 @inner(counts=True)
 def too_far(watch, z, w, slip):  # type: ignore[no-untyped-def]
     """After how long to ask again, if no collapse can be certain of this state; else 0. See `Collapse.certify`."""
     if slip != watch.slip:
+        return np.inf
+    if watch.limit == 0.0:
         return 0.0
     n = len(z)
     sizes = np.empty(2 * n)

@@ -1,6 +1,5 @@
 """Planted ensembles: series whose cascade law is known before anything is computed."""
 
-import secrets
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings
+from stickslip.analysis.report import page
 
 T_END = 1000.0
 
@@ -66,8 +66,7 @@ def planted():
 
 
 @pytest.fixture
-def rng():
-    """Random numbers from a seed that is new at each run, and printed."""
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
+def undrawn(request, monkeypatch):
+    """Half of a report's time is drawing, which a few tests look at and the others leave out."""
+    if "drawn" not in request.keywords:
+        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))

@@ -21,10 +21,9 @@ from stickslip.analysis.stats import (
     dispersion,
     effective,
     enough,
-    escape,
+    fates,
     growth,
     multiplicity,
-    parting,
     pool,
 )
 from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
@@ -229,7 +228,7 @@ def dispersion_study(rng, ensembles):
             for _ in range(ensembles):
                 k = of_law(rng, shares, (g, count)).astype(np.float64)
                 rows = np.column_stack([np.full(g, count), k.sum(axis=1), (k**2).sum(axis=1)])
-                found.append(dispersion.dispersion(rows, CONFIDENCE))
+                found.append(over_matrices(dispersion.excess, rows, CONFIDENCE))
             yield judged("dispersion", f"{name}; {g} x {count}", excess_of(shares), found)
 
 
@@ -566,7 +565,7 @@ def parting_study(rng, ensembles):
             for _ in range(ensembles):
                 at = 300.0 * np.exp(0.5 * rng.standard_normal(g))
                 end = np.minimum(np.where(rng.random(g) < share, rng.uniform(0, 600, g), np.inf), t_end)
-                one = parting.median_time(np.minimum(at, end), at <= end, CONFIDENCE)
+                one = fates.median(*fates.kaplan_meier(np.minimum(at, end), at <= end, CONFIDENCE))
                 found.append(Estimate(one.value or t_end, one.low or 0.0, one.high or np.inf))
             yield judged("parting: median", f"300, {g} pairs, {name}", 300.0, found)
 
@@ -575,20 +574,15 @@ def parting_study(rng, ensembles):
 
 
 def escape_study(rng, ensembles):
-    """Median time of escape by size, 20 and 60 runs a size, watched for 1,000 units; medians 80, 400 and 900."""
+    """Median time of escape, 20 and 60 runs, watched for 1,000 units; medians 80, 400 and 900."""
     for n_runs in (MATRICES, 60):
-        found = {0.1: [], 0.05: [], 0.03: []}
-        medians = dict(zip(found, (80.0, 400.0, 900.0), strict=True))
-        for _ in range(max(ensembles // 4, 100)):
-            at = {size: m * (rng.exponential(1.0, n_runs) / np.log(2)) ** 0.5 for size, m in medians.items()}
-            of_size = np.repeat(list(at), n_runs)
-            t = np.concatenate(list(at.values()))
-            ends = np.where(t < 1000, "diverged", "sustained")
-            for one in escape.by_size(of_size, np.minimum(t, 1000.0), ends, CONFIDENCE):
-                found[one.size].append(one.median)
-        for size, some in found.items():
-            inner = [Estimate(e.value or 1000.0, e.low or 0.0, e.high or np.inf) for e in some]
-            yield judged("escape: median", f"{medians[size]:g}, {n_runs} runs", medians[size], inner)
+        for middle in (80.0, 400.0, 900.0):
+            found = []
+            for _ in range(max(ensembles // 4, 100)):
+                t = middle * (rng.exponential(1.0, n_runs) / np.log(2)) ** 0.5
+                one = fates.median(*fates.kaplan_meier(np.minimum(t, 1000.0), t < 1000, CONFIDENCE))
+                found.append(Estimate(one.value or 1000.0, one.low or 0.0, one.high or np.inf))
+            yield judged("escape: median", f"{middle:g}, {n_runs} runs", middle, found)
 
 
 def multiplicity_study(rng, ensembles):

@@ -55,16 +55,21 @@ def test_a_sample_at_a_change_sees_the_new_value_and_the_last_value_holds_to_the
         sample(t, n, np.array([-0.1]))
 
 
+def grid(win, dt):
+    """Times of the samples."""
+    return win.t_start + dt * np.arange(win.n_steps(dt) + 1)
+
+
 def test_grid_keeps_its_last_sample_where_rounding_would_lose_it():
     win = window(np.array([0.0]), np.array([1]), 0.0, 0.3)  # 0.3 / 0.1 < 3 in floating point
-    np.testing.assert_allclose(win.grid(0.1), [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(grid(win, 0.1), [0.0, 0.1, 0.2, 0.3])
 
 
 def test_samples_see_the_changes_up_to_and_at_their_time(rng):
     for dt in (0.1, 0.3, 0.7):
         at = np.sort(np.concatenate((rng.uniform(0, 9, 40), dt * rng.integers(1, 9 // dt, 20))))  # some on the grid
         win = window(np.concatenate(([0.0], at)), np.arange(61), 0.0, 9.0)
-        index = np.searchsorted(at, win.grid(dt), side="right")
+        index = np.searchsorted(at, grid(win, dt), side="right")
         np.testing.assert_array_equal(win.grid_index(dt), index)
         np.testing.assert_array_equal(win.sampled(dt), np.diff(win.path()[index]))
 
@@ -116,7 +121,7 @@ def test_a_change_point_without_change_changes_nothing(series, data):
 def test_sizes_agree_with_a_plain_walk(series):
     t, n = series
     win = window(t, n, 0.0, t[-1] + 1)
-    samples = sample(t, n, win.grid(0.5)).tolist()
+    samples = sample(t, n, grid(win, 0.5)).tolist()
     for definition, values in (("events", n.tolist()), ("drop", samples), ("length", samples)):
         law = EVENTS if definition == "events" else Law(definition, 0.5)
         assert sizes(win, law).tolist() == walk(values, definition)
@@ -170,7 +175,8 @@ def test_bad_laws_are_refused(law):
 
 def test_an_exit_and_an_entry_at_one_instant_cancel():
     t, n = np.array([0.0, 3.0, 5.0, 6.0, 9.0]), np.array([9, 8, 8, 7, 8])  # at 5 one block left and one came
-    assert window(t, n, 0.0, 10.0).exits().tolist() == [3.0, 6.0]
+    win = window(t, n, 0.0, 10.0)
+    assert (win.t.tolist(), win.step.tolist()) == ([3.0, 6.0, 9.0], [-1, -1, 1])
 
 
 def test_spans_of_cascades_counted_by_hand():

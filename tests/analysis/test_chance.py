@@ -8,7 +8,7 @@ from scipy import stats
 
 from stickslip.analysis import Law, over_matrices, random_order, sizes, window
 from stickslip.analysis.stats.cascades import Window, laws
-from stickslip.analysis.stats.estimates import LN2, gamma, gamma_difference
+from stickslip.analysis.stats.estimates import LN2, gamma, paired_difference
 from stickslip.analysis.stats.nulls import BlockSteps, block_steps, rotated, rotations, triggered
 
 EVENTS = Law("events")
@@ -38,7 +38,7 @@ def test_random_order_leaves_independent_exits_and_entries_as_they_are(exits, en
             [found.sum(), len(found), *chance[law]]
             for win, chance in zip(runs, expected, strict=True) for found in [sizes(win, law)]
         ])  # fmt: skip
-        against = over_matrices(gamma_difference, rows, 0.9999)
+        against = over_matrices(paired_difference(gamma), rows, 0.9999)
         assert against.low < 0 < against.high, law
 
 
@@ -91,7 +91,7 @@ def test_fair_series_are_rarely_called_different_from_chance(planted):
             win = window(t, n_stick, 100.0, planted.t_end)
             found = sizes(win, EVENTS)
             sums.append([found.sum(), found.size, *random_order(win, ())[EVENTS]])
-        against = over_matrices(gamma_difference, np.array(sums, dtype=float), 0.95)
+        against = over_matrices(paired_difference(gamma), np.array(sums, dtype=float), 0.95)
         assert against.low is not None
         assert against.high is not None
         alarms += not against.low <= 0 <= against.high

@@ -20,7 +20,6 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
-from stickslip.analysis.stats.compare import power
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import gamma, ratio
 
@@ -98,7 +97,9 @@ def test_alarms_on_planted_values(paired):
     assert all(names[key] / 300 < 0.05 + 0.038 for key in names if key != (0.0, AGREE))
     assert names[0.0, DIFFER] / 300 > 0.05 - 0.038
     spread = 0.1 * np.sqrt(2 if paired else 4)  # a matrix's own part drops out of a pair
-    assert names[0.0, AGREE] / 300 == pytest.approx(power(20, spread, 0.1, 0.05), abs=0.09)
+    of_t = stats.t(19)  # its power at no difference, for a known spread
+    power = 2 * of_t.cdf(0.1 * np.sqrt(20) / spread - of_t.ppf(0.95)) - 1
+    assert names[0.0, AGREE] / 300 == pytest.approx(power, abs=0.09)
 
 
 @pytest.mark.parametrize("paired", [True, False])

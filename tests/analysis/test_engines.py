@@ -46,7 +46,7 @@ def test_the_sigmoid_is_set_against_the_exact_law(planted):
 
 
 def test_the_loosest_sufficient_tolerance_is_named(planted):
-    """Sampling error of the mean, from levels 0, 2, ..., 14 over 8 matrices: t(7) sqrt(6 / 2) = 4.1 and more."""
+    """Of means of 40 and more, with a margin of a tenth: 1 is within, 9 is beyond."""
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
     (found,) = asked(planted, shifts).facts["tolerances"]
     assert (found["sufficient"], found["n_looser"]) == ("n = 200, exact, tol = 0.0001", 1)

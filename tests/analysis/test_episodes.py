@@ -9,7 +9,6 @@ import pytest
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.questions import episodes
-from stickslip.analysis.report import page
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
     QUANTITIES,
@@ -24,11 +23,7 @@ from stickslip.analysis.stats.estimates import over_matrices
 from stickslip.analysis.stats.families import maximise
 from stickslip.analysis.stats.rivals import parameter
 
-
-@pytest.fixture(autouse=True)
-def _undrawn(request, monkeypatch):
-    if "drawn" not in request.keywords:
-        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture

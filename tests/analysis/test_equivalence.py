@@ -6,9 +6,7 @@ from scipy import stats
 
 from stickslip.analysis.stats.compare import (
     equivalence_test,
-    matrices_needed,
     mean_difference,
-    power,
     share_over_matrices,
     wilson,
 )
@@ -59,9 +57,3 @@ def test_what_the_runs_of_matrices_are_worth_by_hand():
     share, low, high, trials = share_over_matrices(np.array([[2, 2], [0, 2], [1, 2], [1, 2]]), 0.95)
     assert (share, trials) == (0.5, pytest.approx(6))
     assert (low, high) == pytest.approx(wilson(3, 6, 0.95))
-
-
-def test_matrices_needed_is_the_first_with_the_power():
-    found = matrices_needed(0.2, 0.1, 0.05)
-    assert power(found, 0.2, 0.1, 0.05) >= 0.8 > power(found - 1, 0.2, 0.1, 0.05)
-    assert matrices_needed(30.0, 0.01, 0.05) is None

@@ -7,7 +7,7 @@ import pytest
 
 from stickslip.analysis import correlation_time, gamma, over_matrices, window
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import LN2, Undefined, gamma_difference, jackknife, ratio
+from stickslip.analysis.stats.estimates import LN2, Undefined, jackknife, paired_difference, ratio
 
 
 @pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])
@@ -75,7 +75,7 @@ def test_paired_difference_removes_what_both_share():
     rng = np.random.default_rng(3)
     shared = rng.uniform(150, 250, 20)
     sums = np.column_stack([shared + 1, np.full(20, 100.0), shared, np.full(20, 100.0)])
-    paired = over_matrices(gamma_difference, sums, 0.95)
+    paired = over_matrices(paired_difference(gamma), sums, 0.95)
     alone = over_matrices(gamma, sums[:, :2], 0.95)
     assert paired.value is not None
     assert paired.low is not None

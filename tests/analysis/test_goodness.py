@@ -6,7 +6,7 @@ from scipy import stats
 
 from stickslip.analysis.stats.estimates import Undefined, gamma
 from stickslip.analysis.stats.families import truncate
-from stickslip.analysis.stats.goodness import REJECTED, UNKNOWN, goodness, line, quotients
+from stickslip.analysis.stats.goodness import REJECTED, UNKNOWN, goodness, quotients
 from tests.analysis import studies
 
 
@@ -118,18 +118,6 @@ def test_the_interval_of_a_quotient_by_hand():
     own = counts[:, 0] / 800  # 1500 cascades each, of which 8 in 15 have size 1 at rate ln 2
     assert first.value == pytest.approx(own.mean())
     assert first.high - first.value == pytest.approx(4.302652730 * own.std(ddof=1) / np.sqrt(3))  # t, 2 degrees
-
-
-def test_line_is_the_least_squares_slope_over_the_sizes_seen():
-    """Through ln 8, ln 4, ln 2 at 1, 2 and 4: by hand -(-4/3 ln 8 - 1/3 ln 4 + 5/3 ln 2) / (14/3)."""
-    slope = line(np.arange(1.0, 7.0), np.array([8, 4, 0, 2, 0, 0]))
-    assert slope == pytest.approx(3 / 14 * (4 + 2 / 3 - 5 / 3) * np.log(2))
-
-
-def test_the_line_is_biased(rng):
-    sizes = np.arange(1.0, 60.0)
-    slopes = [line(sizes, np.bincount(rng.geometric(1 - np.exp(-0.7), 2000), minlength=60)[1:]) for _ in range(100)]
-    assert np.mean(slopes) < 0.7 - 0.02
 
 
 def test_histograms_of_no_cascade_have_reasons():

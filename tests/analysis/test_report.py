@@ -16,18 +16,12 @@ from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.cascades import _verdict
-from stickslip.analysis.report import page
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import _rank
 from stickslip.analysis.stats.estimates import LN2, Estimate
 from stickslip.pipeline.tables import QuestionName
 
-
-@pytest.fixture(autouse=True)
-def _undrawn(request, monkeypatch):
-    """Half of a report's time is drawing, which a few tests look at and the others leave out."""
-    if "drawn" not in request.keywords:
-        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def report_of(data, settings, title="Planted", about="Planted series.", provenance=None):

@@ -9,6 +9,7 @@ from stickslip.analysis.pairs import CONSTANTS, RATIOS, START
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.sensitivity import GROWS, PARTS, SHRINKS, STAYS_NEAR, UNKNOWN, answer
 from stickslip.analysis.stats import parting
+from stickslip.analysis.stats.fates import kaplan_meier, median
 
 T_END = 1000.0
 
@@ -41,15 +42,19 @@ def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_lev
     assert len(parting.gap(base, moved, 10.0)) == 0
 
 
+def half_parted(times, has_parted):
+    return median(*kaplan_meier(np.array(times, dtype=float), np.array(has_parted), 0.95))
+
+
 def test_the_median_time_counts_what_was_not_seen_to_part():
-    every = parting.median_time(np.arange(1.0, 21.0), [True] * 20, 0.95)
+    every = half_parted(np.arange(1.0, 21.0), [True] * 20)
     assert every.value == 10.0
     assert every.low < 10.0 < every.high
     # half of them are only known not to have parted by 5
-    some = parting.median_time([5.0] * 10 + list(range(11, 21)), [False] * 10 + [True] * 10, 0.95)
+    some = half_parted([5.0] * 10 + list(range(11, 21)), [False] * 10 + [True] * 10)
     assert some.value == 15.0
-    assert parting.median_time([5.0] * 10, [False] * 10, 0.95).reason == "none has parted"
-    few = parting.median_time([5.0] * 8 + [1.0, 2.0], [False] * 8 + [True] * 2, 0.95)
+    assert half_parted([5.0] * 10, [False] * 10).reason == "fewer than half have ended"
+    few = half_parted([5.0] * 8 + [1.0, 2.0], [False] * 8 + [True] * 2)
     assert few.value is None
     assert few.reason
 

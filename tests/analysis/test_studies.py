@@ -13,7 +13,6 @@ from stickslip.analysis.stats import (
     effective,
     effects,
     enough,
-    escape,
     growth,
     multiplicity,
     pool,
@@ -211,21 +210,6 @@ def test_matrices_that_cannot_be_told_apart_give_no_interval(rng):
 
 
 # ------------------------------------------------------------------------------- escape, many tests, least data
-
-
-def test_escape_by_size_censors_what_stays():
-    found = escape.by_size(
-        [0.1] * 10 + [0.01] * 10,
-        np.r_[np.arange(10.0, 20.0), np.full(10, 100.0)],
-        ["diverged"] * 10 + ["sustained"] * 10,
-        0.95,
-    )
-    assert [one.size for one in found] == [0.01, 0.1]
-    assert found[0].median.value is None
-    assert found[0].median.low is None
-    assert found[0].share.value == 0.0
-    assert found[1].median.value == 14.0
-    assert found[1].median.low <= 14.0 <= found[1].median.high
 
 
 def test_primary_questions_are_tested_in_order_and_the_others_by_holm():

@@ -8,13 +8,8 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.questions import sweep
-from stickslip.analysis.report import page
 
-
-@pytest.fixture(autouse=True)
-def _undrawn(request, monkeypatch):
-    if "drawn" not in request.keywords:
-        monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
@@ -24,12 +19,17 @@ def settings(settings):
 
 @pytest.fixture
 def swept(planted, rng):
-    """Of each matrix one series, at each point of a grid raised by what `shift` says of the point."""
+    """Of each matrix one series, at each point of a grid raised by what `shift` says of the point.
+
+    Every other one is the mirror image of the one before, so that all together do not drift.
+    """
 
     def make(axes, shift, n_matrices=8, **fixed):
         rows, series = [], {}
         for matrix in range(n_matrices):
-            t, n_stick = planted.runs(rng, 600, 0.7, level=300 + int(rng.integers(100)))
+            if matrix % 2 == 0:
+                t, walk = planted.runs(rng, 600, 0.7, level=0)
+            n_stick = 300 + int(rng.integers(100)) + (-1) ** matrix * walk
             for k, values in enumerate(product(*axes.values())):
                 point, name = dict(zip(axes, values, strict=True)), f"m{matrix}-{k}"
                 rows.append(planted.member(name, matrix, n=500, **fixed | point))

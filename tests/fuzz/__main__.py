@@ -3,49 +3,39 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
-from collections import Counter, defaultdict
-from functools import partial
+from collections import Counter
 from itertools import count
 
 import numpy as np
 
 from tests import fuzz
-from tests.fuzz.draw import FAMILIES, TERMS, draw
+from tests.fuzz.draw import TERMS, Trial, draw
 from tests.fuzz.judge import LIMIT, Verdict
-from tests.fuzz.workers import judge_case, verdicts
+from tests.fuzz.workers import verdicts, within_limits
 
 
 class _Table:
-    """By engine and family: cases, errors, what failed."""
+    """By engine: cases, errors, what failed."""
 
     def __init__(self) -> None:
-        self._errors: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
-        self._failed: Counter[tuple[str, str]] = Counter()
-        self._notes: dict[str, Counter[str]] = defaultdict(Counter)
+        self._errors: dict[str, list[tuple[float, int]]] = {engine: [] for engine in LIMIT}
+        self._notes: dict[str, Counter[str]] = {engine: Counter() for engine in LIMIT}
 
-    def add(self, engine: str, family: str, number: int, verdict: Verdict) -> None:
+    def add(self, trial: Trial, verdict: Verdict) -> None:
         if not verdict.notes["skipped"]:
-            self._errors[engine, family].append((verdict.worst, number))
-        self._failed[engine, family] += bool(verdict.failures)
-        self._notes[engine].update(verdict.notes)
+            self._errors[trial.engine].append((verdict.worst, trial.number))
+        self._notes[trial.engine].update(verdict.notes, failed=int(bool(verdict.failures)))
 
     def __str__(self) -> str:
-        lines = [f"{'':24} cases   failed   error over tol times sensitivity: 95% below, worst, its case"]
-        for engine in ("coulomb", "sigmoid"):
-            rows = {family: errors for (name, family), errors in sorted(self._errors.items()) if name == engine}
-            rows["all"] = [error for errors in rows.values() for error in errors]
-            for family, errors in rows.items():
-                failed = sum(n for key, n in self._failed.items() if key[0] == engine and family in (key[1], "all"))
-                if errors:
-                    high, (worst, number) = np.quantile([error for error, _ in errors], 0.95), max(errors)
-                    lines.append(
-                        f"{engine:8} {family:15} {len(errors):5} {failed:8}   {high:12.3g} {worst:12.3g} {number:8}"
-                    )
+        lines = [f"{'':8} cases   error over tol times sensitivity: 95% below, worst, its case; what came of series"]
+        for engine, errors in self._errors.items():
+            if not errors:
+                continue
+            high, (worst, number) = np.quantile([error for error, _ in errors], 0.95), max(errors)
             notes = ", ".join(f"{n} {kind}" for kind, n in sorted(self._notes[engine].items()) if n)
-            lines.append(f"{engine:8} series of blocks and cases: {notes}")
+            lines.append(f"{engine:8} {len(errors):5} {high:12.3g} {worst:12.3g} {number:8}   {notes}")
         return "\n".join(lines)
 
 
@@ -55,36 +45,30 @@ def main(argv: list[str] | None = None) -> int:
         prog="python -m tests.fuzz", description=fuzz.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--minutes", type=float, default=1.0, help="how long to draw")
-    parser.add_argument("--cases", type=int, default=None, help="how many to draw at most")
     parser.add_argument("--seed", type=int, default=None, help="a new one if left out; printed first")
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
-    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
-                        help=", ".join(FAMILIES))  # fmt: skip
-    parser.add_argument("--terms", nargs="*", choices=TERMS, default=TERMS, metavar="TERM",
-                        help=f"what may be drawn beside eq. (10): {', '.join(TERMS)}; all if left out")  # fmt: skip
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--terms", nargs="+", choices=(*TERMS, "none"), default=TERMS, metavar="TERM",
+                        help=f"what to draw beside eq. (10): {', '.join(TERMS)}; none; all if left out")  # fmt: skip
     arguments = parser.parse_args(argv)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
     if arguments.case is not None:
         print(draw(seed, arguments.case, arguments.terms).words())
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    wanted = [list(FAMILIES).index(family) for family in arguments.families]
-    every = count() if arguments.case is None else iter([arguments.case])
-    numbers = (k for k in every if arguments.case is not None or k % len(FAMILIES) in wanted)
-    if arguments.cases is not None:
-        numbers = (k for k, _ in zip(numbers, range(arguments.cases), strict=False))
+    numbers = count() if arguments.case is None else [arguments.case]
+    cases = ((seed, number, arguments.terms) for number in numbers)
     table, n_wrong, n_cases = _Table(), 0, 0
-    start = time.monotonic()
-    judged, until = partial(judge_case, seed, terms=arguments.terms), start + 60 * arguments.minutes
-    for number, verdict in verdicts(judged, numbers, arguments.workers, until):
-        trial = draw(seed, number, arguments.terms)
-        table.add(trial.engine, trial.family, number, verdict)
+    start = told = time.monotonic()
+    for case, verdict in verdicts(within_limits, cases, start + 60 * arguments.minutes):
+        trial = draw(*case)
+        table.add(trial, verdict)
         n_cases += 1
         n_wrong += bool(verdict.failures) and trial.engine == "coulomb"
         if verdict.failures:
-            print(f"--seed {seed} --case {number}: {trial.engine}, {trial.family}, n = {trial.case.n}")
+            print(f"--seed {seed} --case {trial.number}: {trial.engine}, {trial.family}, n = {trial.case.n}")
             print("".join(f"    {words}\n" for words in verdict.failures), end="", flush=True)
+        if time.monotonic() > told + 60:
+            told = time.monotonic()
+            print(f"{(told - start) / 60:.0f} min\n{table}", flush=True)
     taken = time.monotonic() - start
     beyond = ", ".join(f"{limit:g} ({engine})" for engine, limit in LIMIT.items())
     print(f"\n{table}\n{n_cases} cases in {taken:.0f} s; seed {seed}; a run is wrong beyond {beyond}")

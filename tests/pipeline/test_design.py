@@ -220,12 +220,18 @@ def test_batches_hold_every_member_once_in_order(scene):
     assert (another.members, another.name != packed[0].name) == (packed[0].members, True)
 
 
-def test_a_scene_of_many_batches_has_larger_ones(scene, monkeypatch):
+def test_a_scene_of_many_batches_has_larger_ones_and_the_last_are_smaller(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
     monkeypatch.setattr("stickslip.pipeline.design._MANY", 3)
-    for target, count in ((whole, 1), (whole / 3.01, 4), (whole / 6, 4), (whole / 24, 5)):
+    for parts, of_largest in ((1, 1), (3.01, 3), (6, 3), (24, 4.8)):
+        target, largest = whole / parts, whole / of_largest
         monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", target)
         packed = [batch for batch, _ in tasks(scene)]
-        assert count <= len(packed) <= count + 1
+        rest = whole
+        for batch in packed:
+            room = min(largest, max(rest / 4, largest / 4))
+            assert batch.cost <= room * (1 + 1e-9) or len(batch.members) == 1
+            rest -= batch.cost
+            assert batch is packed[-1] or batch.cost + max(member.cost for member in members) > room
         assert [member for batch in packed for member in batch.members] == list(members)

@@ -6,6 +6,8 @@ import os
 import signal
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -13,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble, sql
 from stickslip.pipeline.schema import SCHEMA, scalars
 
 
@@ -327,6 +329,23 @@ def test_a_query_without_end_can_be_interrupted(text, finished):
         query.sql(finished, text)
     timer.join()
     signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupt_while_a_query_is_handed_over_ends_it(finished, monkeypatch):
+    class Interrupted(ThreadPoolExecutor):
+        is_now = False
+
+        def submit(self, work, /, *args):
+            handed_over = super().submit(work, *args)
+            time.sleep(0.5)
+            if not self.is_now and not handed_over.done():
+                self.is_now = True
+                raise KeyboardInterrupt
+            return handed_over
+
+    monkeypatch.setattr(sql, "ThreadPoolExecutor", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        query.sql(finished, ENDLESS)
 
 
 def test_cascades_by_hand(finished, scene):

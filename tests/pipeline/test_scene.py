@@ -175,6 +175,16 @@ BAD = {
     "doubled key": ("seed = 7", "seed = 7\nseed = 8", ["TOML", "line 15"]),
     "not TOML": ("t_end = 8.0", "t_end 8.0", ["TOML", "line 12"]),
     "endless integer": ("seed = 7", "seed = " + "9" * 5000, ["TOML"]),
+    "barred on a belt at rest": (
+        "n = [5, 3]",
+        "n = [5, 3]\nback_slip = false\nbelt_speed = [-0.1, 0.0]",
+        ["system.belt_speed", "neither rests nor turns, got 0.0", "remove"],
+    ),
+    "barred on a belt that turns": (
+        "n = [5, 3]",
+        "n = [5, 3]\nback_slip = false\nbelt_speed = {times = [0, 9], values = [-0.1, 0.1]}",
+        ["system.belt_speed", "neither rests nor turns, got -0.1 at 0 to 0.1 at 9", "remove"],
+    ),
     "integer beyond float": ("t_end = 8.0", "t_end = " + "9" * 400, ["run.t_end", "number"]),
 }
 
@@ -190,6 +200,14 @@ def test_bad_scene_is_refused_with_key_and_remedy(case, source, tmp_path):
     assert any(all(word in line for word in words) for line in lines), str(caught.value)
     assert all(line.startswith(f"{file}: ") for line in lines)
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_belt_may_come_to_rest_where_one_side_is_barred(source):
+    """As `System` has it: it loads to one side for as long as it moves."""
+    text = edit(
+        source, "n = [5, 3]", "n = [5, 3]\nback_slip = false\nbelt_speed = {times = [0, 9], values = [-0.1, 0]}"
+    )
+    assert not expand(parse_scene(text))[0].system().back_slip
 
 
 def test_no_engine_at_all(source):

@@ -286,6 +286,21 @@ def test_what_drives_the_blocks_is_swept_and_drawn(seed):
     assert scene.changed(system={"back_slip": True}).hash != scene.hash
 
 
+def test_a_force_may_be_given_by_times_and_values(seed, tmp_path):
+    force = "n = 3\nforce = {times = [0, 10, 20], values = [0, 2, -1]}"
+    scene = scene_of(DRAWN.replace("SEED", str(seed)), ("n = 3", force))
+    harmonic = scene.changed(system={"force": {"amplitude": 1.0, "frequency": 2.0}})
+    assert [one.member_id for one in expand(harmonic)] == [one.member_id for one in expand(scene)]
+    assert harmonic.hash != load_again(scene).hash == scene.hash
+    for member in expand(scene):
+        assert member.system().force_at([5.0, 15.0, 30.0]).tolist() == [[1.0] * 3, [0.5] * 3, [-1.0] * 3]
+        assert "force = 0 at 0 to 2 at 10 to -1 at 20" in member.drawn
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert table[["force_amplitude", "force_frequency", "force_phase"]].isna().all(axis=None)
+    assert (table.drawn == [member.drawn for member in expand(scene)]).all()
+
+
 def load_again(scene):
     return parse_scene(written(scene.model_dump(mode="json", by_alias=True, exclude_none=True)).encode())
 
@@ -369,6 +384,7 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
 
 # ---------------------------------------------------------------------------------------------- what is refused
 
+FORCES = ["system.force", "amplitude and frequency, or times and values"]
 BAD = {
     "no values of an engine": ("tol = 1e-6", "tol = []", ["engine[0]", "1 to 1000 values of tol"]),
     "an engine's value twice": ("tol = 1e-6", "tol = [1e-6, 1e-6]", ["engine[0]", "value of tol once"]),
@@ -414,7 +430,24 @@ BAD = {
         ["system.static", "at least the kinetic", "got 0.9 with friction = 1.0"],
     ),
     "no mass": ("n = [3, 4]", "n = 3\nmass = 0.0", ["system.mass", "number > 0", "0.0"]),
-    "a force without frequency": ("n = [3, 4]", "n = 3\nforce = {amplitude = 1.0}", ["system.force.frequency"]),
+    "a force without frequency": ("n = [3, 4]", "n = 3\nforce = {amplitude = 1.0}", FORCES),
+    "a force of both forms": ("n = [3, 4]", "n = 3\nforce = {amplitude = 1.0, times = [0], values = [1]}", FORCES),
+    "a force by times with a phase": (
+        "n = [3, 4]",
+        "n = 3\nforce = {phase = 1.0, times = [0], values = [1]}",
+        FORCES,
+    ),
+    "a force that is no table": ("n = [3, 4]", "n = 3\nforce = 1.0", FORCES),
+    "a force of too many times": (
+        "n = [3, 4]",
+        "n = 3\nforce = {times = [0, 1], values = [1]}",
+        ["system.force", "times that increase and as many values"],
+    ),
+    "a key that no force has": (
+        "n = [3, 4]",
+        "n = 3\nforce = {time = [0], values = [1]}",
+        ["system.force.time", "did you mean 'times'"],
+    ),
     "a number of another law": (
         "n = [3, 4]",
         'n = 3\nweakening = {law = "rational", speed = 1.0}',
@@ -474,6 +507,6 @@ def test_what_makes_no_sense_is_refused_in_a_line_that_names_the_key(case):
 def test_a_law_that_falls_from_static_friction_needs_one(seed):
     text = DRAWN.replace("SEED", str(seed))
     law = 'damping = 0.0\nweakening = {law = "stribeck", speed = 0.5}'
-    with pytest.raises(ValueError, match=r'static: expected with law = "stribeck"'):
+    with pytest.raises(ValueError, match="static: expected with the law of Stribeck"):
         scene_of(text, ("damping = {uniform = [0.0, 0.5]}", law))
     scene_of(text, ("damping = {uniform = [0.0, 0.5]}", law + "\nstatic = 1.3"))

@@ -34,13 +34,6 @@ matrices = 2
 
 
 @pytest.fixture
-def rng():
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed = {seed}")
-    return np.random.default_rng(seed)
-
-
-@pytest.fixture
 def arrays(rng):
     """A file's content: K of four blocks, not symmetric, and what it may hold beside."""
     stiffness = rng.uniform(-0.2, 0.2, (4, 4)) + np.diag(rng.uniform(1.0, 2.0, 4))

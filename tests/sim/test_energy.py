@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from stickslip.sim import EventSeries, Piecewise, Run, Stats, System, draw_system, simulate
-from stickslip.sim.energy import energy, times
+from stickslip.sim import EventSeries, Harmonic, Piecewise, Rational, Run, Stats, System, draw_system, simulate
+from stickslip.sim.energy import energy
 from stickslip.sim.episodes import episodes
 from stickslip.sim.run import Stills
 
 
 def run_with_energy(system, z, w, t_end, **settings):
-    first = simulate(system, z, w, t_end, **settings)
-    run = simulate(system, z, w, t_end, t_eval=times(system, first.events), **settings)
-    assert run.events.t.tobytes() == first.events.t.tobytes()
-    return run, energy(system, run)
+    run = simulate(system, z, w, t_end, **settings)
+    return run, energy(system, run, z, w, **settings)
 
 
 def test_a_block_that_slides_to_rest_turns_its_energy_into_heat():
@@ -54,10 +52,46 @@ def test_the_balance_closes_over_thousands_of_events(coupling):
     assert (np.diff(found.heat) >= 0).all()
 
 
-def test_other_samples_are_refused():
+@pytest.mark.parametrize("terms", ["dry", "driven", "weakening", "massive"])
+def test_parts_of_a_chaotic_run_give_what_the_whole_does(terms, rng, monkeypatch):
+    """Runs of which one begins 1e-12 beside the other part before they end, and are taken in some hundred parts."""
+    n = 12
+    more = {
+        "dry": {},
+        "driven": {
+            "belt_speed": Piecewise([20.0, 70.0], rng.uniform(-0.1, -0.05, (2, n))),
+            "force": [Harmonic(0.3, 0.7), Piecewise([0.0, 30.0, 31.0], [0.0, 0.2, 0.1])],
+        },
+        "weakening": {"weakening": Rational(2.0), "back_slip": False},
+        "massive": {"mass": rng.uniform(0.5, 2.0, n)},
+    }[terms]
+    seed = int(rng.integers(2**32))
+    system = draw_system("chain", n, seed, kappa=10.0, leaf=1.0, rho=0.0, static=1.3, belt_speed=-0.05).changed(
+        **more
+    )
+    start = rng.normal(0.0, 0.3, n), system.belt_speed_at(0.0)
+    run, whole = run_with_energy(system, *start, 400.0, tol=1e-12)
+    monkeypatch.setattr("stickslip.sim.energy._ROOM", 9 * n * (len(whole.t) // 100))
+    monkeypatch.setattr("stickslip.sim.energy._AT_A_TIME", 9 * n * 7)
+    found = energy(system, run, *start, tol=1e-12)
+    turnover = np.abs(whole.belt).max() + np.abs(whole.outside).max() + whole.damping[-1] + whole.heat[-1]
+    beside = simulate(system, start[0] + 1e-12, start[1], 400.0, tol=1e-12)
+    print(len(run.events), turnover, np.abs(whole.imbalance).max(), np.abs(beside.z - run.z).max())
+    assert np.abs(found.imbalance).max() < 1e-10 * turnover
+    for name in ("t", "kinetic", "elastic", "belt", "outside", "damping", "heat", "coupling"):
+        assert np.abs(getattr(found, name) - getattr(whole, name)).max() < 1e-12 * turnover, name
+
+
+def test_what_has_no_exact_energy_is_refused():
     system = System([[1.0]], 0.5)
-    with pytest.raises(ValueError, match="run: expected samples at the"):
-        energy(system, simulate(system, 0.0, -0.2, 4.0, t_eval=[1.0]))
+    run = simulate(system, 0.0, -0.2, 40.0)
+    with pytest.raises(ValueError, match="run: expected that of this start and these settings"):
+        energy(system, run, 0.1, -0.2)
+    with pytest.raises(ValueError, match="engine: expected one of the exact law, got 'moreau'"):
+        energy(system, run, 0.0, -0.2, engine="moreau")
+    system = System([[-1.0]], 0.0)
+    with pytest.raises(ValueError, match="run: expected one that does not diverge"):
+        energy(system, simulate(system, 9.0, 0.0, 40.0), 9.0, 0.0)
 
 
 # episodes

@@ -1,11 +1,12 @@
 """Systems that `python -m tests.fuzz` found to fail, mended since; each is judged in every way again."""
 
+import numpy as np
 import pytest
 
 from stickslip.sim import simulate
 from tests.fuzz.draw import Trial
 from tests.fuzz.judge import judge, made
-from tests.independent import Case
+from tests.independent import Case, Ramp
 
 SMOOTH = {"eps": 0.01, "rtol": 1e-8, "atol": 1e-8}
 FOUND = {
@@ -47,3 +48,13 @@ def test_a_constant_force_moves_the_rest_by_which_a_collapse_is_certain(engine, 
     run = simulate(made(case), case.z0, case.w0, 40.0, engine=engine, **settings)
     assert run.outcome == "collapsed"
     assert run.z == pytest.approx([push - 1], abs=1e-4)
+
+
+@pytest.mark.parametrize(("eps", "tol"), [(3e-4, 1e-6), (1e-3, 1e-5)])
+def test_a_belt_that_pulls_away_at_once(eps, tol):
+    """F jumps beyond friction: a step as long as the last from stick, carried through the layer, did not see it."""
+    belt = Ramp(np.array([1.0, 1.5]), np.array([[0.1], [1.1]]))
+    case = Case.of([[0.3]], 0, 1.5, belt, 0, 0.1)
+    verdict = judge(Trial(0, 0, "kink", "sigmoid", case, 2.0, {"eps": eps, "rtol": tol, "atol": tol}))
+    assert verdict.failures == []
+    assert verdict.worst < 20

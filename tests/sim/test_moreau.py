@@ -1,7 +1,5 @@
 """Time stepping of Moreau and Jean: what it records, and that it tends to the exact engine with its step."""
 
-import secrets
-
 import numpy as np
 import pytest
 import scipy.sparse
@@ -19,14 +17,6 @@ ONE_BLOCK = [
     (3.5, 0.2, +0.2, -0.7, -0.4, [0.49802862992843305, 11.540118914788621], [0, -1]),
     (0.1, 1.0, -0.2, 3.0, 1.0, [0.29075098367384344, 3.231881443452085, 4.104721534065557], [-1, 0, 1]),
 ]
-
-
-@pytest.fixture
-def rng():
-    """Random numbers from a seed that is new at each run, and printed."""
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
 
 
 def moreau(system, z0, w0, t_end, step, **kw):

@@ -8,13 +8,6 @@ from stickslip import System, draw_system, simulate
 TOL, T = 1e-11, 20.0
 
 
-@pytest.fixture
-def rng():
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print("seed", seed)
-    return np.random.default_rng(seed)
-
-
 def pair(rng):
     """A chain, ring, grid or network, damped or not, with one friction or two, at rest on the belt or not."""
     n = int(rng.choice([3, 8, 40, 100]))
@@ -65,3 +58,11 @@ def test_samples_and_a_split_run_change_nothing(rng):
     second = simulate(sparse, first.z, first.w, T, t_start=T / 2, tol=TOL, stop_early=False)
     np.testing.assert_allclose(second.z, plain.z, atol=1e-6)
     assert len(first.events) + len(second.events) == len(plain.events)
+
+
+def test_no_certificate_is_asked_of_many_blocks(monkeypatch):
+    """With more than 500 the eigenvalues would cost more than the run."""
+    monkeypatch.setattr(np.linalg, "eig", lambda _: pytest.fail("it was asked"))
+    chain = draw_system("chain", 501, seed=1, kappa=1.0, leaf=0.3, damping=2.0)
+    run = simulate(chain, -0.7, -0.4, 40.0, tol=1e-6)
+    assert (run.outcome, run.events.mode_at(40.0).all()) == ("finished", True)

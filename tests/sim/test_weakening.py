@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
-from stickslip.sim.energy import energy, times
+from stickslip.sim.energy import energy
 from stickslip.sim.engines import ENGINES, friction
 from stickslip.sim.engines.lanes import on_number
 from stickslip.sim.theory import folds
@@ -48,6 +48,7 @@ def test_the_closed_side_is_ahead_of_the_belt():
     ("arguments", "error", "message"),
     [
         ({"weakening": 3.0}, TypeError, r"weakening: expected Rational\(rate\) or Stribeck\(speed\), got 3.0"),
+        ({"weakening": Stribeck(1.0)}, ValueError, "static: expected with the law of Stribeck, .* found nothing"),
         ({"back_slip": 0}, TypeError, "back_slip: expected True or False, got 0"),
         ({"back_slip": False, "belt_speed": 0.0}, ValueError, "back_slip: expected True .* that of block 0"),
         ({"back_slip": False, "belt_speed": [0.1, 0.0]}, ValueError, "back_slip: .* that of block 1"),
@@ -230,9 +231,8 @@ def test_no_block_gets_ahead_of_its_belt():
 def test_energy_balances(law):
     system = draw_system("chain", 4, secrets.randbits(32), kappa=0.7, leaf=1.0, rho=0.2, static=1.4)
     system, z = system.changed(weakening=law), np.random.default_rng(secrets.randbits(32)).uniform(-0.3, 0.3, 4)
-    events = simulate(system, z, -0.2, 20.0, tol=1e-13).events
-    run = simulate(system, z, -0.2, 20.0, tol=1e-13, t_eval=times(system, events))
-    account = energy(system, run)
+    run = simulate(system, z, -0.2, 20.0, tol=1e-13)
+    account = energy(system, run, z, -0.2, tol=1e-13)
     assert account.heat[-1] > 1.0
     assert np.abs(account.imbalance).max() < 1e-10
 

@@ -46,6 +46,41 @@ def test_run_leaves_data_and_a_report(dataset, capsys):
     assert len(as_json["law"]) == len(law)
 
 
+def test_a_report_of_blocks_that_are_driven_and_barred(tmp_path, capsys):
+    scene = tmp_path / "driven.toml"
+    scene.write_text("""
+start = "rest"
+[system]
+coupling = "chain"
+n = 5
+static = 1.5
+mass = [1.0, {uniform = [0.8, 1.2]}]
+force = {amplitude = [0.5, 1.0], frequency = {uniform = [0.9, 1.1]}}
+weakening = {law = "rational", rate = 2.0}
+back_slip = false
+[run]
+t_end = 40.0
+matrices = 3
+[[engine]]
+name = "coulomb"
+[record]
+episodes = true
+energy = true
+[analysis]
+t_burn = 5.0
+dt = 0.5
+""")
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out), "--workers", "1"]) == 0
+    groups = json.loads((out / "report" / "tables.json").read_text())["groups"]
+    assert [group["back_slip"] for group in groups] == ["barred"] * 4
+    assert "barred" in (out / "report.html").read_text()
+    members = query.members(out)
+    stored = sum(members[f"{kind}_energy_end"] - members[f"{kind}_energy_start"] for kind in ("kinetic", "elastic"))
+    came = members["belt_work"] + members["force_work"] + members["coupling_work"]
+    assert (stored - came + members["damping_loss"] + members["friction_loss"]).abs().max() < 1e-4
+
+
 def test_status_and_verify(dataset, capsys):
     assert main(["status", str(dataset)]) == 0
     assert "6 of 6 done" in capsys.readouterr().out

@@ -1,7 +1,6 @@
 """The chart of one block: closed forms, the basin by other means, claims judged by what was measured."""
 
 import re
-import secrets
 from dataclasses import replace
 
 import numpy as np
@@ -25,13 +24,6 @@ stops = 4
 slowest = 0.2
 starts = 5
 """
-
-
-@pytest.fixture
-def rng():
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
 
 
 # static friction

@@ -1,7 +1,6 @@
 """The chart of two blocks: closed forms of its map, cycles, claims judged by what was measured."""
 
 import re
-import secrets
 from dataclasses import replace
 from itertools import islice
 
@@ -21,13 +20,6 @@ episodes = 60
 tried = 2
 unequal_pairs = 2
 """
-
-
-@pytest.fixture
-def rng():
-    seed = secrets.randbits(32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
 
 
 # the map

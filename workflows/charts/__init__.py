@@ -38,7 +38,6 @@ CHARTS = {
     "scaling": "stickslip.workflows.charts.scaling:ScalingScene",
     "speed_accuracy": "stickslip.workflows.charts.speed_accuracy:SpeedScene",
     "stability": "stickslip.workflows.charts.stability:StabilityScene",
-    "statistics": "stickslip.workflows.charts.statistics:StatisticsScene",
     "two_blocks": "stickslip.workflows.field.two_blocks:TwoBlocksScene",
 }
 

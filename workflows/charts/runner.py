@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import inspect
 import json
-import math
 import platform
 import re
 import sys
@@ -25,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from stickslip.analysis import Report
 from stickslip.analysis.report.formats import environment as page_environment
-from stickslip.analysis.report.formats import number, signed
+from stickslip.analysis.report.formats import number
 from stickslip.analysis.report.page import Drawn, draw
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.storage import Place
@@ -170,14 +169,6 @@ def seconds(value: float) -> str:
     return f"{value / 1e-6:.3g} µs"
 
 
-def beside(value: float, error: float | None) -> str:
-    """A number with its sign to about a hundredth of an error: what is smaller is 0."""
-    if not error:
-        return signed(value)
-    decimals = max(2 - math.floor(math.log10(error)), 0)
-    return f"{value:+.{decimals}f}" if round(value, decimals) else "0"
-
-
 def span(values: Iterable[float], form: str = "%.3g") -> str:
     """The least and the most of some numbers, once if they look alike."""
     some = sorted(values)
@@ -189,5 +180,5 @@ def span(values: Iterable[float], form: str = "%.3g") -> str:
 
 #: What templates have, as filters and as functions.
 FORMS: dict[str, Callable[..., Any]] = {"count3": partial(count, digits=3)}
-for _form in (beside, count, median, number, power, seconds, span):
+for _form in (count, median, number, power, seconds, span):
     FORMS[_form.__name__] = _form

@@ -13,8 +13,7 @@ from stickslip import sim
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, SUSTAINED
-from stickslip.analysis.stats.parting import median_time
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, SUSTAINED, kaplan_meier, median
 from stickslip.workflows.charts.claims import (
     CONFIDENCE,
     CONTRADICTED,
@@ -55,7 +54,7 @@ def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
 
 
 def _median(times: Sequence[float]) -> Estimate:
-    return median_time(times, [True] * len(times), CONFIDENCE) if len(times) else Estimate()
+    return median(*kaplan_meier(np.array(times), np.full(len(times), True), CONFIDENCE)) if len(times) else Estimate()
 
 
 def _share(rows: Sequence[Row], *of: str) -> Claim:
@@ -238,11 +237,7 @@ def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
     return _share(rows, DIVERGED) | {
         "size": size, "periods": periods, "ends": ends,
         "swing": {"moved": moved, "usual": usual},
-        "escapes": [
-            {"size": one.size, "runs": one.curve.n_runs, "left": one.curve.n_ends, "median": one.median.value,
-             "low": one.median.low, "high": one.median.high}
-            for one in escapes(measured.runs, scene.t_few)
-        ],
+        "escapes": escapes(measured.runs, scene.t_few),
     }  # fmt: skip
 
 

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from scipy.linalg import expm
 
 from stickslip import sim
-from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PANEL, STYLE
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, panel
 from stickslip.sim.theory.blowup import Blowup
 from stickslip.sim.theory.laws import Coulomb, Modified, SwitchingLaw
 from stickslip.sim.theory.slow_time import Segment, run_with_law
@@ -138,39 +137,33 @@ def modes_in_time() -> list[tuple[float, float, bool]]:
 # ---------------------------------------------------------------------------------------------- drawings
 
 
-def fast_flow(one: BlowUp) -> Figure:
+@panel()
+def fast_flow(ax: Axes, one: BlowUp) -> None:
     """The fast flow in the box of (lambda_1, lambda_2), stable modes filled, others open."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        axis = np.asarray(one.axis)
-        right, up = np.array(one.rate)
-        ax.streamplot(axis, axis, right, up, color=BLUE, density=0.7, linewidth=0.8, broken_streamlines=False)
-        for is_stable, label in ((True, "sticking mode, stable"), (False, "sticking mode, saddle")):
-            some = [(x, y) for x, y, holds in one.modes if holds == is_stable]
-            if some:
-                ax.plot(*zip(*some, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
-                        markeredgecolor="black", linestyle="none", label=label)  # fmt: skip
-        ax.set(title=f"({'a' if one.law == 'Coulomb' else 'b'}) {one.law} law", xlabel="λ₁", ylabel="λ₂",
-               xlim=(-1, 1), ylim=(-1, 1), aspect="equal")  # fmt: skip
-        ax.spines[["top", "right"]].set_visible(True)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=7)
-    return figure
+    axis = np.asarray(one.axis)
+    right, up = np.array(one.rate)
+    ax.streamplot(axis, axis, right, up, color=BLUE, density=0.7, linewidth=0.8, broken_streamlines=False)
+    for is_stable, label in ((True, "sticking mode, stable"), (False, "sticking mode, saddle")):
+        some = [(x, y) for x, y, holds in one.modes if holds == is_stable]
+        if some:
+            ax.plot(*zip(*some, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
+                    markeredgecolor="black", linestyle="none", label=label)  # fmt: skip
+    ax.set(title=f"({'a' if one.law == 'Coulomb' else 'b'}) {one.law} law", xlabel="λ₁", ylabel="λ₂",
+           xlim=(-1, 1), ylim=(-1, 1), aspect="equal")  # fmt: skip
+    ax.spines[["top", "right"]].set_visible(True)
+    ax.figure.legend(loc="outside lower center", ncols=2, fontsize=7)
 
 
-def slow_modes(points: Sequence[tuple[float, float, bool]], runs: Sequence[SlowRun]) -> Figure:
+@panel()
+def slow_modes(ax: Axes, points: Sequence[tuple[float, float, bool]], runs: Sequence[SlowRun]) -> None:
     """lambda_2 of the sticking modes in slow time, and of the two runs."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        for is_wanted, marker, size, label in ((True, "o", 3.5, "mode, stable"), (False, "x", 3.0, "mode, saddle")):
-            seen = [(t, y) for t, y, is_stable in points if is_stable == is_wanted]
-            ax.plot(*np.array(seen).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
-        for k, run in enumerate(runs):
-            t, lam = np.array(run.t), np.array(run.lam[1])
-            shown = t <= SHOWN
-            label = "run from λ = " + ("(1, 1)" if run.side > 0 else "(−1, −1)")
-            ax.plot(t[shown], lam[shown], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2, label=label)
-        ax.set(title="(c) modified law in slow time", xlabel="time t", ylabel="λ₂")
-        ax.legend(fontsize=7, loc="center right")
-    return figure
+    for is_wanted, marker, size, label in ((True, "o", 3.5, "mode, stable"), (False, "x", 3.0, "mode, saddle")):
+        seen = [(t, y) for t, y, is_stable in points if is_stable == is_wanted]
+        ax.plot(*np.array(seen).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
+    for k, run in enumerate(runs):
+        t, lam = np.array(run.t), np.array(run.lam[1])
+        shown = t <= SHOWN
+        label = "run from λ = " + ("(1, 1)" if run.side > 0 else "(−1, −1)")
+        ax.plot(t[shown], lam[shown], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2, label=label)
+    ax.set(title="(c) modified law in slow time", xlabel="time t", ylabel="λ₂")
+    ax.legend(fontsize=7, loc="center right")

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from stickslip import sim
-from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PANEL, PURPLE, STYLE
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, panel
 from stickslip.sim.theory import folds, strata
 from stickslip.sim.theory.blowup import continuations
 from stickslip.sim.theory.laws import Coulomb, StaticAboveKinetic
@@ -197,26 +195,21 @@ _LEAVING = 1.5
 _DASHES = ("-", "--", "-.")
 
 
-def phase_portrait(one: Portrait) -> Figure:
+@panel()
+def phase_portrait(ax: Axes, one: Portrait) -> None:
     """Figure 1: z against z'; the stick interval thick, the exit point E marked, its path bold."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
-        for z, w, is_exit in one.paths:
-            ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
-                    zorder=3 if is_exit else 2, label="path from E" if is_exit else "_")  # fmt: skip
-            _arrow(ax, z, w, ORANGE if is_exit else BLUE)
-        ax.plot(
-            one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks"
-        )
-        ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
-        ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
-                    ha="center", fontweight="bold")  # fmt: skip
-        ax.set(title=f"({'i' if one.v < 0 else 'ii'}) v = {one.v:g}".replace("-", "−"), xlabel="displacement z",
-               ylabel="velocity z'")  # fmt: skip
-        ax.legend(loc="upper right" if one.v < 0 else "lower left", fontsize=7)
-    return figure
+    ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
+    for z, w, is_exit in one.paths:
+        ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
+                zorder=3 if is_exit else 2, label="path from E" if is_exit else "_")  # fmt: skip
+        _arrow(ax, z, w, ORANGE if is_exit else BLUE)
+    ax.plot(one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks")
+    ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
+    ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
+                ha="center", fontweight="bold")  # fmt: skip
+    ax.set(title=f"({'i' if one.v < 0 else 'ii'}) v = {one.v:g}".replace("-", "−"), xlabel="displacement z",
+           ylabel="velocity z'")  # fmt: skip
+    ax.legend(loc="upper right" if one.v < 0 else "lower left", fontsize=7)
 
 
 def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> None:
@@ -226,44 +219,32 @@ def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> Non
         ax.annotate("", (x[k + 1], y[k + 1]), (x[k], y[k]), arrowprops={"arrowstyle": "-|>", "color": colour})
 
 
-def velocities(one: Parallelogram) -> Figure:
+@panel(nrows=3, sharex=True)
+def velocities(axes: Sequence[Axes], one: Parallelogram) -> None:
     """Figure 2: z' - v of both blocks in the cases (a), (b), (c); dotted: exits."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.subplots(len(one.paths), 1, sharex=True)
-        for ax, path in zip(axes, one.paths, strict=True):
-            for block, w in enumerate(path.w):
-                ax.plot(
-                    path.t,
-                    np.asarray(w) - V,
-                    color=CYCLE[block],
-                    linestyle=_DASHES[block],
-                    label=f"block {block + 1}",
-                )
-            for t, block, mode in path.events:
-                ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
-            ax.set_title(f"({path.case}) {_sign(one)}")
-        axes[0].legend(fontsize=7, loc="upper left")
-        axes[-1].set_xlabel("time t")
-        figure.supylabel("relative velocity z' − v", fontsize=9)
-    return figure
+    for ax, path in zip(axes, one.paths, strict=True):
+        for block, w in enumerate(path.w):
+            ax.plot(
+                path.t,
+                np.asarray(w) - V,
+                color=CYCLE[block],
+                linestyle=_DASHES[block],
+                label=f"block {block + 1}",
+            )
+        for t, block, mode in path.events:
+            ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
+        ax.set_title(f"({path.case}) {_sign(one)}")
+    axes[0].legend(fontsize=7, loc="upper left")
+    axes[-1].set_xlabel("time t")
+    axes[0].figure.supylabel("relative velocity z' − v", fontsize=9)
 
 
-def region(one: Parallelogram) -> Figure:
+@panel()
+def region(ax: Axes, one: Parallelogram) -> None:
     """Figure 2: (z_1, z_2) with folds, corners and the three cases.
 
     Solid edges are visible folds (exits), dashed ones invisible (entries).
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        _region(figure.subplots(), one)
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        named = dict(zip(labels, handles, strict=True))
-        figure.legend(named.values(), named, loc="outside lower center", ncols=3, fontsize=7)
-    return figure
-
-
-def _region(ax: Axes, one: Parallelogram) -> None:
     z = np.array([(corner.z_1, corner.z_2) for corner in one.corners])
     span = np.ptp(z, axis=0)
     ax.fill(*z.T, color=GREY, alpha=0.15, linewidth=0)
@@ -304,6 +285,9 @@ def _region(ax: Axes, one: Parallelogram) -> None:
     ax.annotate("", start + 0.2 * float(span.min()) * np.sign(V), start,
                 arrowprops={"arrowstyle": "-|>", "color": GREY})  # fmt: skip
     ax.annotate("drift (v, v)", start, xytext=(4, 0), textcoords="offset points", fontsize=7, color=GREY, va="center")
+    handles, labels = ax.get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
+    ax.figure.legend(named.values(), named, loc="outside lower center", ncols=3, fontsize=7)
 
 
 def _sign(one: Parallelogram) -> str:

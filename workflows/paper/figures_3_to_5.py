@@ -15,9 +15,9 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.stats import cascades, escape, estimates, fates
-from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, size_axis
-from stickslip.workflows.charts.claims import CONFIDENCE
+from stickslip.analysis.stats import cascades, estimates, fates
+from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis
+from stickslip.workflows.charts.claims import CONFIDENCE, Claim
 from stickslip.workflows.paper.runs import Path
 
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
@@ -182,12 +182,20 @@ def _law(law: cascades.Law, found: Sequence[np.ndarray]) -> Cascades:
     )  # fmt: skip
 
 
-def escapes(runs: Sequence[Row], t_end: float) -> list[escape.Escape]:
-    """Escape times by size of the noise on all dampings."""
+def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
+    """By size of the noise on all dampings: runs, how many left, and the median time of escape with its interval."""
+    found: list[Claim] = []
     some = [one for one in runs if one.study == "dampings"]
-    sizes = [one.size for one in some]
-    times = np.array([one.t_stop if one.fate == fates.DIVERGED else t_end for one in some])
-    return escape.by_size(sizes, times, [one.fate for one in some], CONFIDENCE) if some else []
+    for size in sorted({one.size for one in some}):
+        own = [one for one in some if one.size == size]
+        left = np.array([one.fate == fates.DIVERGED for one in own])
+        times = np.where(left, [one.t_stop for one in own], t_end)
+        half = fates.median(*fates.kaplan_meier(times, left, CONFIDENCE))
+        found.append({
+            "size": size, "runs": len(own), "left": int(left.sum()), "median": half.value, "low": half.low,
+            "high": half.high,
+        })  # fmt: skip
+    return found
 
 
 # ---------------------------------------------------------------------------------------------- drawings
@@ -239,32 +247,29 @@ def _curves(ax: Axes, curves: Sequence[Trace]) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
 
 
-def escape_times(runs: Sequence[Row], t_end: float) -> Figure:
+@panel()
+def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
     """When runs escape against the size of the noise on all dampings, with the median and its interval.
 
     Runs that are still there at the end are hollow, at t_end.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        ax = figure.subplots()
-        some = [one for one in runs if one.study == "dampings"]
-        for has_left, label in ((True, "escapes"), (False, "still there at the end")):
-            seen = [one for one in some if (one.fate == fates.DIVERGED) == has_left]
-            ax.plot([100 * one.size for one in seen], [one.t_stop for one in seen], "o", color=EXACT, markersize=4,
-                    markerfacecolor=EXACT if has_left else "white", linestyle="none", label=label)  # fmt: skip
-        for one in escapes(runs, t_end):
-            value, low, high = one.median.value, one.median.low, one.median.high
-            if value is not None:
-                ends = [[value - (low or value)], [(high or t_end) - value]]
-                ax.errorbar([112 * one.size], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
-        ax.errorbar([], [], fmt="s", color=SMOOTHED, markersize=4, label="median")
-        ax.set(xscale="log", yscale="log", xlabel="noise on every damping, % of ρ", ylabel="time of escape",
-               title="(v) escape under noise on all n² dampings")  # fmt: skip
-        sizes = sorted({100 * one.size for one in some})
-        ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
-        ax.minorticks_off()
-        ax.legend(loc="lower left", fontsize=7)
-    return figure
+    some = [one for one in runs if one.study == "dampings"]
+    for has_left, label in ((True, "escapes"), (False, "still there at the end")):
+        seen = [one for one in some if (one.fate == fates.DIVERGED) == has_left]
+        ax.plot([100 * one.size for one in seen], [one.t_stop for one in seen], "o", color=EXACT, markersize=4,
+                markerfacecolor=EXACT if has_left else "white", linestyle="none", label=label)  # fmt: skip
+    for one in escapes(runs, t_end):
+        value = one["median"]
+        if value is not None:
+            ends = [[value - (one["low"] or value)], [(one["high"] or t_end) - value]]
+            ax.errorbar([112 * one["size"]], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
+    ax.errorbar([], [], fmt="s", color=SMOOTHED, markersize=4, label="median")
+    ax.set(xscale="log", yscale="log", xlabel="noise on every damping, % of ρ", ylabel="time of escape",
+           title="(v) escape under noise on all n² dampings")  # fmt: skip
+    sizes = sorted({100 * one.size for one in some})
+    ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    ax.minorticks_off()
+    ax.legend(loc="lower left", fontsize=7)
 
 
 def by_definition(rows: Sequence[Cascades], definition: str) -> Cascades | None:
@@ -272,27 +277,24 @@ def by_definition(rows: Sequence[Cascades], definition: str) -> Cascades | None:
     return next((one for one in reversed(rows) if one.definition == definition), None)
 
 
-def size_law(rows: Sequence[Cascades]) -> Figure:
+@panel(ncols=2, sharey=True)
+def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
     """Cascades of each size on a log axis, by events and by the paper's own words; the fits and the paper's law."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.subplots(1, 2, sharey=True)
-        for ax, definition in zip(axes, ("events", "length"), strict=True):
-            one = by_definition(rows, definition)
-            if one is None or not any(map(any, one.counts)):
-                continue
-            for j, counts in enumerate(one.counts):
-                seen = [(size, count) for size, count in enumerate(counts, 1) if count]
-                ax.plot(*zip(*seen, strict=True), "os^"[j], color=CYCLE[j], markersize=3, label=f"matrix {j}")
-            level = np.mean([counts[0] for counts in one.counts if counts])
-            ends = np.array([1.0, max(map(len, one.counts))])
-            for gamma, colour, dash, label in ((one.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
-                if gamma is not None:
-                    ax.plot(ends, level * np.exp(-gamma * (ends - 1)), color=colour, linestyle=dash,
-                            label=f"{label}, γ = {gamma:.2f}")  # fmt: skip
-            ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
-            ax.set_title("(ii) by events" if definition == "events" else f"(ii) successive steps of {one.dt:g}")
-            size_axis(ax, int(ends[1]))
-            ax.legend(fontsize=6)
-        axes[0].set_ylabel("number of cascades f")
-    return figure
+    for ax, definition in zip(axes, ("events", "length"), strict=True):
+        one = by_definition(rows, definition)
+        if one is None or not any(map(any, one.counts)):
+            continue
+        for j, counts in enumerate(one.counts):
+            seen = [(size, count) for size, count in enumerate(counts, 1) if count]
+            ax.plot(*zip(*seen, strict=True), "os^"[j], color=CYCLE[j], markersize=3, label=f"matrix {j}")
+        level = np.mean([counts[0] for counts in one.counts if counts])
+        ends = np.array([1.0, max(map(len, one.counts))])
+        for gamma, colour, dash, label in ((one.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
+            if gamma is not None:
+                ax.plot(ends, level * np.exp(-gamma * (ends - 1)), color=colour, linestyle=dash,
+                        label=f"{label}, γ = {gamma:.2f}")  # fmt: skip
+        ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
+        ax.set_title("(ii) by events" if definition == "events" else f"(ii) successive steps of {one.dt:g}")
+        size_axis(ax, int(ends[1]))
+        ax.legend(fontsize=6)
+    axes[0].set_ylabel("number of cascades f")

@@ -146,7 +146,6 @@ def test_what_ships_explains_its_keys(name):
         ("scaling", "7 random systems and 5 chains"),
         ("speed_accuracy", "13 methods on 6 problems"),
         ("stability", "cells and the hard cases"),
-        ("statistics", "18 settings of 3 methods on 40 matrices"),
     ],
 )
 def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch, capsys):

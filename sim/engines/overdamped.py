@@ -1,0 +1,144 @@
+"""Heavily damped blocks in the exact engine: their slow motion, in the place of steps as short as 1 / R.
+
+A slipping block with w' = -R w + G(t) has a transient, exp(-R t) times what w is off at the start, and beside it a
+motion as slow as G. In the coefficients of series that is
+
+    w_k = (G_k - (k + 1) w_{k+1}) / R,    G = -(K z) - mu sigma, and a force from outside.
+
+Where R is far above all other rates, a few sweeps of this recurrence settle, w_{k+1} being that of the sweep before:
+each brings a factor of those rates over R. A block is taken to move so once what it is off is below the tolerance.
+Until then, when a block leaves the belt, and where sweeps do not settle, the step is that of
+`stickslip.sim.engines.taylor.expand`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines.arithmetic import copy, largest
+from stickslip.sim.engines.compile import inner
+from stickslip.sim.engines.outside import begin, may_change, take_off
+from stickslip.sim.engines.products import one_product
+from stickslip.sim.engines.sticking import settle
+from stickslip.sim.engines.taylor import ORDER_MAX, ORDER_MIN, SPAN
+from stickslip.sim.system import System
+
+#: A block is heavily damped if R is this many times all rates without it: below, short steps cost no more.
+_HEAVY = 100.0
+#: Series have settled when a sweep changes w by this share of what it may err by.
+_SETTLED = 0.01
+_SWEEPS = 15
+#: A step whose series do not end by the highest order is made this much shorter, so many times.
+_SHORTER, _SHORTER_MAX = 0.6, 4
+#: After a failure so many steps of `expand` come first: those left, and what it will be the next time, up to a most.
+_LEFT, _NEXT, _PATIENCE_MAX = 0, 1, 64
+
+
+class Slow(NamedTuple):
+    """What it takes to follow heavily damped blocks."""
+
+    least: float  #: the damping from which on they are
+    rate: float  #: of all else, and of their slow motion
+    patience: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, system: System, fastest: float) -> Slow | None:
+        """None if there are no such blocks; `fastest` is the largest frequency of a force."""
+        damping, pull = system.damping, system.row_sums
+        slowest = _HEAVY * max(math.sqrt(pull.max()), fastest)
+        if not damping.max() > slowest:
+            return None
+        for least in np.unique(damping[damping > slowest]).tolist():
+            light = np.where(damping < least, np.abs(damping), 0.0) + np.sqrt(pull)
+            if least >= _HEAVY * max(float(light.max()), fastest):
+                own = np.where(damping < least, light, pull / np.maximum(damping, least))
+                return cls(least, max(float(own.max()), fastest), np.array([0, 1]))
+        return None
+
+
+@inner
+def _sweep(law, expansion, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+    """The series of all blocks anew, from what heavily damped ones have of the sweep before.
+
+    Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
+    """
+    damping, friction, mode, outside = law.damping, law.friction, expansion.mode, law.outside
+    series, forces, slips = expansion.series, expansion.forces, expansion.slips
+    begin(outside, t)
+    n_small, change, power = 0, 0.0, 1.0
+    for k in range(ORDER_MAX - 1):
+        one_product(law.columns, series[k], forces[k], law.pairs.columns)
+        pushed = take_off(outside, t, k, forces[k])
+        for i in range(len(mode)):
+            pull = -slips[i] * (forces[k, i] + (friction[i] * mode[i] if k == 0 else 0.0))
+            if slips[i] == 0.0 or damping[i] < least:
+                series[k + 2, i] = (pull - slips[i] * damping[i] * (k + 1) * series[k + 1, i]) / ((k + 2) * (k + 1))
+            else:
+                w = (pull - (k + 2) * (k + 1) * series[k + 2, i]) / damping[i]
+                change = max(change, abs(w - (k + 1) * series[k + 1, i]) * power)
+                series[k + 1, i] = w / (k + 1)
+        term = power * (k + 1) * largest(series[k + 1])
+        if pushed > 0.0:  # as in `expand`: where it moves a block, and where friction holds it
+            term = max(term, power * pushed * max(h / (k + 1), 1.0 / (h * rate * rate)))
+        n_small = n_small + 1 if term <= allowed else 0  # two in a row, since one can vanish by chance
+        if n_small >= 2 and k + 1 >= max(ORDER_MIN, rate * h):
+            return k + 1, change
+        power *= h
+    return 0, change
+
+
+@inner
+def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+    """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
+    if slow is None:
+        return 0, 0.0, 0.0, 0
+    v, mode, touching, outside = law.belt_speed, expansion.mode, expansion.touching, law.outside
+    series, forces, zeros, patience = expansion.series, expansion.forces, expansion.zeros, slow.patience
+    n, n_products = len(z), 1
+    failed = 0, 0.0, 0.0
+    for i in range(n):
+        if touching[i] or mode[i] == 0:
+            w[i] = v[i]
+    one_product(law.columns, z, forces[0], law.pairs.columns)
+    begin(outside, t)
+    take_off(outside, t, 0, forces[0])
+    is_free = settle(law, largest(z), expansion) == 0
+    for i in range(n):
+        expansion.slips[i] = 1.0 if mode[i] != 0 else 0.0
+        touching[i] = touching[i] or zeros[i] > 0  # so that `expand` decides the same
+        is_free = is_free and zeros[i] == 0
+    if not is_free or patience[_LEFT] > 0:
+        patience[_LEFT] = max(patience[_LEFT] - 1, 0)
+        return (*failed, n_products)
+    h = min(target, SPAN / slow.rate) if slow.rate > 0.0 else target
+    for k in range(2, ORDER_MAX + 1):
+        for i in range(n):
+            series[k, i] = 0.0
+    copy(z, series[0])
+    copy(w, series[1])
+    allowed = tol * max(largest(w), largest(v))
+    # if nothing moves yet
+    allowed = max(allowed, tol * h * may_change(outside, t, h) / (1.0 + h * largest(law.damping)))
+    n_shorter = 0
+    for _ in range(_SWEEPS):
+        order, change = _sweep(law, expansion, slow.least, t, h, slow.rate, allowed)
+        n_products += order if order > 0 else ORDER_MAX - 1
+        allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
+        transient = 0.0
+        for i in range(n):
+            transient = max(transient, abs(w[i] - series[1, i]))
+        if transient > allowed + change or n_shorter == _SHORTER_MAX:
+            break
+        if order == 0:
+            h *= _SHORTER
+            n_shorter += 1
+        elif change <= _SETTLED * allowed:
+            patience[_NEXT] = 1
+            return order, h, allowed, n_products
+    patience[_LEFT] = patience[_NEXT]
+    patience[_NEXT] = min(2 * patience[_NEXT], _PATIENCE_MAX)
+    return (*failed, n_products)

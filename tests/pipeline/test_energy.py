@@ -1,0 +1,117 @@
+"""Energy as columns of a dataset: the balance closes."""
+
+import secrets
+
+import numpy as np
+import pytest
+
+from stickslip import Dataset
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
+from stickslip.sim.energy import energy
+
+SOURCE = """\
+[system]
+coupling = "chain"
+n = 6
+kappa = 2.0
+leaf = 1.0
+rho = 0.1
+static = 1.4
+belt_speed = -0.1
+TERMS
+[start]
+z = {uniform = [-0.3, 0.3]}
+w = "belt"
+[run]
+t_end = 80.0
+matrices = 3
+seed = SEED
+[[engine]]
+name = "coulomb"
+tol = 1e-13
+[[engine]]
+name = "moreau"
+step = 0.1
+[record]
+energy = true
+episodes = true
+[analysis]
+t_burn = 1.0
+dt = 0.5
+"""
+MOREAU = '[[engine]]\nname = "moreau"\nstep = 0.1\n'
+TERMS = {
+    "dry": "",
+    "driven": "force = {amplitude = 0.2, frequency = 0.7}",
+    "weakening": 'weakening = {law = "rational", rate = 2.0}',
+    "massive": "mass = {uniform = [0.5, 2.0]}",
+    "not reciprocal": "",
+}
+STORED = ("kinetic_energy", "elastic_energy")
+GIVEN, TAKEN = ("belt_work", "force_work", "coupling_work"), ("damping_loss", "friction_loss")
+
+
+def scene(terms, source=SOURCE):
+    seed = secrets.randbits(32)
+    print(f"seed = {seed}")
+    source = source.replace("TERMS", TERMS[terms]).replace("SEED", str(seed))
+    if terms in ("driven", "weakening"):
+        source = source.replace(MOREAU, "")
+    if terms == "not reciprocal":
+        source = source.replace('"chain"', '"antisymmetric"').replace("leaf = 1.0\nrho = 0.1\n", "rho = 3.5\n")
+    return parse_scene(source.encode())
+
+
+@pytest.mark.parametrize("terms", TERMS)
+def test_the_balance_closes(terms, tmp_path):
+    ensemble = scene(terms)
+    run_ensemble(ensemble, tmp_path / "out", workers=0)
+    assert verify(tmp_path / "out") == []
+    table = query.members(tmp_path / "out")
+    exact = table[table.engine == "coulomb"]
+    stored = sum(exact[f"{name}_end"] - exact[f"{name}_start"] for name in STORED)
+    given, taken = (sum(exact[name] for name in names) for names in (GIVEN, TAKEN))
+    assert np.abs(stored - given + taken).max() < 1e-11 * (taken.max() + exact[list(GIVEN)].abs().max().max())
+    assert (taken > 0.01).all()
+    assert (exact.force_work != 0).all() == (terms == "driven")
+    assert (exact.coupling_work != 0).all() == (terms == "not reciprocal")
+    others = table[table.engine != "coulomb"]
+    assert others[[f"{name}_end" for name in STORED] + [*GIVEN, *TAKEN]].isna().all(axis=None)
+
+
+def test_an_episode_has_what_is_lost_in_it(tmp_path):
+    ensemble = scene("dry")
+    run_ensemble(ensemble, tmp_path / "out", workers=0)
+    table = Dataset(tmp_path / "out").episodes
+    assert table.energy.isna().any()  # of time stepping
+    for member in expand(ensemble):
+        own = table[table.member_id == member.member_id]
+        if member.engine != "coulomb":
+            assert own.energy.isna().all()
+            continue
+        found = energy(member.system(), member.simulate(), *member.start(), tol=1e-13)
+        lost = [np.interp(own[end], found.t, found.damping + found.heat) for end in ("start", "end")]
+        np.testing.assert_allclose(own.energy, lost[1] - lost[0], rtol=1e-13)
+        assert (own.energy > 0).all()
+    found = query.sql(tmp_path / "out", "SELECT energy FROM episodes")
+    np.testing.assert_array_equal(
+        found.energy.to_numpy(dtype=float, na_value=np.nan), table.energy.to_numpy(dtype=float, na_value=np.nan)
+    )
+
+
+def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_path):
+    ensemble = scene("dry")
+    plain = ensemble.changed(record={"energy": False, "episodes": True})
+    assert "energy" not in plain.data_keys()["record"]
+    for name, one in (("with", ensemble), ("without", plain)):
+        run_ensemble(one, tmp_path / name, workers=0)
+    table = query.members(tmp_path / "with")
+    assert table[list(query.members(tmp_path / "without"))].equals(query.members(tmp_path / "without"))
+    assert [one.member_id for one in expand(plain)] == [one.member_id for one in expand(ensemble)]
+
+
+def test_without_an_engine_of_the_exact_law_it_is_refused():
+    with pytest.raises(
+        SceneError, match=r"record.energy: expected an engine of the exact law, got 'moreau' alone; add"
+    ):
+        scene("dry", SOURCE.replace('name = "coulomb"\ntol = 1e-13\n[[engine]]\n', ""))

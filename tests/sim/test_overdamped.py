@@ -1,0 +1,113 @@
+"""Heavily damped blocks under the exact law: closed forms, the independent engine, a limit, and short steps."""
+
+import numpy as np
+import pytest
+
+from stickslip.sim import Harmonic, Piecewise, System, simulate
+from stickslip.sim.engines import coulomb_steps
+from stickslip.sim.engines.overdamped import Slow
+from tests import independent
+
+
+def slipping(damping, stiffness, friction, z0, w0, t):
+    """z and w at t of a block that slips right throughout."""
+    fast = -0.5 * (damping + np.sqrt(damping**2 - 4 * stiffness))
+    slow = stiffness / fast
+    y = z0 + friction / stiffness
+    a = (w0 - slow * y) / (fast - slow)
+    b = y - a
+    there = a * np.exp(fast * t), b * np.exp(slow * t)
+    return sum(there) - friction / stiffness, fast * there[0] + slow * there[1]
+
+
+@pytest.mark.parametrize("damping", [1e3, 1e5, 1e8])
+def test_one_block(damping, rng):
+    z0, w0 = rng.uniform(-10, -1), rng.uniform(0, 3)
+    times = np.concatenate(([1.0, 20.0, 0.5 * damping], rng.uniform(0, 20, 5) / damping))
+    times.sort()
+    run = simulate(System([[0.7]], damping, 0.4, -1.0), z0, w0, times[-1], t_eval=times, tol=1e-12, stop_early=False)
+    z, w = slipping(damping, 0.7, 0.4, z0, w0, times)
+    assert (np.abs(run.samples.z[:, 0] - z) < 1e-12 * (10 + times)).all()  # an error of w, for so long
+    np.testing.assert_allclose(run.samples.w[:, 0], w, rtol=0, atol=1e-11)
+    assert run.stats.n_steps < 100
+
+
+def test_creep_meets_its_belt(rng):
+    """w of a block on its slow motion falls like exp(slow t): it is caught when that is the belt's speed."""
+    damping, v = 1e6, 1e-7
+    run = simulate(System([[1.0]], damping, 0.2, v), -2.0, 0.5, 1e7, tol=1e-12)
+    slow = -2.0 / (damping + np.sqrt(damping**2 - 4))
+    _, w = slipping(damping, 1.0, 0.2, -2.0, 0.5, 1.0)
+    caught = 1.0 + np.log(v / w) / slow
+    assert run.events.mode.tolist() == [0, -1]
+    assert abs(run.events.t[0] / caught - 1) < 1e-4  # w errs by tol of the largest w there is: 5e-13, of 1e-7
+
+
+def draw(rng, damping):
+    """Blocks of which some are heavily damped, on belts on which they stick, or that they leave behind."""
+    n = int(rng.integers(1, 5))
+    stiffness = rng.normal(size=(n, n))
+    stiffness = stiffness @ stiffness.T / n + (rng.normal() * (np.tri(n) - np.tri(n).T))
+    heavy = rng.random(n) < rng.choice([0.3, 1.0])
+    heavy[rng.integers(n)] = True
+    r = np.where(heavy, damping * rng.uniform(1, 3, n), rng.uniform(0.5, 2, n))
+    friction = rng.uniform(0.3, 1.5, n)
+    v = float(rng.choice([-0.2, 0.0, 0.1 / damping, 1.0 / damping]))
+    arguments = {"damping": r, "friction": friction, "static": friction * rng.choice([1.0, 1.3])}
+    return stiffness, arguments, v, rng.normal(size=n), np.where(rng.random(n) < 0.5, v, rng.normal(size=n))
+
+
+def test_against_the_independent_engine(rng):
+    for _ in range(4):
+        stiffness, arguments, v, z0, w0 = draw(rng, 1e3)
+        n = len(z0)
+        wave = rng.normal(size=n), rng.uniform(0.5, 3), rng.uniform(0, 6, n)
+        case = independent.Case.of(stiffness, belt_speed=v, z0=z0, w0=w0, waves=[wave], **arguments)
+        found = independent.follow(case, 2.0)
+        size = max(np.abs(x).max() for x in (z0, w0, found.z, found.w))
+        system = System(stiffness, belt_speed=v, force=[Harmonic(*wave)], **arguments)
+        assert Slow.of(system, 3.0) is not None
+        run = simulate(system, z0, w0, 2.0, tol=1e-12, stop_early=False)
+        assert np.abs(run.z - found.z).max() < 1e-8 * size
+        assert np.abs(run.w - found.w).max() < 1e-8 * size
+
+
+def test_against_short_steps(rng, monkeypatch):
+    """The same with each step as short as the largest R wants it."""
+    for _ in range(8):
+        stiffness, arguments, v, z0, w0 = draw(rng, 10 ** rng.uniform(2.7, 4))
+        n = len(z0)
+        force = rng.choice([None, Harmonic(rng.normal(size=n), 1.3), Piecewise([0, 2, 5], rng.normal(size=(3, n)))])
+        belt = Piecewise([0, 3, 9], [v, -v, 2 * v]) if rng.random() < 0.3 else v
+        system = System(stiffness, belt_speed=belt, force=[] if force is None else [force], **arguments)
+        growth = np.linalg.eigvals(
+            np.block([[0 * stiffness, np.eye(n)], [-stiffness, -np.diag(system.damping)]])
+        ).real
+        t_end = min(10.0, 5 / max(growth.max(), 1e-9))
+        run = simulate(system, z0, w0, t_end, tol=1e-11, stop_early=False)
+        with monkeypatch.context() as short:
+            short.setattr(coulomb_steps.Slow, "of", staticmethod(lambda *_: None))
+            expected = simulate(system, z0, w0, t_end, tol=1e-13, stop_early=False)
+        size = max(np.abs(expected.z).max(), np.abs(z0).max(), np.abs(w0).max())
+        np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-8 * size)
+
+
+def test_a_block_with_damping_without_end_is_a_wall(rng):
+    """Between two others it stays where it is: they move as if tied to a wall, each for itself."""
+    z0 = rng.uniform(-2, 2, 3)
+    chain = [[1.0, -0.8, 0.0], [-0.8, 1.6, -0.8], [0.0, -0.8, 1.0]]
+    run = simulate(System(chain, [0.1, 1e10, 0.1], 0.5, -0.2), z0, [-0.2, 0.0, -0.2], 50.0)
+    for i in (0, 2):
+        alone = simulate(System([[1.0]], 0.1, 0.5, -0.2, force=[0.8 * z0[1]]), z0[i], -0.2, 50.0)
+        mine = run.events.block == i
+        assert run.events.mode[mine].tolist() == alone.events.mode.tolist()
+        np.testing.assert_allclose(run.events.t[mine], alone.events.t, rtol=0, atol=1e-6)
+        assert abs(run.z[i] - alone.z[0]) < 1e-7
+    assert abs(run.z[1] - z0[1]) < 1e-7
+    assert run.stats.n_steps < 2000
+
+
+def test_a_run_that_short_steps_make_long_says_so(monkeypatch):
+    monkeypatch.setattr(coulomb_steps, "_MANY", 1e3)
+    with pytest.warns(RuntimeWarning, match=r"damping: R = 30 allows steps of 2e-01, 3e\+03 of them to t = 500"):
+        simulate(System([[1.0]], 30.0, belt_speed=-1.0), 0.0, 0.0, 500.0)
