@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import did_you_mean, flag, floats, number, per_block
 from stickslip.sim.engines import ENGINES
@@ -14,7 +14,7 @@ from stickslip.sim.run import Run, Samples
 from stickslip.sim.system import System, require_constant_friction, require_one_belt, require_one_friction
 
 #: Of `simulate` itself, for who writes one of them nearly right.
-_KEYWORDS = ("t_start", "t_eval", "engine", "stop_early")
+_KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
 
 
 def simulate(
@@ -26,6 +26,7 @@ def simulate(
     t_start: float = 0.0,
     t_eval: ArrayLike = (),
     engine: str = "coulomb",
+    modes: ArrayLike | None = None,
     stop_early: bool = True,
     **settings: object,
 ) -> Run:
@@ -42,6 +43,9 @@ def simulate(
     engine : str
         "coulomb", the exact set-valued law; "sigmoid", mu tanh((w - v) / (ratio eps)) in its place; or "moreau",
         time stepping, to compare with; see `stickslip.sim.engines.ENGINES`.
+    modes : array_like of int, shape (n,), optional
+        For the exact engine, each block's mode at `t_start`: 0 sticks, +1 or -1 slips. They matter to blocks at the
+        belt's speed that slip with |F| above kinetic and not above static friction; default: such blocks stick.
     stop_early : bool
         Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
         that escapes ends.
@@ -85,9 +89,23 @@ def simulate(
             f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
             " and leave out what lies outside"
         )
+    if modes is not None and not ENGINES[engine].is_exact:
+        raise ValueError(f"modes: expected None with engine={engine!r}, where the state alone says who sticks")
     samples = Samples.blank(times, system.n)
-    task = Task(system.of_unit_mass, z, w, t_start, t_end, samples, flag("stop_early", stop_early))
+    task = Task(
+        system.of_unit_mass, z, w, t_start, t_end, samples, flag("stop_early", stop_early), _modes(modes, system.n)
+    )
     return ENGINES[engine](**settings).integrate(task)
+
+
+def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:
+    """The modes of n blocks as the engine takes them."""
+    if modes is None:
+        return None
+    given = floats("modes", modes, f"{n} of the numbers 0, +1 and -1")
+    if given.shape != (n,) or not np.isin(given, (-1, 0, 1)).all():
+        raise ValueError(f"modes: expected {n} of the numbers 0, +1 and -1, got {modes!r}")
+    return given.astype(np.int8)
 
 
 def _check_names(names: Collection[str], engine: str) -> None:

@@ -23,7 +23,8 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats, floats, number, per_block
 from stickslip.sim.run import Run, Samples
@@ -43,6 +44,7 @@ class Task(NamedTuple):
     t_end: float
     samples: Samples
     stop_early: bool  #: whether a run whose escape is certain, or past doubt, ends there
+    modes: NDArray[np.int8] | None = None  #: at the start; None: what the state says
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -376,6 +376,8 @@ def integrate(task: Task, tol: float) -> Run:
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
     expansion, search = Expansion.blank(mode, law.fall is not None), _Search.of(mode)
+    if task.modes is not None:
+        expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
     slow = Slow.of(system, drive.fastest) if law.fall is None else None
     if slow is None and rate * (task.t_end - task.t_start) > SPAN * _MANY:
@@ -384,9 +386,13 @@ def integrate(task: Task, tol: float) -> Run:
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
         goal = _Goal(drive.t_end, drive.is_last, tol, rate)
-        if not is_local:
-            return _advance(law, goal, state, expansion, search, slow, events, bound, collapse.watch)
-        return nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
+        if is_local:
+            found = nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
+        else:
+            found = _advance(law, goal, state, expansion, search, slow, events, bound, collapse.watch)
+        if task.modes is not None:
+            _require_modes(task.modes, search.initial_mode)
+        return found
 
     if is_local:
         from stickslip.sim.engines import nearby  # it builds on this module
@@ -423,6 +429,17 @@ def _warn_of_short_steps(task: Task) -> None:
             " minute or more for each 1e8; engine='sigmoid' takes long ones",
             RuntimeWarning,
             stacklevel=2,
+        )
+
+
+def _require_modes(asked: NDArray[np.int8], found: NDArray[np.int8]) -> None:
+    """ValueError if a block cannot start in the mode that was asked for."""
+    if (asked != found).any():
+        block = int(np.argmax(asked != found))
+        raise ValueError(
+            f"modes: expected what the state allows, got {asked[block]} for block {block}, which begins with"
+            f" {found[block]}: off the belt's speed a block slips to its side, on it one sticks if |F| is at most"
+            " its static friction, and slips, against F, if it is above its kinetic"
         )
 
 

@@ -58,7 +58,7 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
             force = damping[i] * v[i] + forces[0, i]
             slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside, 0, i))
             drive = push(closed[i], force)
-            if leaves[i] != 0 or drive > most + slack:
+            if (leaves[i] != 0 and drive > law.friction[i]) or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
                 side[i] = leaves[i]

@@ -58,7 +58,7 @@ class Expansion(NamedTuple):
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
     touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
-    leaves: NDArray[np.int8]  #: the side to which a block at the edge of its stick interval is known to leave, else 0
+    leaves: NDArray[np.int8]  #: the side to which a block that could stick is known to leave, else 0
     zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
     side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
     column: Floats

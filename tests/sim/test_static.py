@@ -4,6 +4,7 @@ import secrets
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
@@ -199,6 +200,46 @@ def test_a_block_on_the_belt_sticks_up_to_its_static_friction():
         assert simulate(system, z, -0.2, 0.1).events.initial_mode[0] == mode
     slips = simulate(system, -1.2, -0.2 + 1e-9, 0.5).events  # two futures: this one is off the belt
     assert (slips.initial_mode[0], len(slips)) == (1, 0)
+
+
+@pytest.mark.parametrize("as_sparse", [False, True])
+def test_a_start_between_the_two_frictions_slips_if_told_to(as_sparse):
+    """z = 1 + (z0 - 1) cos t + v sin t of the block that slips; one beside it is off the belt, one sticks."""
+    k = np.diag([1.0, 1.0, 1.0])
+    system = System(csr_array(k) if as_sparse else k, 0.0, static=1.5, belt_speed=-0.2)
+    z, w, t = np.array([1.3, 0.3, 0.5]), np.array([-0.2, 0.4, -0.2]), 1.5
+    run = simulate(system, z, w, t, modes=[-1, 1, 0], tol=1e-12)
+    assert run.events.initial_mode.tolist() == [-1, 1, 0]
+    assert run.z[0] == pytest.approx(1 + 0.3 * np.cos(t) - 0.2 * np.sin(t), abs=1e-11)
+    assert simulate(system, z, w, t).events.initial_mode.tolist() == [0, 1, 0]
+    for modes, block in (([0, 1, -1], 2), ([0, -1, 0], 1), ([0, 0, 0], 1), ([1, 1, 0], 0)):
+        with pytest.raises(ValueError, match=f"modes: .* for block {block}, which begins with"):
+            simulate(system, z, w, t, modes=modes)
+    with pytest.raises(ValueError, match="got 0 for block 0, which begins with -1"):
+        simulate(system, [1.6, 0.3, 0.5], w, t, modes=[0, 1, 0])
+
+
+@pytest.mark.parametrize("modes", [[0], [0, 2], 0, [0.5, 0], [[0, 0]]])
+def test_modes_are_one_a_block(modes):
+    with pytest.raises(ValueError, match="modes: expected 2 of the numbers"):
+        simulate(System(np.eye(2), 0.1), 0.0, 0.0, 1.0, modes=modes)
+
+
+def test_the_smoothed_law_takes_no_modes():
+    with pytest.raises(ValueError, match="modes: expected None with engine='sigmoid'"):
+        simulate(System(np.eye(2), 0.1), 0.0, 0.0, 1.0, modes=[0, 0], engine="sigmoid")
+
+
+def test_a_run_goes_on_with_the_modes_of_its_end(rng):
+    """As without them: whatever its blocks do, the state says the same."""
+    for _ in range(10):
+        n = int(rng.integers(1, 8))
+        system = draw_system("antisymmetric", n, int(rng.integers(2**31)), static=1.0 + rng.uniform(0, 1, n))
+        first = simulate(system, rng.uniform(-1, 1, n), system.belt_speed, float(rng.uniform(0, 50)))
+        on = [simulate(system, first.z, first.w, first.t_end + 20.0, t_start=first.t_end, modes=modes)
+              for modes in (None, first.events.mode_at(first.t_end))]  # fmt: skip
+        assert on[0].events.t.tobytes() == on[1].events.t.tobytes()
+        assert on[0].z.tobytes() == on[1].z.tobytes()
 
 
 def test_a_run_goes_on_from_its_end_exactly():
