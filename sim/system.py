@@ -210,11 +210,13 @@ class System:
         )
         return np.asarray(sum(bounds, np.zeros(self.n)))
 
-    @cached_property
+    @property
     def of_unit_mass(self) -> System:
         """The system that moves as this one does with every mass one: each block's equation divided by its mass."""
-        if not self.has_mass:
-            return self
+        return self._divided_by_mass if self.has_mass else self  # one that held itself would outlive its last user
+
+    @cached_property
+    def _divided_by_mass(self) -> System:
         share = 1.0 / self.mass
         stiffness = self.stiffness
         return self.changed(

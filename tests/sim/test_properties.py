@@ -1,5 +1,7 @@
 """What must hold for every system: agreement with references, and the symmetries of the law."""
 
+import gc
+import weakref
 from functools import lru_cache
 from itertools import pairwise
 
@@ -583,3 +585,20 @@ def test_undamped_chains(damping):
         n = int(rng.integers(1, 11))
         case = independent.Case.of(FAMILIES["chain"](rng, n), damping, 1.0, -0.2, *rng.uniform(-2, 2, (2, n)))
         assert judge(Trial(seed, k, "chain", "coulomb", case, 20.0, {"tol": 1e-10})).failures == []
+
+
+@pytest.mark.parametrize("mass", [1.0, 2.0])
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid", "moreau"])
+def test_systems_and_runs_go_with_their_last_user(engine, mass):
+    """Without waiting for Python's collector of cycles, which counts objects, not what large systems weigh."""
+
+    def gone():
+        system = draw_system("antisymmetric", 5, 0, mass=mass)
+        return [weakref.ref(one) for one in (system, simulate(system, -0.7, -0.4, 5.0, engine=engine))]
+
+    gone()  # what compiles kernels may keep their first arguments
+    gc.disable()
+    try:
+        assert [one() for one in gone()] == [None, None]
+    finally:
+        gc.enable()
