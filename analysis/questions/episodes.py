@@ -23,21 +23,18 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import relative_difference
 from stickslip.analysis.stats.episodes import (
     CLASS,
-    OF_SIZES,
     QUANTITIES,
     RATE,
     RECURRENCE,
     Catalogue,
-    Laws,
     completeness,
     drift,
     in_classes,
     laws_of_moments,
 )
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.families import maximise
+from stickslip.analysis.stats.families import maximise, parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
-from stickslip.analysis.stats.rivals import parameter, rivals
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
@@ -55,8 +52,7 @@ _GROUPS: Mapping[str, str] = {
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _LAWS: Mapping[str, str] = {
-    "of": S, "law": S, "parameters": S, "gain": F, "p_adjusted": F, "against_power_law": S, "gap": F, "p_value": F,
-    "fit": S, "reason": S,
+    "law": S, "parameters": S, "gain": F, "gap": F, "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
 _RATES: Mapping[str, str] = {
     "group": S, "magnitude": F, "n_episodes": I, "rate": F, "rate_low": F, "rate_high": F, "over": F, "over_low": F,
@@ -113,13 +109,14 @@ def answer(study: Study) -> Answer | None:
     lead = judged[0]
     contrasts = _contrasts(found, level)
     rates = _rates(found, lead, least, level)
-    laws, facts = _laws(study, lead, least)
+    laws, moments = _laws(study, lead, least)
     settings = [
         summary(told(rows)) | {"setting": rows[0]["setting"], "method": _method(rows[0]["setting"])}
         for rows in contrasts if told(rows)
     ]  # fmt: skip
-    facts |= {
-        "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "least": least, "margin": MARGIN,
+    facts = {
+        "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
+        "margin": MARGIN,
         "settings": settings, "agree": [one for one in settings if len(one["agree"]) == len(one["rows"])],
         "farthest": max((one for one in settings if one["differ"]), key=_rate_off, default=None),
         "t_burn": study.settings.t_burn,
@@ -225,66 +222,40 @@ def _rate_off(one: Row) -> float:
 # ---------------------------------------------------------------------------------------------- the law
 
 
-def _laws(study: Study, lead: _Of, least: float) -> tuple[list[Row], dict[str, Any]]:
-    """Which law the moments and the sizes of a group follow, and its exponent."""
-    magnitudes = lead.magnitudes()
-    seen = 10.0 ** magnitudes[magnitudes >= least]
+def _laws(study: Study, lead: _Of, least: float) -> tuple[list[Row], Row]:
+    """Each law beside the moments of a group, its gain over the power law; which they follow, and its exponent."""
+    level, magnitudes = study.settings.confidence, lead.magnitudes()
     n_classes = int(np.floor((magnitudes.max() - least) / CLASS + 1e-9)) + 1
     by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in lead.runs.values()]
     counts = np.array([in_classes(some, least, n_classes) for some in by_unit], dtype=np.float64)
-    n = int(lead.group.key["n"])
-    sizes = [np.concatenate([run.size for run in runs]) for runs in lead.runs.values()]
-    by_size = np.array([np.bincount(some, minlength=n + 1)[1:] for some in sizes], dtype=np.float64)
-    rows, facts = _law_rows(study, "moment", laws_of_moments(least, float(seen.mean())), counts)
-    more, of_size = _law_rows(study, "size", OF_SIZES, by_size)
-    return [*rows, *more], {"moments": facts, "sizes": of_size}
-
-
-def _law_rows(study: Study, of: str, laws: Laws, counts: np.ndarray) -> tuple[list[Row], Row]:
-    """Each law with its gain over the power law; the verdict, and the exponent of the power law with a cut-off."""
-    level = study.settings.confidence
-    classes = np.arange(1, counts.shape[1] + 1, dtype=np.float64)
+    classes = np.arange(1, n_classes + 1, dtype=np.float64)
+    laws = laws_of_moments(least, float(np.mean(10.0 ** magnitudes[magnitudes >= least])))
+    try:
+        base, with_cut_off, _ = fits = [maximise(law, classes, counts.sum(axis=0)) for law in laws]
+    except Undefined:
+        return [], {"exponent": Estimate(), "law": UNKNOWN}
     rows: list[Row] = []
-    exponent, cut_off, verdict = Estimate(), Estimate(), UNKNOWN
-    try:
-        base = maximise(laws.power, classes, counts.sum(axis=0))
-        others = {one.family.name: one for one in rivals(classes, counts, level, [laws.cut_off, laws.exponential],
-                                                         laws.power)}  # fmt: skip
-    except Undefined as why:
-        return rows, {"exponent": exponent, "law": verdict, "reason": str(why)}
-    for family in (laws.power, laws.cut_off, laws.exponential):
-        rival = others.get(family.name)
-        fit = base if rival is None else rival.fit
-        good = goodness(classes, counts, level, study.generator(f"{of} {family.name}"), family)
+    for fit in fits:
+        name = fit.family.name
+        good = goodness(classes, counts, level, study.generator(f"moment {name}"), fit.family)
         rows.append({
-            "of": of, "law": family.name, "gain": rival and rival.gain, "p_adjusted": rival and rival.p_adjusted,
-            "parameters": fit and ", ".join(f"{name} = {value:.3g}" for name, value in fit.parameters.items()),
-            "against_power_law": rival and rival.verdict, "gap": good.gap, "p_value": good.p_value,
-            "fit": good.verdict(1 - level), "reason": (rival and rival.reason) or good.reason or None,
+            "law": name, "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in fit.parameters.items()),
+            "gain": None if fit is base else (fit.log_likelihood - base.log_likelihood) / counts.sum(),
+            "gap": good.gap, "p_value": good.p_value, "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
-    fit = others[laws.cut_off.name].fit
-    if fit is not None:
-        exponent, cut_off = (_parameter(fit, which, counts, level) for which in (0, 1))
-        verdict = _verdict(rows[1]["fit"], exponent, cut_off, -1.0 if of == "moment" else 0.0)
-    return rows, {"exponent": exponent, "law": verdict, "n": int(counts.sum())}
+    exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
+    return rows, {"exponent": exponent, "law": _verdict(rows[1]["fit"], exponent, cut_off)}
 
 
-def _parameter(fit: Any, which: int, counts: np.ndarray, level: float) -> Estimate:
-    try:
-        return parameter(fit, which, counts, level)
-    except Undefined as why:
-        return Estimate(float(fit.theta[which]), reason=str(why))
-
-
-def _verdict(fit: str, exponent: Estimate, cut_off: Estimate, exponential: float) -> str:
-    """Of the power law with a cut-off, which holds the two others: without cut-off, and at one exponent."""
+def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
+    """Of the power law with a cut-off, which holds the two others: without cut-off, and at the exponent -1."""
     if fit == REJECTED:
         return NONE
     if cut_off.value == 0.0:
         return POWER
     if cut_off.low is None or exponent.low is None or exponent.high is None:
         return UNKNOWN
-    if exponent.low <= exponential <= exponent.high:
+    if exponent.low <= -1.0 <= exponent.high:
         return EXPONENTIAL if cut_off.low > 0 else UNKNOWN
     return CUT_OFF if cut_off.low > 0 else POWER
 

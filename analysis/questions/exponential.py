@@ -15,10 +15,9 @@ from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma, over_matrices, paired_difference
-from stickslip.analysis.stats.families import truncate
+from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated_steps
-from stickslip.analysis.stats.rivals import Rival, rivals
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
 THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
@@ -29,14 +28,10 @@ _EXPONENTIAL: Mapping[str, str] = {
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
     "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma_over_rotation": F,
     "gamma_over_rotation_low": F, "gamma_over_rotation_high": F, "gap": F, "gap_at": I,
-    "gap_bound": F, "p_value": F, "p_least": F, "p_most": F, "fit": S, "reason": S,
+    "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
     "group": S, "size": I, "n_cascades": I, "share": F, "fit": F, "value": F, "low": F, "high": F, "pool": F,
-}  # fmt: skip
-_RIVALS: Mapping[str, str] = {
-    "group": S, "rival": S, "parameters": S, "gain": F, "gain_low": F, "gain_high": F, "p_value": F, "p_adjusted": F,
-    "verdict": S, "reason": S,
 }  # fmt: skip
 
 
@@ -58,22 +53,19 @@ def answer(study: Study) -> Answer:
     group, lead, sizes, counts = found[0]
     alike = [one for one in found if one[0].key["n"] == group.key["n"]]
     each = {one.label: _quotients(one, k, some, level) for one, _, k, some in alike}
-    others = [_rival_row(group.label, one) for one in rivals(sizes, counts, level)]
     rows = [row for _, row, _, _ in found]
     tables = {
         "exponential": frame(_EXPONENTIAL, rows),
         "over_fit": frame(_QUOTIENTS, [row for some in each.values() for row in some]),
-        "rivals": frame(_RIVALS, others),
     }
     drawn = dict(list(each.items())[:MOST_DRAWN])
     off, *ends = (lead[key] - 1 for key in ("variance", "variance_low", "variance_high"))
-    known = [row for row in others if row["gain"] is not None]
     facts = {
         "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_close": abs(off) <= CLOSE, "rows": rows,
         "over": {key: Estimate(*(lead[f"over_{key}{end}"] for end in ("", "_low", "_high")))
                  for key in ("pool", "rotation")},
         "gamma": Estimate(*(lead[f"gamma_over_rotation{end}"] for end in ("", "_low", "_high"))),
-        "n": group.key["n"], "rivals": others, "best": max(known, key=lambda row: row["gain"], default=None),
+        "n": group.key["n"], "rivals": _gains(sizes, counts.sum(axis=0)),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures={"over_fit": partial(over_fit, drawn)})
 
@@ -92,8 +84,8 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
         "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
         **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
-        "gap": fit.gap, "gap_at": fit.at, "gap_bound": fit.bound, "p_value": fit.p_value, "p_least": fit.p_least,
-        "p_most": fit.p_most, "fit": fit.verdict(1 - level), "reason": over.reason or fit.reason or None,
+        "gap": fit.gap, "gap_at": fit.at, "p_value": fit.p_value, "fit": fit.verdict(1 - level),
+        "reason": over.reason or fit.reason or None,
     }  # fmt: skip
     if over.value is None or over.low is None or over.high is None:
         return row
@@ -143,25 +135,20 @@ def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: 
         return []
     n, mean = int(group.key["n"]), group.mean(confidence).value
     known = sizes[0] == 1 and mean is not None and 0 < mean < n
-    by_pool = pool.law(n, mean, max((one.size for one in found), default=1)) if known and mean is not None else None
+    law = pool.law(n, mean, int(sizes[-1])) if known and mean is not None else None
     return [
-        {
-            "group": group.label, "size": one.size, "n_cascades": one.n_cascades, "share": one.share, "fit": one.fit,
-            "value": one.value, "low": one.low, "high": one.high,
-            "pool": None if by_pool is None else float(by_pool[one.size - 1] / one.fit),
-        }
+        {"group": group.label, **one, "pool": None if law is None else float(law[one["size"] - 1] / one["fit"])}
         for one in found
-    ]  # fmt: skip
+    ]
 
 
-def _rival_row(label: str, one: Rival) -> Row:
-    values = {} if one.fit is None else one.fit.parameters
-    return {
-        "group": label, "rival": one.family.name,
-        "parameters": ", ".join(f"{name} = {value:.3g}" for name, value in values.items()) or None,
-        "gain": one.gain, "gain_low": one.gain_low, "gain_high": one.gain_high, "p_value": one.p_value,
-        "p_adjusted": one.p_adjusted, "verdict": one.verdict, "reason": one.reason or None,
-    }  # fmt: skip
+def _gains(sizes: np.ndarray, counts: np.ndarray) -> dict[str, float]:
+    """Log-likelihood a cascade, in nats, of a power law and of one with a cut-off, less the exponential's."""
+    try:
+        base, *others = (maximise(law, sizes, counts) for law in (EXPONENTIAL, POWER_LAW, CUT_OFF))
+    except Undefined:
+        return {}
+    return {one.family.name: (one.log_likelihood - base.log_likelihood) / counts.sum() for one in others}
 
 
 @panel()

@@ -7,12 +7,12 @@ is a function of sums over systems, as everywhere here. Dimensionless.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from stickslip.analysis.stats.estimates import Statistic, Undefined, ratio
-from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, Family
+from stickslip.analysis.stats.families import Family
 
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 _LOG10_E = float(np.log10(np.e))
@@ -73,29 +73,11 @@ def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarr
     return np.bincount(k[(k >= 0) & (k < n_classes)], minlength=n_classes)
 
 
-@dataclass(frozen=True)
-class Laws:
-    """The laws that a number of episodes above a bound may follow.
-
-    Attributes
-    ----------
-    power, cut_off, exponential : Family
-        Gutenberg and Richter's law, the same with a cut-off, which holds it, and no scale-free law.
-    """
-
-    power: Family
-    cut_off: Family
-    exponential: Family
-
-
-#: Of sizes 1..n.
-OF_SIZES = Laws(POWER_LAW, replace(CUT_OFF, null=1), EXPONENTIAL)
-
-
-def laws_of_moments(least: float, mean: float) -> Laws:
+def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
     """Of moments, in classes of magnitude from `least` on: N(M) ~ 10^(-b M), that with a cut-off, and an exponential.
 
-    A class is as wide as its moment m, so a density m^(-1 - b) exp(-lambda m / mean) has shares m^-b exp(...).
+    The second holds the others. A class is as wide as its moment m, so a density m^(-1 - b) exp(-lambda m / mean) has
+    shares m^-b exp(...).
 
     Parameters
     ----------
@@ -108,17 +90,15 @@ def laws_of_moments(least: float, mean: float) -> Laws:
     def moments(k: np.ndarray) -> np.ndarray:
         return 10.0 ** (least + CLASS * (k - 0.5)) / mean
 
-    def cut_off(k: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return -p[0] * np.log(moments(k)) - p[1] * moments(k)
+    def over(p: float) -> float:
+        return mean / p if p else np.inf
 
-    return Laws(
-        Family("power law", lambda k, p: -p[0] * np.log(moments(k)), ((-20.0, 20.0),), ((0.5,),),
-               lambda p: {"b": float(p[0])}, None, {}),
-        Family("cut-off power law", cut_off, ((-20.0, 20.0), (0.0, 50.0)), ((0.5, 0.01), (0.0, 1.0)),
-               lambda p: {"b": float(p[0]), "cut-off": mean / float(p[1]) if p[1] else np.inf}, 1,
-               {(1, 0): "power law"}),
-        Family("exponential", lambda k, p: np.log(moments(k)) - p[0] * moments(k), ((-50.0, 50.0),), ((1.0,),),
-               lambda p: {"mean": mean / float(p[0]) if p[0] else np.inf}, None, {}),
+    return (
+        Family("power law", lambda k: np.log(moments(k))[:, None], lambda p: {"b": float(p[0])}),
+        Family("cut-off power law", lambda k: np.column_stack([np.log(moments(k)), moments(k)]),
+               lambda p: {"b": float(p[0]), "cut-off": over(float(p[1]))}, bounded=(1,)),
+        Family("exponential", lambda k: moments(k)[:, None], lambda p: {"mean": over(float(p[0]))},
+               base=lambda k: np.log(moments(k))),
     )  # fmt: skip
 
 

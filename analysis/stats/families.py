@@ -1,120 +1,68 @@
-"""Laws of a cascade's size: families on k_min..k_max and their maximum of likelihood from a histogram.
+"""Laws of a whole size: exponential, power law and both in one; their maximum of likelihood from a histogram.
 
-Every family is conditional on k_min <= size <= k_max: the sizes below the cut-off are left out, and no size can pass
-k_max, the number of blocks. With x = k - k_min the weights w(k), P(k) = w(k) / (sum of w over k_min..k_max), are
+Every law is conditional on k_min <= size <= k_max: the sizes below the cut-off are left out, and no size can pass
+k_max, the number of blocks. All are exponential families, so that the likelihood has one maximum:
 
-==================  =================================================  =========================================
-family              w(k)                                               the exponential within it
-==================  =================================================  =========================================
-exponential         exp(-gamma k)
-power law           k^-alpha                                           none
-cut-off power law   k^-alpha exp(-lambda k), lambda >= 0               alpha = 0
-stretched           S(x) - S(x + 1), S(x) = exp(-(x / tau)^beta)       beta = 1
-negative binomial   Gamma(r + x) / x! (m / (m + r))^x                  r = 1 (m: mean of x without truncation)
-lognormal           exp(-(ln k - mu)^2 / (2 sigma^2)) / k              none
-==================  =================================================  =========================================
+    ln P(k) = base(k) - theta . T(k) - ln Z(theta),    score E T - T(k),    information cov T.
 
-Clauset, Shalizi and Newman (2009), SIAM Review 51, 661, set out the rivals of a discrete law and why likelihood is to
-be used.
+==================  ==========================  ====================================
+family              weight of k                 T
+==================  ==========================  ====================================
+exponential         exp(-gamma k)               k
+power law           k^-alpha                    ln k
+cut-off power law   k^-alpha exp(-lambda k)     ln k, k; lambda >= 0
+==================  ==========================  ====================================
+
+The last holds the two others. Why likelihood is to be used: Clauset, Shalizi and Newman (2009), SIAM Review 51, 661.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
-from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error
 
-#: Log of the weights: sizes, shape (K,), and internal parameters, shape (p,), to shape (K,).
-LogWeights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+MOST_STEPS, EPS = 100, 1e-13  # of Newton's method, which takes some ten; nats a cascade
 
 
-STEP = 1e-4  # of internal parameters, in differences of the likelihood
-FLAT = 0.01  # nats of the whole histogram: a border as near to the maximum as this is where the likelihood runs to
+def _none(k: np.ndarray) -> np.ndarray:
+    return np.zeros(len(k))
 
 
 @dataclass(frozen=True)
 class Family:
-    """A family of laws in internal coordinates, in which its likelihood is well behaved.
+    """A family of laws.
 
     Attributes
     ----------
     name : str
-    log_weights : callable
-    bounds : tuple of (low, high)
-        Of each internal parameter.
-    starts : tuple of tuple of float
-        Where the search begins; the best end is kept.
+    terms : callable
+        T: sizes, shape (K,), to shape (K, p).
     natural : callable
-        Internal parameters to the named ones of the table above.
-    null : int or None
-        Which internal parameter is 0 for the law that it is held against, as a rule the exponential; None if it does
-        not hold that.
-    borders : mapping of (parameter, side) to str
-        What the law becomes where internal parameter i runs to its lower (0) or upper (1) bound.
+        theta, shape (p,), to named parameters.
+    bounded : tuple of int
+        Which of theta are not below zero.
+    base : callable
+        Sizes, shape (K,), to shape (K,).
     """
 
     name: str
-    log_weights: LogWeights
-    bounds: tuple[tuple[float, float], ...]
-    starts: tuple[tuple[float, ...], ...]
+    terms: Callable[[np.ndarray], np.ndarray]
     natural: Callable[[np.ndarray], dict[str, float]]
-    null: int | None
-    borders: Mapping[tuple[int, int], str]
+    bounded: tuple[int, ...] = ()
+    base: Callable[[np.ndarray], np.ndarray] = _none
 
 
-def _stretched(k: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    log_tau, log_beta = theta
-    x = k - k[0]
-    with np.errstate(over="ignore"):  # a hazard beyond 1e308 is a weight of zero, as it should be
-        low, high = ((np.maximum(at, 0.0) * np.exp(-log_tau)) ** np.exp(log_beta) for at in (x, x + 1.0))
-        low, high = np.minimum(low, 1e200), np.minimum(high, 1e200)
-        return -low + np.log(-np.expm1(-np.maximum(high - low, 1e-300)))
-
-
-def _negative_binomial(k: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    log_m, log_r = theta
-    x, r = k - k[0], np.exp(log_r)
-    log_q = -np.log1p(np.exp(log_r - log_m))
-    return special.gammaln(r + x) - special.gammaln(r) - special.gammaln(x + 1.0) + x * log_q
-
-
-def _lognormal(theta: np.ndarray) -> dict[str, float]:
-    slope, curvature = map(float, theta)  # at curvature = 0, the power law, mu and sigma are infinite
-    return {"mu": (1.0 - slope) / (2.0 * curvature), "sigma": (2.0 * curvature) ** -0.5} if curvature else {}
-
-
-EXPONENTIAL = Family(
-    "exponential", lambda k, p: -p[0] * k, ((-50.0, 50.0),), ((0.7,),), lambda p: {"gamma": float(p[0])}, None, {}
-)
-POWER_LAW = Family(
-    "power law", lambda k, p: -p[0] * np.log(k), ((-50.0, 50.0),), ((2.0,),),
-    lambda p: {"alpha": float(p[0])}, None, {},
-)  # fmt: skip
+EXPONENTIAL = Family("exponential", lambda k: k[:, None], lambda p: {"gamma": float(p[0])})
+POWER_LAW = Family("power law", lambda k: np.log(k)[:, None], lambda p: {"alpha": float(p[0])})
 CUT_OFF = Family(
-    "cut-off power law", lambda k, p: -p[0] * np.log(k) - p[1] * k, ((-50.0, 50.0), (0.0, 50.0)),
-    ((0.0, 0.7), (2.0, 0.01)), lambda p: {"alpha": float(p[0]), "lambda": float(p[1])}, 0,
-    {(1, 0): "power law"},
+    "cut-off power law", lambda k: np.column_stack([np.log(k), k]),
+    lambda p: {"alpha": float(p[0]), "lambda": float(p[1])}, bounded=(1,),
 )  # fmt: skip
-STRETCHED = Family(
-    "stretched exponential", _stretched, ((-15.0, 15.0), (-3.0, 3.0)), ((0.4, 0.0), (0.0, -1.0), (2.0, 0.5)),
-    lambda p: {"tau": float(np.exp(p[0])), "beta": float(np.exp(p[1]))}, 1,
-    {(1, 0): "heavier than exponential", (1, 1): "one or two sizes"},
-)  # fmt: skip
-NEGATIVE_BINOMIAL = Family(
-    "negative binomial", _negative_binomial, ((-15.0, 15.0), (-7.0, 9.0)), ((0.0, 0.0), (0.0, -2.0), (1.0, 3.0)),
-    lambda p: {"mean": float(np.exp(p[0])), "r": float(np.exp(p[1]))}, 1,
-    {(1, 0): "logarithmic series", (1, 1): "Poisson law",
-     (0, 1): "unbounded mean"},
-)  # fmt: skip
-LOGNORMAL = Family(
-    "lognormal", lambda k, p: -p[0] * np.log(k) - p[1] * np.log(k) ** 2, ((-80.0, 80.0), (0.0, 80.0)),
-    ((1.0, 0.5), (2.0, 0.01)), _lognormal, None, {(1, 0): "power law"},
-)  # fmt: skip
-RIVALS = (CUT_OFF, STRETCHED, NEGATIVE_BINOMIAL, POWER_LAW, LOGNORMAL)
 
 
 @dataclass(frozen=True)
@@ -125,23 +73,19 @@ class Fit:
     ----------
     family : Family
     theta : ndarray, shape (p,)
-        Internal parameters.
     sizes : ndarray, shape (K,), float64
         k_min .. k_max.
     log_likelihood : float
         Of the whole histogram.
-    border : str
-        What the law has run to, if the likelihood grows up to a bound; else empty.
-    free : tuple of int
-        Internal parameters that do not lie on a bound.
+    free : list of int
+        Which of theta do not lie on their bound.
     """
 
     family: Family
     theta: np.ndarray
     sizes: np.ndarray
     log_likelihood: float
-    border: str
-    free: tuple[int, ...]
+    free: list[int]
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -150,16 +94,26 @@ class Fit:
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
-        return f"Fit({self.family.name}: {values}{self.border and f'; {self.border}'})"
+        return f"Fit({self.family.name}: {values})"
 
-    def log_shares(self) -> np.ndarray:
-        """ln P(k) for each size, shape (K,)."""
-        return log_shares(self.family, self.sizes, self.theta)
+    def shares(self) -> np.ndarray:
+        """P(k) for each size, shape (K,)."""
+        return np.exp(log_shares(self.family, self.sizes, self.theta))
+
+    def scores(self) -> np.ndarray:
+        """d ln P(k) / d theta of the free ones, for each size: shape (K, f)."""
+        terms = self.family.terms(self.sizes)[:, self.free]
+        return self.shares() @ terms - terms
+
+    def information(self) -> np.ndarray:
+        """Of one cascade, of whatever size, in the free ones: shape (f, f)."""
+        scores = self.scores()
+        return (self.shares() * scores.T) @ scores
 
 
 def log_shares(family: Family, sizes: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """ln P(k) on k_min..k_max, shape (K,)."""
-    weights = family.log_weights(sizes, np.asarray(theta, dtype=np.float64))
+    weights = family.base(sizes) - family.terms(sizes) @ np.asarray(theta, dtype=np.float64)
     above = weights - weights.max()
     return above - np.log(np.exp(above).sum())
 
@@ -192,10 +146,7 @@ def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray,
 
 
 def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
-    """Maximum of the likelihood of a family.
-
-    Quasi-Newton from several starts within bounds, then Newton's method on what is not on a bound; then each border
-    is tried.
+    """Maximum of the likelihood of a family; what would fall below its bound is held there.
 
     Parameters
     ----------
@@ -206,93 +157,49 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     Raises
     ------
     Undefined
-        If there are fewer than two different sizes: every family then runs to a single size.
+        If there are no more different sizes than parameters: the likelihood then grows without end.
     """
-    from scipy import optimize  # a tenth of a second to load, and few reports come here
-
-    total = counts.sum()
-    if np.count_nonzero(counts) < 2:
-        raise Undefined("no cascade" if total == 0 else "one size only")
-    shares = counts / total
-
-    def cost(theta: np.ndarray) -> float:
-        return -float(np.dot(shares, log_shares(family, sizes, theta)))
-
-    def slope(theta: np.ndarray) -> np.ndarray:
-        return np.array([cost(theta + step) - cost(theta - step) for step in STEP * np.eye(len(theta))]) / (2 * STEP)
-
-    found = [
-        optimize.minimize(cost, start, jac=slope, method="L-BFGS-B", bounds=family.bounds) for start in family.starts
-    ]
-    theta = min(found, key=lambda one: one.fun).x
-    every = tuple(range(len(theta)))
-    at = {i: side for i in every for side in (0, 1) if abs(theta[i] - family.bounds[i][side]) < 1e-9}
-    theta = _polish(family, sizes, shares, theta, tuple(i for i in every if i not in at))
-    for i, side in family.borders:  # a likelihood may be flat long before the bound
-        if i in at:
-            continue
-        rest = tuple(j for j in every if j != i and j not in at)
-        pinned = theta.copy()
-        pinned[i] = family.bounds[i][side]
-        pinned = _polish(family, sizes, shares, pinned, rest)
-        if total * (cost(pinned) - cost(theta)) < FLAT:
-            theta, at[i] = pinned, side
-    border = "; ".join(family.borders.get(one, "a bound of the search") for one in sorted(at.items()))
-    free = tuple(i for i in every if i not in at)
-    return Fit(family, theta, sizes, -cost(theta) * total, border, free)
+    total, n_different = counts.sum(), np.count_nonzero(counts)
+    n_parameters = family.terms(sizes).shape[1]
+    if n_different <= n_parameters:
+        raise Undefined("no cascade" if total == 0 else f"{('one size', 'two sizes')[n_different - 1]} only")
+    free = list(range(n_parameters))
+    fit = _climb(family, sizes, counts / total, free)
+    below = [i for i in family.bounded if fit.theta[i] < 0]
+    if below:
+        fit = _climb(family, sizes, counts / total, [i for i in free if i not in below])
+    return replace(fit, log_likelihood=total * fit.log_likelihood)
 
 
-def _polish(
-    family: Family, sizes: np.ndarray, shares: np.ndarray, theta: np.ndarray, free: tuple[int, ...]
-) -> np.ndarray:
-    """Newton's steps on the free parameters for as long as they raise the likelihood."""
-    low, high = np.array(family.bounds).T
-    best = float(np.dot(shares, log_shares(family, sizes, theta)))
-    for _ in range(20):
-        score, information = derivatives(family, sizes, theta, free)
-        try:
-            step = np.linalg.solve(np.tensordot(shares, information, 1), shares @ score)
-        except np.linalg.LinAlgError:
-            return theta
-        moved = theta.copy()
-        moved[list(free)] += step
-        moved = np.clip(moved, low, high)
-        value = float(np.dot(shares, log_shares(family, sizes, moved)))
-        if not value > best:
-            return theta
-        theta, best = moved, value
-    return theta
+def _climb(family: Family, sizes: np.ndarray, shares: np.ndarray, free: list[int]) -> Fit:
+    """Newton's method on the free parameters, the others zero; the likelihood, of one cascade, is concave."""
+
+    def at(theta: np.ndarray) -> Fit:
+        return Fit(family, theta, sizes, float(shares @ log_shares(family, sizes, theta)), free)
+
+    fit = at(np.zeros(family.terms(sizes).shape[1]))
+    for _ in range(MOST_STEPS):
+        score, step = shares @ fit.scores(), np.zeros(len(fit.theta))
+        step[free] = np.linalg.solve(fit.information(), score)
+        gain, moved = score @ step[free], at(fit.theta + step)
+        while moved.log_likelihood < fit.log_likelihood - EPS:
+            step = step / 2
+            moved = at(fit.theta + step)
+        fit = moved
+        if gain < EPS:
+            return fit
+    raise Undefined("the maximum of the likelihood was not found")
 
 
-def derivatives(
-    family: Family, sizes: np.ndarray, theta: np.ndarray, free: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of one cascade of each size in the free internal parameters.
+def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
+    """A parameter with its jackknife-t interval over matrices, each left out by one Newton step from the fit.
 
-    Central differences with steps `STEP` of internal parameters of order one: the score, of order four, errs by some
-    1e-12, the information by some 1e-8.
-
-    Returns
-    -------
-    score : ndarray, shape (K, f)
-        d ln P(k) / d theta.
-    information : ndarray, shape (K, f, f)
-        -d^2 ln P(k) / d theta^2.
+    Without interval if it lies on its bound, or there is one matrix.
     """
-    steps = STEP * np.eye(len(theta))[list(free)]
-
-    def at(move: np.ndarray) -> np.ndarray:
-        return log_shares(family, sizes, theta + move)
-
-    f = len(free)
-    score = np.empty((len(sizes), f))
-    information = np.empty((len(sizes), f, f))
-    centre = at(np.zeros(len(theta)))
-    for i in range(f):
-        up, down = at(steps[i]), at(-steps[i])
-        score[:, i] = (8 * (up - down) - (at(2 * steps[i]) - at(-2 * steps[i]))) / (12 * STEP)
-        information[:, i, i] = -(up - 2 * centre + down) / STEP**2
-        for j in range(i):
-            mixed = at(steps[i] + steps[j]) - at(steps[i] - steps[j]) - at(steps[j] - steps[i])
-            information[:, i, j] = information[:, j, i] = -(mixed + at(-steps[i] - steps[j])) / (4 * STEP**2)
-    return score, information
+    value, n = float(fit.theta[which]), len(counts)
+    if which not in fit.free or n < 2:
+        return Estimate(value, reason="one matrix" if n < 2 else "on its bound")
+    rest = counts.sum() - counts.sum(axis=1)
+    moved = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / rest
+    half = student.half_width(confidence, n - 1) * jackknife_error(moved)
+    return Estimate(value, value - half, value + half)

@@ -6,13 +6,14 @@ units, the cascades within one are not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, derivatives, maximise
+from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
 
 FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
 #: A size is judged if so many cascades are expected above it. Nothing in the data says where to cut the tail, so the
@@ -39,18 +40,9 @@ def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:
     -------
     ndarray, shape (G, b)
     """
-    shares = np.exp(fit.log_shares())
+    shares, scores = fit.shares(), fit.scores()
     centred = values - shares @ values
-    scores, _ = derivatives(fit.family, fit.sizes, fit.theta, fit.free)
-    weighted = shares * scores.T
-    return counts @ (centred - scores @ np.linalg.solve(weighted @ scores, weighted @ centred))
-
-
-def sign_flips(n_matrices: int, rng: np.random.Generator) -> np.ndarray:
-    """Random signs, the observed ones first, shape (FLIPS + 1, G)."""
-    signs = rng.choice([-1.0, 1.0], (FLIPS + 1, n_matrices))
-    signs[0] = 1.0
-    return signs
+    return counts @ (centred - scores @ np.linalg.solve(fit.information(), (shares * scores.T) @ centred))
 
 
 @dataclass(frozen=True)
@@ -63,29 +55,29 @@ class Goodness:
         Largest difference of observed and fitted P(size <= k) over the sizes judged.
     at : int or None
         The size where it is.
-    bound : float or None
-        No gap above this is left open, at the stated confidence, over all sizes judged together.
-    p_value, p_least, p_most : float or None
-        At the usual cut of the tail, and the least and the most over `CUTS`.
+    p_values : tuple of float
+        With the tail cut at each of `CUTS`; empty if there are none.
     reason : str
-        Why there is no p-value; then null.
+        Why.
     """
 
     gap: float | None = None
     at: int | None = None
-    bound: float | None = None
-    p_value: float | None = None
-    p_least: float | None = None
-    p_most: float | None = None
+    p_values: tuple[float, ...] = ()
     reason: str = ""
+
+    @property
+    def p_value(self) -> float | None:
+        """At the usual cut of the tail."""
+        return self.p_values[1] if self.p_values else None
 
     def verdict(self, level: float) -> str:
         """`REJECTED` or `NOT_REJECTED` if that holds wherever the tail is cut, `UNDECIDED` if it does not."""
-        if self.p_least is None or self.p_most is None:
+        if not self.p_values:
             return UNKNOWN
-        if self.p_most <= level:
+        if max(self.p_values) <= level:
             return REJECTED
-        return NOT_REJECTED if self.p_least > level else UNDECIDED
+        return NOT_REJECTED if min(self.p_values) > level else UNDECIDED
 
 
 def goodness(
@@ -119,7 +111,7 @@ def goodness(
         fit = maximise(family, sizes, seen.sum(axis=0))
     except Undefined as undefined:
         return Goodness(reason=str(undefined))
-    above = total * (1.0 - np.cumsum(np.exp(fit.log_shares())))
+    above = total * (1.0 - np.cumsum(fit.shares()))
     judged = np.flatnonzero(above >= CUTS[-1])
     if len(judged) < 2:
         return Goodness(reason="few cascades")
@@ -127,47 +119,25 @@ def goodness(
     parts = effective(seen, below, fit) / total
     gaps = parts.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
-    found = Goodness(float(abs(gaps[worst])), int(sizes[judged[worst]]))
+    gap, at = float(abs(gaps[worst])), int(sizes[judged[worst]])
     # All n parts have one sign, up to a common one, in 2 of 2^n patterns: the least p-value there can be.
     if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
-        return replace(found, reason="few matrices")
-    signs = sign_flips(n, rng)
-    counted = [max(2, int(np.count_nonzero(above >= cut))) for cut in CUTS]
-    flipped = _studentised(signs, parts)
-    p_values = [_share_as_large(flipped[:, :columns].max(axis=1)) for columns in counted]
-    scatter = np.sqrt(n / (n - 1)) * (parts - parts.mean(axis=0))  # what the gaps would do about their own values
-    reach = np.quantile(_studentised(signs[1:], scatter)[:, : counted[1]].max(axis=1), confidence)
-    bound = float((np.abs(gaps) + reach * np.sqrt((scatter**2).sum(axis=0)))[: counted[1]].max())
-    return replace(found, bound=bound, p_value=p_values[1], p_least=min(p_values), p_most=max(p_values))
+        return Goodness(gap, at, reason="few matrices")
+    signs = rng.choice([-1.0, 1.0], (FLIPS + 1, n))
+    signs[0] = 1.0  # as observed
+    flipped = np.abs(signs @ parts / np.sqrt((parts**2).sum(axis=0)))
+    p_values = []
+    for cut in CUTS:
+        largest = flipped[:, : max(2, np.count_nonzero(above >= cut))].max(axis=1)
+        p_values.append(float(np.mean(largest >= largest[0] * (1 - 1e-12))))
+    return Goodness(gap, at, tuple(p_values))
 
 
-def _studentised(signs: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """|signed sum of parts| in units of its standard error, for each row of signs and each size."""
-    return np.abs(signs @ parts / np.sqrt((parts**2).sum(axis=0)))
-
-
-def _share_as_large(statistic: np.ndarray) -> float:
-    """Share of the entries at least as large as the first, the observed one."""
-    return float(np.mean(statistic >= statistic[0] * (1 - 1e-12)))
-
-
-@dataclass(frozen=True)
-class Quotient:
-    """Observed share over fitted share of one size, with its interval over matrices."""
-
-    size: int
-    n_cascades: int
-    share: float
-    fit: float
-    value: float
-    low: float | None
-    high: float | None
-
-
-def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Quotient]:
+def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[dict[str, Any]]:
     """Observed over fitted share for each size of which at least `FEWEST_SHOWN` cascades are expected.
 
-    The intervals count what estimating gamma takes from the scatter.
+    By name: `size`, `n_cascades`, `share`, `fit`, `value`, and `low` and `high`, an interval over matrices that
+    counts what estimating gamma takes from the scatter; None for one matrix.
 
     Raises
     ------
@@ -177,16 +147,19 @@ def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[
     seen = counts[counts.sum(axis=1) > 0]
     n, total = len(seen), seen.sum()
     fit = maximise(EXPONENTIAL, sizes, seen.sum(axis=0))
-    shares = np.exp(fit.log_shares())
+    shares = fit.shares()
     judged = np.flatnonzero(total * shares >= FEWEST_SHOWN)
     parts = effective(seen, (sizes[:, None] == sizes[judged]).astype(np.float64), fit)
     parts /= total * shares[judged]
     values = 1.0 + parts.sum(axis=0)
     half = None if n < 2 else student.half_width(confidence, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
     pooled = seen.sum(axis=0)
-    found = []
-    for i, k in enumerate(judged):
-        ends = (None, None) if half is None else (float(values[i] - half[i]), float(values[i] + half[i]))
-        share, fitted = float(pooled[k] / total), float(shares[k])
-        found.append(Quotient(int(sizes[k]), int(pooled[k]), share, fitted, float(values[i]), *ends))
-    return found
+    return [
+        {
+            "size": int(sizes[k]), "n_cascades": int(pooled[k]), "share": float(pooled[k] / total),
+            "fit": float(shares[k]), "value": float(values[i]),
+            "low": None if half is None else float(values[i] - half[i]),
+            "high": None if half is None else float(values[i] + half[i]),
+        }
+        for i, k in enumerate(judged)
+    ]  # fmt: skip

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import optimize, signal, special, stats
+from scipy import signal, special, stats
 
 from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.stats import (
@@ -29,18 +29,9 @@ from stickslip.analysis.stats import (
 from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma, over_matrices, ratio
-from stickslip.analysis.stats.families import (
-    EXPONENTIAL,
-    LOGNORMAL,
-    POWER_LAW,
-    RIVALS,
-    log_shares,
-    maximise,
-    truncate,
-)
+from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations, triggered
-from stickslip.analysis.stats.rivals import rivals
 
 CONFIDENCE = 0.95
 MATRICES = 20
@@ -139,31 +130,6 @@ def rejections(make, n_matrices, ensembles, rng, level=0.05):
     return hits / ensembles
 
 
-def rival_rejections(make, n_matrices, ensembles, rng, level=0.05, families=RIVALS):
-    """For each family, share of ensembles with a p-value up to `level`; and, last, of any verdict "better"."""
-    hits = np.zeros(len(families) + 1)
-    for _ in range(ensembles):
-        found = rivals(*counted(make(rng, n_matrices)), 1 - level, families)
-        hits[:-1] += [other.p_value is not None and other.p_value <= level for other in found]
-        hits[-1] += any(other.verdict == "better" for other in found)
-    return hits / ensembles
-
-
-def halfway(family, k_max=200):
-    """Sizes from a mixture of the exponential and a rival to which both, refitted, are equally close."""
-    sizes = np.arange(1.0, k_max + 1)
-    planted = {"power law": (2.06,), "lognormal": (0.2, 0.9)}[family.name]
-    ends = [np.exp(log_shares(*law)) for law in ((EXPONENTIAL, sizes, (GAMMA,)), (family, sizes, planted))]
-
-    def gain(weight):
-        shares = (1 - weight) * ends[0] + weight * ends[1]
-        return maximise(family, sizes, shares).log_likelihood - maximise(EXPONENTIAL, sizes, shares).log_likelihood
-
-    weight = optimize.brentq(gain, 0.0, 1.0, xtol=1e-4)
-    shares = (1 - weight) * ends[0] + weight * ends[1]
-    return lambda rng, g: draw(rng, g, lambda k: shares)
-
-
 def goodness_study(rng, ensembles):
     """Share of ensembles with p > 0.05 where the law holds (95%), and of those rejected where another does."""
     for g in (6, MATRICES):
@@ -174,21 +140,6 @@ def goodness_study(rng, ensembles):
             some = max(ensembles // 10, 20)
             share = rejections(make, g, some, rng)[1]
             yield Row("goodness: rejected", f"{name}; {g} matrices", np.nan, np.nan, np.nan, share, some)
-
-
-def rivals_study(rng, ensembles):
-    """Share of ensembles with p > 0.05 where two laws are as good (95%), and with a better one where there is one."""
-    some = max(ensembles // 10, 20)
-    nested = [family for family in RIVALS if family.null is not None]
-    for name, make in TRUE.items():
-        for family, share in zip(nested, rival_rejections(make, MATRICES, some, rng, families=nested), strict=False):
-            yield Row("rivals: p > 0.05", f"{name}, {family.name}", np.nan, np.nan, np.nan, 1 - share, some)
-    for family in (POWER_LAW, LOGNORMAL):
-        share = rival_rejections(halfway(family), MATRICES, some, rng, families=[family])[0]
-        yield Row("rivals: p > 0.05", f"halfway, {family.name}", np.nan, np.nan, np.nan, 1 - share, some)
-    for name, make in FALSE.items():
-        share = rival_rejections(make, MATRICES, some, rng)[-1]
-        yield Row("rivals: some better", name, np.nan, np.nan, np.nan, share, some)
 
 
 # ----------------------------------------------------------------------------------------------- cascades
@@ -624,7 +575,6 @@ def drift_study(rng, ensembles, t_end=2400.0):
 STUDIES = {
     "gamma": gamma_study,
     "goodness": goodness_study,
-    "rivals": rivals_study,
     "dispersion": dispersion_study,
     "pool": pool_study,
     "slow_mode": slow_mode_study,

@@ -20,8 +20,7 @@ from stickslip.analysis.stats.episodes import (
     laws_of_moments,
 )
 from stickslip.analysis.stats.estimates import over_matrices
-from stickslip.analysis.stats.families import maximise
-from stickslip.analysis.stats.rivals import parameter
+from stickslip.analysis.stats.families import maximise, parameter
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -120,7 +119,7 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
 def test_intervals_cover(rng):
     """Of 100 ensembles of twelve systems each: a binomial of 0.95 is below 86 once in 10^4."""
     planted = {RATE: 0.3 * np.exp(0.005), "b": 1.0, RECURRENCE: 1.0, "law": 0.5}
-    held, laws = dict.fromkeys(planted, 0), laws_of_moments(0.0, 30.0)
+    held, with_cut_off = dict.fromkeys(planted, 0), laws_of_moments(0.0, 30.0)[1]
     for _ in range(100):
         runs = [catalogue(rng, 0.3 * np.exp(0.1 * rng.normal()), power_law(1.0)) for _ in range(12)]
         for name in (RATE, "b", RECURRENCE):
@@ -128,7 +127,7 @@ def test_intervals_cover(rng):
             found = over_matrices(one.of, np.array([one.sums(run, 0.0) for run in runs]), 0.95)
             held[name] += found.low <= planted[name] <= found.high
         counts = np.array([in_classes(np.log10(power_law(0.5, 30.0)(rng, 200)), 0.0, 25) for _ in range(12)])
-        fit = maximise(laws.cut_off, np.arange(1.0, 26.0), counts.sum(axis=0))
+        fit = maximise(with_cut_off, np.arange(1.0, 26.0), counts.sum(axis=0))
         found = parameter(fit, 0, counts, 0.95)
         held["law"] += found.low <= planted["law"] <= found.high
     print(held)

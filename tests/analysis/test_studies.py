@@ -242,7 +242,7 @@ FALSE_ALARMS = ("multiplicity", "change", "equivalence")
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", [name for name in studies.STUDIES if name not in ("effective", "goodness", "rivals", *FALSE_ALARMS)]
+    "name", [name for name in studies.STUDIES if name not in ("effective", "goodness", *FALSE_ALARMS)]
 )
 def test_intervals_cover_what_was_planted(name):
     seed = secrets.randbits(32)
