@@ -10,7 +10,6 @@ side, everything analytic that the library takes. Dimensionless.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
@@ -25,9 +24,6 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.design import MATRIX, RATIO
-from stickslip.sim.engines.moreau import whole_steps
-from stickslip.sim.engines.moreau_steps import BEYOND
-from stickslip.workflows.charts.steppers import STEPPERS
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]
@@ -69,8 +65,8 @@ class Problem:
         With dense K.
     delta : ndarray, shape (n,)
         r_i eps > 0.
-    z0, w0 : float or ndarray, shape (n,)
-        Start of every block, or of each.
+    z0, w0 : float
+        Start of every block.
     t_end : float
     patience : float
         Seconds after which a peer that calls back to Python gives a run up: only there can it be stopped.
@@ -78,8 +74,8 @@ class Problem:
 
     system: sim.System
     delta: Floats
-    z0: float | Floats
-    w0: float | Floats
+    z0: float
+    w0: float
     t_end: float
     patience: float = math.inf
 
@@ -110,21 +106,6 @@ def random_problem(seed: int, n: int, t_end: float, eps: float, ratio: Ratio, pa
     return Problem(random_system(seed, n, 0), r * eps, Z0, W0, t_end, patience)
 
 
-def ensemble(system: dict[str, Any], run: dict[str, Any], engine: dict[str, Any]) -> bytes:
-    """The scene file of an ensemble of random systems from the paper's start, of which nothing is analysed."""
-    tables = {
-        "[system]": {"coupling": "antisymmetric", **system},
-        "[start]": {"z": Z0, "w": W0},
-        "[run]": run,
-        "[[engine]]": engine,
-        "[analysis]": {"t_burn": 0.0, "dt": 1.0},
-    }
-    lines = [
-        f"{head}\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in keys.items()) for head, keys in tables.items()
-    ]
-    return "".join(lines).encode()
-
-
 @dataclass(frozen=True)
 class Method:
     """One curve of the chart.
@@ -153,11 +134,6 @@ class Method:
         return self.prepare in (_coulomb, _sigmoid)
 
     @property
-    def can_be_stopped(self) -> bool:
-        """Whether it calls back to Python or, with a fixed step, says before how long it is."""
-        return self.control == "step" or not (self.is_ours or self.package in ("CyRK", "diffrax"))
-
-    @property
     def is_scipy(self) -> bool:
         return self.name.startswith("SciPy")
 
@@ -175,6 +151,10 @@ def _coulomb(problem: Problem) -> Solver:
 
 def _sigmoid(problem: Problem) -> Solver:
     return lambda tol: _state(problem, "sigmoid", eps=1.0, ratio=problem.delta, rtol=tol, atol=tol)
+
+
+def _moreau(problem: Problem) -> Solver:
+    return lambda step: _state(problem, "moreau", step=step)
 
 
 def _state(problem: Problem, engine: str, **settings: Any) -> Solution:
@@ -321,49 +301,52 @@ def _cvode(problem: Problem) -> Solver:
     return solve
 
 
-def _cyrk(method: str) -> Callable[[Problem], Solver]:
+#: Steps after which a compiled run, which nobody can stop, stops itself: some seconds of it.
+_MOST_STEPS = 100_000
+#: CyRK's status of such a run.
+_CYRK_TOO_MANY = -52
+
+
+def _cyrk(problem: Problem) -> Solver:
     """The right-hand side compiled too; its numbers go in as one array, as the library's C callbacks want."""
+    from CyRK import cyjit, nbsolve2_ivp
+    from numba import carray
 
-    def prepare(problem: Problem) -> Solver:
-        from CyRK import cyjit, nbsolve2_ivp
-        from numba import carray
+    system = problem.system
+    n, v = system.n, system.belt_speed
 
-        system = problem.system
-        n, v = system.n, system.belt_speed
+    def rate(dy_pointer, t, y_pointer, numbers_pointer):  # type: ignore[no-untyped-def]
+        dy, y, numbers = carray(dy_pointer, 2 * n), carray(y_pointer, 2 * n), carray(numbers_pointer, n * (n + 3))
+        force = dy[n:]
+        np.dot(numbers[3 * n :].reshape((n, n)), y[:n], force)
+        for i in range(n):
+            w = y[n + i]
+            dy[i] = w
+            force[i] = -(force[i] + numbers[i] * w + numbers[n + i] * np.tanh((w - v) * numbers[2 * n + i]))
 
-        def rate(dy_pointer, t, y_pointer, numbers_pointer):  # type: ignore[no-untyped-def]
-            dy, y, numbers = carray(dy_pointer, 2 * n), carray(y_pointer, 2 * n), carray(numbers_pointer, n * (n + 3))
-            force = dy[n:]
-            np.dot(numbers[3 * n :].reshape((n, n)), y[:n], force)
-            for i in range(n):
-                w = y[n + i]
-                dy[i] = w
-                force[i] = -(force[i] + numbers[i] * w + numbers[n + i] * np.tanh((w - v) * numbers[2 * n + i]))
+    numbers = np.concatenate([system.damping, system.friction, 1.0 / problem.delta, np.ravel(system.stiffness)])
+    compiled = cyjit(rate)  # kept alive by the closure: the address is into it
+    start, span = problem.start, (0.0, problem.t_end)
+    options: dict[str, Any] = {"method": "DOP853", "t_eval": np.array([problem.t_end]), "args": numbers}
 
-        numbers = np.concatenate([system.damping, system.friction, 1.0 / problem.delta, np.ravel(system.stiffness)])
-        compiled = cyjit(rate)  # kept alive by the closure: the address is into it
-        start, span, end = problem.start, (0.0, problem.t_end), np.array([problem.t_end])
+    def solve(tolerance: float) -> Solution:
+        found = nbsolve2_ivp(
+            compiled.address, span, start, rtol=tolerance, atol=tolerance, max_num_steps=_MOST_STEPS, **options
+        )
+        try:
+            if found.status == _CYRK_TOO_MANY:
+                raise GivenUp(f"given up after {_MOST_STEPS:,} steps")
+            if not found.success:
+                raise MethodError(f"DOP853 ended with status {found.status}")
+            return Solution(np.array(found.y)[:n, -1])
+        finally:
+            found.free()
 
-        def solve(tolerance: float) -> Solution:
-            found = nbsolve2_ivp(
-                compiled.address, span, start, method=method, t_eval=end, args=numbers, rtol=tolerance, atol=tolerance
-            )
-            try:
-                if not found.success:
-                    raise MethodError(f"{method} ended with status {found.status}")
-                return Solution(np.array(found.y)[:n, -1])
-            finally:
-                found.free()
-
-        return solve
-
-    return prepare
+    return solve
 
 
 #: XLA takes its threads from here, read once, when jax is imported.
 _ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-#: Steps after which a run that nobody can stop stops itself: some seconds of it.
-_MOST_STEPS = 100_000
 
 
 def _diffrax(problem: Problem) -> Solver:
@@ -395,11 +378,14 @@ def _diffrax(problem: Problem) -> Solver:
             throw=False,
         )
 
-    start, compiled = jnp.asarray(problem.start), jax.jit(end)
+    start = jnp.asarray(problem.start)
+    compiled = jax.jit(end).lower(start, 1e-3).compile()
 
     def solve(tolerance: float) -> Solution:
         found = compiled(start, tolerance)
         z = np.asarray(found.ys[0, :n])
+        if found.result == diffrax.RESULTS.max_steps_reached:
+            raise GivenUp(f"given up after {_MOST_STEPS:,} steps")
         if found.result != diffrax.RESULTS.successful:
             raise MethodError(str(found.result))
         return Solution(z, 6 * int(found.stats["num_steps"]))
@@ -407,35 +393,11 @@ def _diffrax(problem: Problem) -> Solver:
     return solve
 
 
-# ---------------------------------------------------------------------------------------------- a fixed step
-
-
-def _fixed(name: str) -> Method:
-    model, advance, products_a_step = STEPPERS[name]
-
-    def prepare(problem: Problem) -> Solver:
-        system = problem.system
-        law = (system.columns, system.damping, system.friction, problem.delta, system.belt_speed)
-
-        def solve(step: float) -> Solution:
-            n_steps = whole_steps(problem.t_end, step)
-            z, w = np.full(system.n, problem.z0), np.full(system.n, problem.w0)
-            h = problem.t_end / n_steps
-            done = advance(law, z, w, h, n_steps)
-            if done < n_steps:
-                raise MethodError(f"|z| or |w| passed {BEYOND:g} at t = {h * done:.4g}")
-            return Solution(z, n_steps * products_a_step)
-
-        return solve
-
-    return Method(name, model, prepare, control="step")
-
-
 #: The engines first; in the order of the chart's legend.
 METHODS: tuple[Method, ...] = (
     Method("coulomb engine", "coulomb", _coulomb),
     Method("sigmoid engine", "sigmoid", _sigmoid),
-    Method("CyRK DOP853", "sigmoid", _cyrk("DOP853"), "CyRK"),
+    Method("CyRK DOP853", "sigmoid", _cyrk, "CyRK"),
     Method("CVODE BDF-GMRES", "sigmoid", _cvode, "sksundae"),
     Method("diffrax Tsit5", "sigmoid", _diffrax, "diffrax"),
     Method("SciPy DOP853", "sigmoid", _scipy("DOP853", with_jacobian=False)),
@@ -443,7 +405,7 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy LSODA", "sigmoid", _scipy("LSODA", with_jacobian=True)),
     Method("SciPy BDF", "sigmoid", _scipy("BDF", with_jacobian=True)),
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
-    *map(_fixed, STEPPERS),
+    Method("Moreau-Jean", "coulomb", _moreau, control="step"),
 )
 
 
@@ -465,16 +427,6 @@ def method(name: str) -> Method:
 def solved(name: str, setting: float, problem: Problem) -> Solution:
     """What a method comes to at a tolerance or step, whatever it takes."""
     return method(name).prepare(replace(problem, patience=math.inf))(setting)
-
-
-def reached(name: str, setting: float, problem: Problem) -> Floats:
-    """z at its t_end."""
-    return solved(name, setting, problem).z
-
-
-def distance(z: Floats, check: Floats) -> float:
-    """How far a check is off; two computations may agree to the bit, yet no less than rounding is claimed."""
-    return float(max(np.abs(z - check).max(), np.spacing(np.abs(z).max())))
 
 
 def warm(one: Method, problem: Problem, setting: float) -> None:

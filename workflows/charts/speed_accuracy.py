@@ -6,10 +6,8 @@ an error below what two references agree to is known to be no larger than that, 
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, get_args
 
@@ -19,34 +17,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from stickslip import sim
 from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
 from stickslip.pipeline.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
-from stickslip.workflows.charts.cost import Product, timed
-from stickslip.workflows.charts.peers import (
-    METHODS,
-    GivenUp,
-    Method,
-    MethodError,
-    Model,
-    Problem,
-    Ratio,
-    Solution,
-    distance,
-    methods_of,
-    random_problem,
-    reached,
-    solved,
-    warm,
-)
+from stickslip.workflows.charts.cost import Product
+from stickslip.workflows.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
 from stickslip.workflows.charts.runner import frame
+from stickslip.workflows.charts.trials import Reference, Setting, Trial, referenced, trials
 
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
 PATIENCE = 5.0
 #: For each law, method and tolerance of the reference, and of the second computation that checks it: for the sigmoid
 #: an independent method; the exact law has no other implementation here, so its truncation is varied.
-REFERENCES: dict[Model, tuple[tuple[str, float], tuple[str, float]]] = {
+REFERENCES: dict[Model, tuple[Setting, Setting]] = {
     "coulomb": (("coulomb engine", 1e-15), ("coulomb engine", 1e-13)),
     "sigmoid": (("sigmoid engine", 1e-12), ("SciPy DOP853", 1e-12)),
 }
@@ -58,8 +41,6 @@ TARGETS = (1e-4, 1e-6, 1e-8)
 _LEAST = 0.5
 _OURS = {method.name for method in METHODS if method.is_ours}
 _SCIPY = {method.name for method in METHODS if method.is_scipy}
-
-Outcome = Literal["measured", "failed", "too slow", "absent"]
 
 
 class SpeedScene(ChartScene):
@@ -95,22 +76,18 @@ class SpeedScene(ChartScene):
     def measure(self, say: Say) -> Measured:
         """Run every method on every problem."""
         costs: list[Cost] = []
-        references: list[Reference] = []
+        references: list[Standard] = []
         for n in self.n:
             ratios: tuple[Ratio | None, ...] = (None, *self.ratios)  # None: the exact law
             for ratio in ratios:
+                model: Model = "coulomb" if ratio is None else "sigmoid"
                 problem = self.problem(n, ratio or "one")
-                reference, known = _reference(problem, ratio)
-                references.append(reference)
-                product = Product(np.asarray(problem.system.stiffness))
-                for method, settings in methods_of(reference.model, self.tolerances, self.steps):
-                    row = Cost(n, ratio, reference.model, method.name, None, None, "measured")
-                    if not method.is_installed:
-                        found = [replace(row, outcome="absent", reason=f"{method.package} is not installed")]
-                    elif known is None:
-                        found = [replace(row, outcome="failed", reason=f"no reference: {reference.reason}")]
-                    else:
-                        found = list(_curve(self, method, problem, known, reference, product, settings, row))
+                standard, known = referenced(Standard(n=n, ratio=ratio, model=model), *REFERENCES[model], problem)
+                references.append(standard)
+                product, row = Product(np.asarray(problem.system.stiffness)), Cost(n=n, ratio=ratio, model=model)
+                asked = (problem, standard, known)
+                for method, settings in methods_of(model, self.tolerances, self.steps):
+                    found = list(trials(row, method, *asked, settings, self.seconds_a_run, product, self.repeats))
                     costs += found
                     done = sum(cost.outcome == "measured" for cost in found)
                     say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(settings)}")
@@ -131,7 +108,7 @@ class SpeedScene(ChartScene):
             {
                 "costs": frame(measured.costs, Cost),
                 "at_error": pd.DataFrame(at_error),
-                "references": frame(measured.references, Reference),
+                "references": frame(measured.references, Standard),
             },
             {"error_against_cost": partial(error_against_cost, panels)},
         )
@@ -140,55 +117,22 @@ class SpeedScene(ChartScene):
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-@dataclass(frozen=True)
-class Cost:
-    """One method at one tolerance on one problem: a row of the table `costs`.
-
-    `ratio` is null for the exact law, which has none; `tolerance` for a method of a fixed step, which has `step`
-    instead; both where nothing came to be asked; the numbers where the outcome is not "measured". With `is_bound` the
-    error is at most `error`. `computed` counts the products with K that the method says it took, null if it does not.
-    Its events are those of the reference, block by block, before `parted_at`, their times within `apart`; null are
-    both of a method that has no events, and `parted_at` where all are.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Cost(Trial):
+    """One method at one tolerance or step: a row of the table `costs`; `ratio` is null for the exact law."""
 
     n: int
     ratio: str | None
     model: Model
-    method: str
-    tolerance: float | None
-    step: float | None
-    outcome: Outcome
-    reason: str | None = None
-    error: float | None = None
-    is_bound: bool = False
-    products: float | None = None
-    products_min: float | None = None
-    products_max: float | None = None
-    computed: int | None = None
-    seconds: float | None = None
-    seconds_min: float | None = None
-    seconds_max: float | None = None
-    product_seconds: float | None = None
-    n_runs: int = 0
-    parted_at: float | None = None
-    apart: float | None = None
 
 
-@dataclass(frozen=True)
-class Reference:
-    """What the errors of one law on one problem are taken against: a row of the table `references`.
-
-    `floor` is max |z - z_check| at t_end; null, with a reason, if one of the two could not be computed.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Standard(Reference):
+    """The reference of one law on one problem: a row of the table `references`."""
 
     n: int
     ratio: str | None
     model: Model
-    reference: str
-    check: str
-    floor: float | None = None
-    n_events: int | None = None
-    reason: str | None = None
 
 
 @dataclass(frozen=True)
@@ -196,79 +140,7 @@ class Measured:
     """All that the chart is made of."""
 
     costs: list[Cost]
-    references: list[Reference]
-
-
-def _reference(problem: Problem, ratio: str | None) -> tuple[Reference, Solution | None]:
-    """The run as well as it can be had, and how well a second computation agrees."""
-    model: Model = "coulomb" if ratio is None else "sigmoid"
-    (name, tolerance), (check, check_tolerance) = REFERENCES[model]
-    found = Reference(problem.system.n, ratio, model, f"{name} at {tolerance:g}", f"{check} at {check_tolerance:g}")
-    try:
-        known = solved(name, tolerance, problem)
-        floor = distance(known.z, reached(check, check_tolerance, problem))
-    except (MethodError, sim.IntegrationError) as error:
-        return replace(found, reason=str(error)), None
-    return replace(found, floor=floor, n_events=None if known.events is None else len(known.events)), known
-
-
-def compared(found: sim.EventSeries, known: sim.EventSeries) -> tuple[float | None, float]:
-    """When the first block's events are no longer the known ones, if ever, and how far their times are off before."""
-    parted, shared = math.inf, []
-    for block in range(known.n):
-        mine, its = (np.flatnonzero(series.block == block) for series in (found, known))
-        n = min(len(mine), len(its))
-        alike = np.append(found.mode[mine[:n]] == known.mode[its[:n]], len(mine) == len(its))
-        shared.append(np.column_stack([found.t[mine[:n]], known.t[its[:n]]]))
-        if not alike.all():
-            first = int(np.argmin(alike))
-            rest = [
-                series.t[events[first]] for series, events in ((found, mine), (known, its)) if first < len(events)
-            ]
-            parted = min(parted, *rest)
-    times = np.vstack(shared)
-    times = times[times.max(axis=1) < parted]
-    return None if parted == math.inf else parted, float(np.abs(times[:, 0] - times[:, 1]).max(initial=0.0))
-
-
-def _curve(
-    scene: SpeedScene,
-    method: Method,
-    problem: Problem,
-    known: Solution,
-    reference: Reference,
-    product: Product,
-    settings: tuple[float, ...],
-    row: Cost,
-) -> Iterator[Cost]:
-    """One row a tolerance or step, from the coarsest to the finest."""
-    solve = method.prepare(problem)
-    warm(method, problem, settings[-1])
-    too_slow: str | None = None
-    for setting in reversed(settings):
-        cost = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
-        if too_slow is not None:
-            yield replace(cost, outcome="too slow", reason=too_slow)
-            continue
-        start = time.perf_counter()
-        try:
-            found, timing = timed(partial(solve, setting), product, scene.repeats, scene.seconds_a_run)
-            error = float(np.abs(found.z - known.z).max())
-            if not np.isfinite(error):
-                raise MethodError("z at t_end is not finite")
-        except (MethodError, sim.IntegrationError) as failure:
-            took = time.perf_counter() - start
-            outcome: Outcome = "too slow" if isinstance(failure, GivenUp) else "failed"
-            yield replace(cost, outcome=outcome, reason=str(failure))
-        else:
-            took, floor = timing.seconds, reference.floor or 0.0
-            cost = replace(cost, error=max(error, floor), is_bound=error <= floor, computed=found.n_products)
-            if found.events is not None and known.events is not None:
-                parted_at, apart = compared(found.events, known.events)
-                cost = replace(cost, parted_at=parted_at, apart=apart)
-            yield replace(cost, **timing._asdict())
-        if took > scene.seconds_a_run:
-            too_slow = f"took {took:.2g} s at {setting:g}: more than {scene.seconds_a_run:g} s"
+    references: list[Standard]
 
 
 # ---------------------------------------------------------------------------------------------- comparing

@@ -143,9 +143,9 @@ def test_what_ships_explains_its_keys(name):
     ("name", "extent"),
     [
         ("fig3", "figure 3 of the paper"),
-        ("scaling", "7 random systems and 5 chains"),
-        ("speed_accuracy", "13 methods on 6 problems"),
-        ("stability", "cells and the hard cases"),
+        ("scaling", "6 random systems with either engine and 5 chains"),
+        ("speed_accuracy", "11 methods on 6 problems"),
+        ("stability", "cells and a block on a slope"),
     ],
 )
 def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch, capsys):

@@ -17,11 +17,11 @@ from stickslip.workflows.charts.speed_accuracy import (
     Cost,
     Measured,
     Panel,
-    Reference,
-    compared,
+    Standard,
     error_against_cost,
     products_at,
 )
+from stickslip.workflows.charts.trials import compared
 from stickslip.workflows.commands import main
 from tests.scenes import SIGMOID, ensemble
 
@@ -197,8 +197,8 @@ def test_a_method_that_fails_yields_a_row_with_its_reason_and_is_asked_on(monkey
     method = Method("wanderer", "sigmoid", prepare)
     measured = chart_with(monkeypatch, scene_file, method, tolerances=(1e-8, 1e-6, 1e-3))
     rows = rows_of(measured, "wanderer")
-    assert [row.outcome for row in rows] == ["failed", "measured", "failed"]
-    assert [row.reason for row in rows] == ["lost its way", None, "z at t_end is not finite"]
+    assert [row.outcome for row in rows] == ["failed", "measured", "wrong"]
+    assert [row.reason for row in rows] == ["lost its way", None, "z at t_end is not finite, returned as a success"]
 
 
 def test_no_error_below_the_floor_is_claimed(monkeypatch, scene_file):
@@ -257,14 +257,15 @@ def test_a_finer_point_that_is_cheaper_counts():
 def planted():
     """Costs on planted lines: the sigmoid engine at 1000, CyRK at 3000 and SciPy DOP853 at 8000 products."""
     costs = [
-        Cost(5, "uniform", "sigmoid", name, tol, None, "measured", error=2 * tol, products=cost, seconds=1.0)
+        Cost(n=5, ratio="uniform", model="sigmoid", method=name, tolerance=tol, error=2 * tol, products=cost)
         for name, cost in (("sigmoid engine", 1e3), ("CyRK DOP853", 3e3), ("SciPy DOP853", 8e3))
         for tol in (1e-3, 1e-7)
     ]
-    costs.append(Cost(5, "uniform", "sigmoid", "SciPy Radau", 1e-3, None, "too slow", "given up after 5 s"))
+    costs.append(replace(costs[0], method="SciPy Radau", outcome="too slow", reason="given up after 5 s",
+                         error=None, products=None))  # fmt: skip
     references = [
-        Reference(5, None, "coulomb", "a", "b", 1e-14, 12),
-        Reference(5, "uniform", "sigmoid", "a", "b", 1e-12),
+        Standard(n=5, ratio=None, model="coulomb", floor=1e-14, n_events=12),
+        Standard(n=5, ratio="uniform", model="sigmoid", floor=1e-12),
     ]
     return Measured(costs, references)
 
@@ -288,11 +289,12 @@ def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, page, said, un
 def test_every_method_of_the_chart_has_a_line_of_its_own():
     curves = {
         method.name: [
-            Cost(5, "one", method.model, method.name, 1e-4, None, "measured", None, error, error < 1e-5, cost)
+            Cost(n=5, ratio="one", model=method.model, method=method.name, tolerance=1e-4, error=error,
+                 is_bound=error < 1e-5, products=cost)
             for cost, error in ((1e3, 1e-4), (2e3, 1e-6))
         ]
         for method in METHODS
-    }
+    }  # fmt: skip
     (ax,) = error_against_cost([Panel(5, "one", curves, 1e-6, 12)]).axes
     lines = [line for line in ax.lines if line.get_label() in curves]
     assert len(lines) == len(METHODS)
