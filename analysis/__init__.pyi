@@ -16,4 +16,3 @@ from .stats.estimates import Estimate as Estimate
 from .stats.estimates import correlation_time as correlation_time
 from .stats.estimates import gamma as gamma
 from .stats.estimates import over_matrices as over_matrices
-from .stats.nulls import random_order as random_order

@@ -16,7 +16,7 @@ from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import block_steps, triggered
+from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel
 
 SLOW = 100.0  # the period above which motion is called slow: five of the blocks' own
@@ -24,11 +24,11 @@ BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other b
 WINDOWS = (0.5, 1.0, 5.0, 20.0, 40.0, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure
-FOLLOW, DELAY = 0.02, 0.1  # positive control: share of exits that follow another, after so many mean gaps
+SOON = 0.2  # of a mean gap between exits: an exit that another one sets off comes within so much
 MOST_DRAWN = 2  # groups in the figure
 _CLUSTERING: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
-    "p_value": F, "p_adjusted": F, "verdict": S, "control": F, "control_low": F, "control_high": F, "reason": S,
+    "p_value": F, "p_adjusted": F, "verdict": S, "reason": S,
 }  # fmt: skip
 _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "low": F, "high": F}
 
@@ -37,14 +37,14 @@ _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "
 class _Measured:
     """What a group's runs give, (G, p, 2) for its parts and the bands of the figure, a row a matrix.
 
-    `control` is that of the positive control, for the pairs alone; `gap` the mean time between exits.
+    `n_exits` is the mean of a matrix, `gap` the mean time between exits.
     """
 
     group: Group
     parts: list[Part]
     bands: list[Part]
     runs: np.ndarray
-    control: np.ndarray
+    n_exits: float
     gap: float
 
 
@@ -71,7 +71,7 @@ def answer(study: Study) -> Answer:
     known = [row for row in spectra[label] if row["ratio"] is not None]
     facts = {
         "group": label, "rows": rows[label], "of": of, "lead": _largest(rows[label]), "slow": SLOW,
-        "pairs": _code(of[PAIRS]), "close": _closest(of[PAIRS], DELAY * lead.gap), "follow": FOLLOW, "delay": DELAY,
+        "pairs": _code(of[PAIRS]), "close": _closest(of[PAIRS], lead),
         "same": [row for other, some in rows.items() if other != label for row in some[:1]][:2],
         "peak": max(known, key=lambda row: row["ratio"], default=None),
         "n_slow": (float(lead.group.key["t_end"]) - study.settings.t_burn) / SLOW,
@@ -97,23 +97,18 @@ def _measured(study: Study, group: Group) -> _Measured:
     shortest, longest = periods(span)
     edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
     bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
-    pairs = [part for part in parts if part.kind == PAIRS]
-    n_rows, n_exits, n_runs = len(group.units), 0, 0
-    runs, control = np.zeros((n_rows, len(parts) + len(bands), 2)), np.zeros((n_rows, len(pairs), 2))
+    runs, n_exits, n_runs = np.zeros((len(group.units), len(parts) + len(bands), 2)), 0, 0
     for row, member_id, win in study.windows(group):
         if member_id not in study.data.events:
             continue
         steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
-        mean_gap = span / max(int(np.sum(steps.step < 0)), 1)
-        follow = triggered(steps, FOLLOW, DELAY * mean_gap, study.generator(member_id))
         try:
             runs[row] += measure(steps, [*parts, *bands])
-            control[row] += measure(follow, pairs)
         except Undefined:  # fewer than two exits have no gap and no rhythm
             continue
         n_exits, n_runs = n_exits + int(np.sum(steps.step < 0)), n_runs + 1
     seen = runs[:, :, 1].any(axis=1)
-    return _Measured(group, parts, bands, runs[seen], control[seen], n_runs * span / max(n_exits, 1))
+    return _Measured(group, parts, bands, runs[seen], n_exits / max(seen.sum(), 1), n_runs * span / max(n_exits, 1))
 
 
 def _effect(rows: np.ndarray, confidence: float) -> Effect:
@@ -124,7 +119,6 @@ def _rows(one: _Measured, confidence: float) -> list[Row]:
     """One row a part. Slow motion is the primary question; all others are judged together."""
     slow = int(bool(one.parts) and one.parts[0].above == SLOW)
     effects = together([_effect(one.runs[:, k], confidence) for k in range(len(one.parts))], slow)
-    first = next((k for k, part in enumerate(one.parts) if part.kind == PAIRS), 0)
     rows = []
     for k, (part, effect) in enumerate(zip(one.parts, effects, strict=True)):
         observed, by_rotation = one.runs[:, k].mean(axis=0)
@@ -132,12 +126,8 @@ def _rows(one: _Measured, confidence: float) -> list[Row]:
             "group": one.group.label, "kind": part.kind, "above": part.above, "upto": part.upto,
             "observed": float(observed), "by_rotation": float(by_rotation), "ratio": effect.ratio.value,
             "low": effect.ratio.low, "high": effect.ratio.high, "p_value": effect.p, "p_adjusted": effect.p_adjusted,
-            "verdict": effect.verdict(1 - confidence), "shown": effect.shown, "control": None, "control_low": None,
-            "control_high": None, "reason": effect.ratio.reason or None,
+            "verdict": effect.verdict(1 - confidence), "shown": effect.shown, "reason": effect.ratio.reason or None,
         }  # fmt: skip
-        if part.kind == PAIRS:
-            would = _effect(one.control[:, k - first], confidence).ratio
-            row |= {"control": would.value, "control_low": would.low, "control_high": would.high}
         rows.append(row)
     return rows
 
@@ -165,14 +155,14 @@ def _code(rows: Sequence[Row]) -> str:
     return next((row["verdict"] for row in rows if row["verdict"] in (MORE, LESS)), AS_CHANCE)
 
 
-def _closest(rows: Sequence[Row], delay: float) -> Row | None:
-    """The least gap that holds most exits which follow after a mean delay, and the share of them not excluded."""
-    wide = sorted((row for row in rows if row["high"] is not None and row["control"]), key=lambda row: row["upto"])
-    if not wide:
-        return None
-    row = next((row for row in wide if row["upto"] >= 2 * delay), wide[-1])
-    gain = row["control"] - 1
-    return row | {"share": FOLLOW * max(row["high"] - 1, 0.0) / gain if gain > 0 else None}
+def _closest(rows: Sequence[Row], lead: _Measured) -> Row | None:
+    """The least gap within which an exit follows that another one set off; at most what share of the exits does.
+
+    Each that does adds a pair: to those of rotation, up to the end of the interval.
+    """
+    known = sorted((row for row in rows if row["high"] is not None), key=lambda row: row["upto"])
+    row = next((row for row in known if row["upto"] >= SOON * lead.gap), None)
+    return row and row | {"share": max(row["high"] - 1, 0.0) * row["by_rotation"] / lead.n_exits}
 
 
 @panel()

@@ -17,7 +17,7 @@ from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma, over_matrices, paired_difference
 from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
-from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated_steps
+from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
 THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
@@ -113,7 +113,7 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
         if member_id in events:
             steps, rng = block_steps(*events[member_id], win.t_start, win.t_stop), study.generator(member_id)
             for _ in range(min(settings.resamples, DRAWS)):
-                t, step = rotated_steps(steps, rng)
+                t, step = rotated(steps, rng)
                 found = cascade_sizes(Window(0.0, steps.span, 0, t, step), EVENTS)
                 sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
     sums = sums[group.counts.sum(axis=1) > 0]

@@ -15,7 +15,6 @@ Which null answers which question:
 
 - fair order, gamma = ln 2: would a coin do?
 - the pool: does gamma differ from ln 2 by more than the finite number of blocks that can let go explains?
-- random order (`nulls.random_order`): does the order of exits and entries matter, at their observed numbers?
 - rotation (`nulls.rotated`): do blocks act on each other, each keeping its own rhythm?
 """
 

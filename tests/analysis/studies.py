@@ -31,7 +31,7 @@ from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
-from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations, triggered
+from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations
 
 CONFIDENCE = 0.95
 MATRICES = 20
@@ -314,6 +314,15 @@ def definitions_study(rng, ensembles):
         rows = np.array(rows)
         found = [over_null(gamma, rows[some, :2], rows[some, 2:], CONFIDENCE).ratio for some in picks]
         yield judged("gamma over rotation", str(law), 1.0, found, log=True)
+
+
+def triggered(steps, share, delay, rng):
+    """Blocks of which a share of the exits moves to an exponential delay after others; each stays with its block."""
+    t, exits = steps.t.copy(), rng.permutation(np.flatnonzero(steps.step < 0))
+    moved, stay = np.split(exits, [round(share * len(exits))])
+    t[moved] = (t[rng.choice(stay, len(moved))] + rng.exponential(delay, len(moved))) % steps.span
+    order = np.argsort(t)
+    return BlockSteps(0.0, steps.span, t[order], steps.block[order], steps.step[order])
 
 
 def triggering_study(rng, ensembles):

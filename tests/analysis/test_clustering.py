@@ -1,6 +1,7 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from stickslip.analysis.questions import clustering, definitions, exponential
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.stats.effects import AS_CHANCE, MORE
-from stickslip.analysis.stats.nulls import BlockSteps, rotated, triggered
+from stickslip.analysis.stats.nulls import BlockSteps, rotated
 from tests.analysis import studies
 
 SPAN = studies.SPAN
@@ -28,7 +29,7 @@ def test_pairs_and_fano_of_rotation_agree_with_simulation(rng):
     steps = studies.blocks_run(rng, n=12)
     own = own_gaps(*steps.exits(), SPAN, SPAN / 2)
     taus, tiles, draws = (0.1, 1.0, 10.0, 150.0, 300.0), (100, 20, 2), 1000
-    turned = [rotated(steps, rng).exits()[0] for _ in range(draws)]
+    turned = [t[step < 0] for t, step in (rotated(steps, rng) for _ in range(draws))]
     closed = [*map(own.pairs, taus), *map(own.fano, tiles)]
     drawn = np.array(
         [[*(pairs(one, tau) for tau in taus), *(fano(one, 0.0, SPAN, k) for k in tiles)] for one in turned]
@@ -86,7 +87,7 @@ def said(question, answer):
 def followers(rng, steps, share):
     """Some exits moved to shortly after an exit of another block, between their own entry and the next one.
 
-    Unlike in `triggered`, blocks still stick and slip by turns, as the modes of a run must.
+    Unlike in `studies.triggered`, blocks still stick and slip by turns, as the modes of a run must.
     """
     t, exits = steps.t.copy(), np.flatnonzero(steps.step < 0)
     for k in rng.permutation(exits)[: round(share * len(exits))]:
@@ -105,8 +106,7 @@ def test_independent_blocks_are_not_said_to_cluster(planted, rng):
     slow = found.facts["of"][POWER][0]
     assert slow["p_value"] == slow["p_adjusted"]  # the primary question
     assert 0.5 < slow["ratio"] < 2
-    close = found.facts["close"]
-    assert close["control"] > 1
+    assert 0 <= found.facts["close"]["share"] < 0.1
     if slow["verdict"] == AS_CHANCE and found.facts["pairs"] == AS_CHANCE:
         assert "do not set each other off" in said("clustering", found)
 
@@ -131,12 +131,15 @@ def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_m
     assert exponential.answer(study_of(planted, runs)).facts["gamma"].high < 0
 
 
-def test_the_control_plants_the_share_that_it_says(rng):
-    steps = studies.blocks_run(rng)
-    gap = SPAN / np.sum(steps.step < 0)
-    part = [Part(PAIRS, gap)]
-    ratios = [np.divide(*measure(triggered(steps, share, gap / 10, rng), part)[0]) for share in (0.0, 0.2)]
-    assert ratios[1] - ratios[0] > 0.1
+def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
+    """Each follower is a pair more; of an exponential delay 0.865 is below twice its mean."""
+    runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
+    part, n_exits = Part(PAIRS, 0.2), float(np.mean([np.sum(steps.step < 0) for steps in runs]))
+    rows = np.array([measure(steps, [part]) for steps in runs])
+    measured = clustering._Measured(SimpleNamespace(label=""), [part], [], rows, n_exits, gap=1.0)
+    close = clustering._closest(clustering._rows(measured, 0.9999), measured)
+    assert 0.0865 < close["share"] < 0.25
+    assert clustering._closest(clustering._rows(measured, 0.9999), dataclasses.replace(measured, gap=2.0)) is None
 
 
 def test_without_events_it_says_what_to_record(planted, rng):
@@ -166,30 +169,19 @@ def test_an_answer_is_the_same_twice(planted, rng):
 # ------------------------------------------------------------------------------------------- definitions
 
 
-def test_every_definition_step_and_threshold_has_its_row(planted, rng):
-    runs = [studies.blocks_run(rng) for _ in range(6)]
-    study = study_of(planted, runs, thresholds=(0.5, 1.0))
-    found = definitions.answer(study)
+def test_every_definition_and_step_has_its_row(planted, rng):
+    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
     table = found.tables["definitions"]
-    assert len(table) == 3 * (1 + 4 * 2)
-    own = table[table["threshold"].isna()].set_index(["definition", "dt"])
-    for _, some in table[table["threshold"].notna()].groupby(
-        "threshold"
-    ):  # these thresholds are the runs' own series
-        pd.testing.assert_frame_equal(
-            some.set_index(["definition", "dt"])[["gamma", "order_over"]], own[["gamma", "order_over"]]
-        )
-    assert own["blocks_over"].between(0.8, 1.2).all()
-    assert found.facts["thresholds"]["rate"] == pytest.approx(1.0)
+    assert len(table) == 1 + 4 * 2
+    assert table["over"].between(0.8, 1.2).all()
     assert "against independent blocks" in said("definitions", found)
 
 
-def test_without_events_chance_is_random_order(planted, rng):
-    runs = [studies.blocks_run(rng) for _ in range(6)]
-    found = definitions.answer(study_of(planted, runs, with_events=False))
-    assert found.facts["null"] == "order"
-    assert list(found.figures) == ["over_order"]
-    assert "random order" in said("definitions", found)
+def test_without_events_gamma_stands_alone(planted, rng):
+    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)], with_events=False))
+    assert found.facts["over"] == []
+    assert list(found.figures) == ["definitions"]
+    assert "how often." in said("definitions", found)
 
 
 def test_more_map_steps_are_in_the_table(planted, rng):
