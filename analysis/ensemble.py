@@ -122,7 +122,7 @@ class Group:
         Sums over runs of `QUANTITIES`, by name.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
-    effective : ndarray, shape (G, 5)
+    effective : ndarray, shape (G, 4)
         `effective.row`, of several runs of one unit their mean.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
@@ -141,7 +141,7 @@ class Group:
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
     histograms: list[np.ndarray] = field(default_factory=list)
-    effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     moving: pd.DataFrame = field(default_factory=pd.DataFrame)
     n_quiet: int = 0
@@ -387,7 +387,7 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     """Read each run of a group once and keep the sums of those in motion."""
     group.units = [int(unit) for unit in group.finished["unit"].unique()]
     n_rows = len(group.units)
-    group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 5))
+    group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 4))
     group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     group.last = np.full((len(group.members), 2), np.nan)

@@ -17,7 +17,7 @@ from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import share_over_matrices
-from stickslip.analysis.stats.effective import effective
+from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.fates import (
     COLLAPSED,
@@ -28,8 +28,8 @@ from stickslip.analysis.stats.fates import (
     SUSTAINED,
     Curve,
     fate,
+    kaplan_meier,
     median,
-    survival,
 )
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, panel
 
@@ -45,11 +45,10 @@ _COUNTS = tuple(f"n_{name}" for name in (*ENDS, SUSTAINED, FAILED))
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "t_end": F,
     "sustained": F, "low": F, "high": F, "median": F, "median_low": F, "median_high": F,
-    "first_end": F, "last_end": F, "n_quiet": I, "mean": F,
-    "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
-    "effective_by": S, "basis": S,
+    "mean": F, "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
+    "basis": S,
 }  # fmt: skip
-_CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F, **dict.fromkeys(ENDS, F)}
+_CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F}
 _RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "unit": I, "member_id": S, "fate": S, "t": F, "growth_rate": F}
 
 
@@ -91,7 +90,14 @@ def answer(study: Study) -> Answer:
     }
     tables = {
         "fates": frame(_GROUP, groups),
-        "survival_curves": frame(_CURVE, _curve_rows(curves)),
+        "survival_curves": frame(
+            _CURVE,
+            [
+                dict(zip(_CURVE, (label, *row), strict=True))
+                for label, curve in curves.items()
+                for row in zip(*curve, strict=True)
+            ],
+        ),
         "runs": frame(_RUN, runs),
     }
     return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
@@ -147,7 +153,7 @@ def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None
     if not first:
         return None
     times = np.array([row["t"] for row in first.values()], dtype=np.float64)
-    return survival(times, [row["fate"] for row in first.values()], confidence)
+    return kaplan_meier(times, np.array([row["fate"] in ENDS for row in first.values()]), confidence)
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -172,19 +178,17 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     own = [row for row in runs if row["group"] == group.label]
     how = Counter(row["fate"] for row in own)
     watched = [row for row in own if row["fate"] != FAILED]
-    ends = [row["t"] for row in watched if row["fate"] in ENDS]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
-    samples = effective(group.effective, span, level) if group.units else None
-    half = Estimate() if curve is None else median(curve.t, curve.survival, curve.low, curve.high)
+    memory = tau(group.effective)
+    half = Estimate() if curve is None else median(*curve)
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
         **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
         "half": half, **named("median", half),
-        "first_end": min(ends, default=None), "last_end": max(ends, default=None),
-        "n_quiet": group.n_quiet, **named("mean", mean), "drifts": drift, **named("drift", drift),
-        "effective_samples": samples and samples.samples, "effective_by": samples and samples.method,
+        **named("mean", mean), "drifts": drift, **named("drift", drift),
+        "effective_samples": memory and len(group.units) * span / (2 * memory),
         "basis": basis.code,
     }  # fmt: skip
 
@@ -233,15 +237,6 @@ def _linear(runs: Sequence[Row]) -> list[Row]:
 
 def _commonest(reasons: pd.Series) -> str:
     return str(reasons.value_counts().index[0]) if len(reasons) else ""
-
-
-def _curve_rows(curves: Mapping[str, Curve]) -> list[Row]:
-    return [
-        {"group": label, "t": t, "survival": curve.survival[k], "low": curve.low[k], "high": curve.high[k]}
-        | {end: curve.incidence[end][k] for end in ENDS}
-        for label, curve in curves.items()
-        for k, t in enumerate(curve.t)
-    ]
 
 
 def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
@@ -294,10 +289,10 @@ def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
 def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float) -> None:
     """Share of runs in motion against time, a curve a group; with their intervals where there are two at most."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
-    for (label, curve), colour in zip(curves, colours, strict=True):
-        some = np.unique(np.linspace(0, len(curve.t) - 1, MOST_STEPS).astype(np.int64))
-        t = np.append(curve.t[some], t_end)
-        alive, low, high = (np.append(y[some], y[-1]) for y in (curve.survival, curve.low, curve.high))
+    for (label, (times, *shares)), colour in zip(curves, colours, strict=True):
+        some = np.unique(np.linspace(0, len(times) - 1, MOST_STEPS).astype(np.int64))
+        t = np.append(times[some], t_end)
+        alive, low, high = (np.append(y[some], y[-1]) for y in shares)
         ax.step(t, alive, where="post", color=colour, label=label)
         if len(curves) <= 2:
             ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)

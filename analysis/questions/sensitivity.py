@@ -14,29 +14,24 @@ from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
 from stickslip.analysis.stats import parting
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.fates import kaplan_meier, median
 from stickslip.analysis.stats.growth import growth
 from stickslip.analysis.style import CYCLE, GREY, panel
 
 GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
-PARTS, STAYS_NEAR = "parts", "stays near"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that grow still in proportion
 SMALL = 0.1  # a start is moved by little if by less than so much of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # under the exact law; of a smoothed one so many times its relative tolerance
 CURVE_POINTS = 70
-EARLY = 20.0  # what a copy has left its base by, so soon
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
     "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
     "n_ceiling": I, "is_selected": "boolean", "verdict": S,
 }  # fmt: skip
-_RATES: Mapping[str, str] = {"setting": S, "size": F, "matrix": I, "rate": F}
 _PARTING: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "level": F, "n_pairs": I,
-    "n_parted": I, "median": F, "median_low": F, "median_high": F, "early": F, "early_low": F, "early_high": F,
-    "verdict": S,
+    "n_parted": I, "median": F, "median_low": F, "median_high": F,
 }  # fmt: skip
 _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
 
@@ -46,13 +41,11 @@ def answer(study: Study) -> Answer | None:
     found = [one for one in settings(study.data.members) if one.comparisons]
     if not found:
         return None
-    growths, rates, partings, curves = [], [], [], []
+    growths, partings, curves = [], [], []
     for setting in found:
         for comparison in setting.comparisons:
             if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING:
-                row, of_matrix = _growth_row(study, setting, comparison)
-                growths.append(row)
-                rates += of_matrix
+                growths.append(_growth_row(study, setting, comparison))
         apart = level(study, setting)
         if apart is None:
             continue
@@ -64,7 +57,6 @@ def answer(study: Study) -> Answer | None:
     growths.sort(key=lambda row: -row["n"])
     tables = {
         "growth": frame(_GROWTH, growths),
-        "growth_rates": frame(_RATES, rates),
         "parting": frame(_PARTING, partings),
         "parting_curves": frame(_CURVES, curves),
     }
@@ -73,7 +65,6 @@ def answer(study: Study) -> Answer | None:
     facts: dict[str, Any] = {
         "span": parting.SPAN,
         "share": parting.SHARE,
-        "early": EARLY,
         "t_burn": study.settings.t_burn,
         "ceiling": CEILING,
         "floor": FLOOR,
@@ -99,14 +90,14 @@ def answer(study: Study) -> Answer | None:
     return Answer(facts, tables=tables, figures=figures)
 
 
-def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> tuple[Row, list[Row]]:
-    """Growth rate of starts displaced by one size, with its verdict; and by matrix."""
+def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
+    """Growth rate of starts displaced by one size, with its verdict."""
     size, rtol = comparison.change.size, setting.key["rtol"]
     identity = {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "size": size}
     row: Row = dict.fromkeys(_GROWTH) | identity | {"verdict": UNKNOWN, "n_pairs": len(comparison.pairs), "n_used": 0}
     pairs = [pair for pair in comparison.pairs if len(study.data.separations.get(pair.changed, ((),))[0])]
     if not pairs:
-        return row, []
+        return row
     known = [study.data.separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
     floor = FLOOR if rtol is None else TOLERANCES * rtol
@@ -125,38 +116,24 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> tuple
         row |= {"e_fold": abs(1 / rate.value), "e_fold_low": ends[0], "e_fold_high": ends[1]}
         if not found.is_selected:
             row["verdict"] = GROWS if rate.value > 0 else SHRINKS
-    rates = zip(found.matrices.tolist(), found.rates.tolist(), strict=True)
-    return row, [{"setting": setting.label, "size": size, "matrix": matrix, "rate": one} for matrix, one in rates]
+    return row
 
 
 def _parting_row(
     study: Study, setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float
 ) -> Row:
-    """When half of the matrices' copies have parted, and how far all have come by `EARLY`, in units of the level."""
-    confidence, change = study.settings.confidence, comparison.change
-    by_matrix: dict[int, list[Watched]] = {}
-    for one in watched:
-        by_matrix.setdefault(one.pair.matrix, []).append(one)
-    one_each = [some[0] for some in by_matrix.values()]  # of several draws one: matrices are the independent units
+    """When half of the matrices' copies have parted."""
+    change = comparison.change
+    by_matrix = {one.pair.matrix: one for one in reversed(watched)}
+    one_each = [*by_matrix.values()]  # of several draws the first: matrices are the independent units
     times = np.array([one.t_stop if one.t is None else one.t for one in one_each])
-    half = median(*kaplan_meier(times, np.array([one.t is not None for one in one_each]), confidence))
-    t_end = float(setting.key["t_end"])
-    row: Row = {
+    has_parted = np.array([one.t is not None for one in one_each])
+    half = median(*kaplan_meier(times, has_parted, study.settings.confidence))
+    return {
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
         "of": change, "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
         "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), **named("median", half),
-        **named("early", Estimate()), "verdict": UNKNOWN,
     }  # fmt: skip
-    if half.high is not None:
-        row["verdict"] = PARTS
-    elif half.low is None and all(one.t_stop >= t_end for one in watched):
-        is_told = 2 * 0.5 ** len(one_each) < 1 - confidence  # as the interval of a median without any parting
-        row["verdict"] = STAYS_NEAR if is_told else UNKNOWN
-    at = round((EARLY - parting.SPAN) / parting.STEP)
-    soon = np.array([np.mean([one.gaps[at] for one in some if len(one.gaps) > at]) for some in by_matrix.values()])
-    if np.isfinite(soon).all():
-        row |= named("early", over_matrices(ratio, np.column_stack([soon / apart, np.ones(len(soon))]), confidence))
-    return row
 
 
 def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float) -> list[Row]:

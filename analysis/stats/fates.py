@@ -2,18 +2,10 @@
 
 A collapse is one that is certified. A run whose blocks all slip for the last quarter without a certificate is kept
 apart as silent: such runs have been seen to stick again after thousands of units. A runaway is a fate of its own and
-never a collapse. The fates compete: the share that has met one of them by t is the cumulative incidence of Aalen and
-Johansen (1978, Scand. J. Statist. 5, 141),
-
-    C_k(t) = sum over times s <= t of S(s-) d_k(s) / r(s),
-
-d_k(s) the runs that meet fate k at s, r(s) those still in motion and watched, S Kaplan and Meier's survival.
+never a collapse.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,57 +18,11 @@ ENDS = (COLLAPSED, SILENT, DIVERGED)
 QUIET_SHARE = 0.25  # of a run: silent if nothing changes in this last part of it
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Survival of self-sustained motion and the cumulative incidence of each end.
-
-    Attributes
-    ----------
-    t : ndarray, shape (m,)
-        0 and the times of ends, ascending; every value holds from its time on.
-    survival, low, high : ndarray, shape (m,)
-        Of `kaplan_meier`.
-    incidence : dict of str to ndarray, shape (m,)
-        By end, one of `ENDS`; with the survival they add up to one.
-    """
-
-    t: np.ndarray
-    survival: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    incidence: dict[str, np.ndarray]
+#: Of `kaplan_meier`: times, share that has not ended, and the ends of its interval, each (m,), each from its time on.
+Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def survival(times: np.ndarray, ends: Sequence[str], confidence: float) -> Curve:
-    """Survival curve of independent runs.
-
-    Parameters
-    ----------
-    times : array_like, shape (m,)
-        When motion ended, or when the run was last seen in motion.
-    ends : sequence of str
-        `COLLAPSED`, `SILENT` or `DIVERGED`; anything else is censored at its time.
-    confidence : float
-
-    Raises
-    ------
-    ValueError
-        If there are no runs or the lengths differ.
-    """
-    at, how = np.asarray(times, dtype=np.float64), np.asarray(ends, dtype=object)
-    if at.ndim != 1 or at.shape != how.shape or not len(at):
-        raise ValueError(f"times, ends: expected two non-empty arrays of one length, got {at.shape} and {how.shape}")
-    by_end = {end: at[how == end] for end in ENDS}
-    t, alive, low, high = kaplan_meier(at, np.isin(how, ENDS), confidence)
-    before = np.concatenate(([1.0], alive[:-1]))
-    hazard = before / np.maximum(_at_risk(at, t), 1)
-    incidence = {end: np.cumsum(hazard * _at(some, t)) for end, some in by_end.items()}
-    return Curve(t, alive, low, high, incidence)
-
-
-def kaplan_meier(
-    times: np.ndarray, ended: np.ndarray, confidence: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Curve:
     """Share that has not ended by a time, with Greenwood's interval on the log-log scale.
 
     Parameters
@@ -93,8 +39,10 @@ def kaplan_meier(
         in its place.
     """
     t = np.concatenate(([0.0], np.unique(times[ended])))
-    n_at_risk = _at_risk(times, t)
-    n_stay = n_at_risk - _at(times[ended], t)
+    # how many are not before each t, and how many of them do not end then
+    n_at_risk = (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
+    at_end = np.sort(times[ended])
+    n_stay = n_at_risk - (np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left"))
     share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
     with np.errstate(divide="ignore", invalid="ignore"):  # where there is no width
         variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
@@ -103,17 +51,6 @@ def kaplan_meier(
     for k in np.flatnonzero((share == 0) | (share == 1)):
         low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
     return t, share, low, high
-
-
-def _at_risk(times: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """How many of the times are not before each t."""
-    return (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
-
-
-def _at(times: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """How many of the times are each t."""
-    listed = np.sort(times)
-    return np.searchsorted(listed, t, side="right") - np.searchsorted(listed, t, side="left")
 
 
 def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) -> Estimate:

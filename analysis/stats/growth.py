@@ -30,9 +30,6 @@ class Growth:
     ----------
     rate : Estimate
         Mean over matrices of the slope of log distance (per unit of time), jackknife-t interval.
-    rates : ndarray, shape (G,)
-        By matrix, in ascending order of `matrices`.
-    matrices : ndarray, shape (G,)
     t_from, t_to : float
         The range that was regressed.
     n_pairs, n_floor, n_ceiling : int
@@ -40,8 +37,6 @@ class Growth:
     """
 
     rate: Estimate
-    rates: np.ndarray
-    matrices: np.ndarray
     t_from: float
     t_to: float
     n_pairs: int
@@ -104,11 +99,11 @@ def growth(
     n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))
     if not kept.any():
         none = Estimate(reason="no pair in range")
-        return Growth(none, np.zeros(0), np.zeros(0, int), t_from, t_from, len(kept), n_floor, n_ceiling)
+        return Growth(none, t_from, t_from, len(kept), n_floor, n_ceiling)
     m = int(length[kept].min())
     centred = t[:m] - t[:m].mean()
     slopes = log[kept, :m] @ centred / (centred @ centred)
-    matrices, index = np.unique(np.asarray(matrix)[kept], return_inverse=True)
+    _, index = np.unique(np.asarray(matrix)[kept], return_inverse=True)
     rates = np.bincount(index, slopes) / np.bincount(index)
     rate = over_matrices(ratio, np.column_stack([rates, np.ones(len(rates))]), confidence)
-    return Growth(rate, rates, matrices, float(t[0]), float(t[m - 1]), len(kept), n_floor, n_ceiling)
+    return Growth(rate, float(t[0]), float(t[m - 1]), len(kept), n_floor, n_ceiling)

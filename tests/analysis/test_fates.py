@@ -10,7 +10,7 @@ from stickslip.analysis import AnalysisSettings, Data, Study, build
 from stickslip.analysis.questions.fates import answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import MOST_ALERTS, Answered, _primary, _Shown
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, median, survival
+from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, kaplan_meier, median
 
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
 WORDS = environment().get_template("fates.html").module
@@ -20,36 +20,22 @@ def test_survival_against_the_textbook():
     # Freireich et al. 1963, the 6-MP arm, as tabulated in Kalbfleisch and Prentice
     ended = [6, 6, 6, 7, 10, 13, 16, 22, 23]
     censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
-    curve = survival(ended + censored, [COLLAPSED] * 9 + [SUSTAINED] * 12, 0.95)
-    assert curve.t.tolist() == [0, 6, 7, 10, 13, 16, 22, 23]
-    assert curve.survival == pytest.approx([1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448], abs=5e-4)
+    curve = kaplan_meier(np.array(ended + censored, dtype=float), np.arange(21) < 9, 0.95)
+    t, share, low, high = curve
+    assert t.tolist() == [0, 6, 7, 10, 13, 16, 22, 23]
+    assert share == pytest.approx([1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448], abs=5e-4)
     # Greenwood's error of S(23) is 0.135 (ibid.); on the log-log scale 0.188 to 0.680
-    assert (curve.low[-1], curve.high[-1]) == pytest.approx((0.188, 0.680), abs=1e-3)
-    half = median(curve.t, curve.survival, curve.low, curve.high)
+    assert (low[-1], high[-1]) == pytest.approx((0.188, 0.680), abs=1e-3)
+    half = median(*curve)
     assert half.value == 23
     assert (half.low, half.high) == (13, None)  # 13 is the first time with a lower end of half or less
 
 
-def test_incidences_and_survival_add_up_to_one():
-    rng = np.random.default_rng(0)
-    times = rng.integers(1, 30, 60).astype(float)
-    ends = rng.choice([*ENDS, SUSTAINED], 60)
-    curve = survival(times, ends, 0.95)
-    assert sum(curve.incidence.values()) + curve.survival == pytest.approx(np.ones(len(curve.t)))
-
-
-def test_incidence_without_censoring_is_the_share():
-    curve = survival([1, 2, 3, 4, 9, 9], [COLLAPSED, DIVERGED, COLLAPSED, SILENT, SUSTAINED, SUSTAINED], 0.95)
-    assert [curve.incidence[end][-1] for end in ENDS] == pytest.approx([2 / 6, 1 / 6, 1 / 6])
-
-
-def test_none_or_all_ended_have_an_interval():
-    for end, share in ((SUSTAINED, 1.0), (COLLAPSED, 0.0)):
-        curve = survival(np.full(20, 5.0), [end] * 20, 0.95)
-        assert curve.survival[-1] == share
-        assert curve.high[-1] - curve.low[-1] == pytest.approx(0.161, abs=1e-3)  # Wilson's of 0 in 20
-    with pytest.raises(ValueError, match="non-empty"):
-        survival([], [], 0.95)
+@pytest.mark.parametrize("has_ended", [False, True])
+def test_none_or_all_ended_have_an_interval(has_ended):
+    _, share, low, high = kaplan_meier(np.full(20, 5.0), np.full(20, has_ended), 0.95)
+    assert share[-1] == 1.0 - has_ended
+    assert high[-1] - low[-1] == pytest.approx(0.161, abs=1e-3)  # Wilson's of 0 in 20
 
 
 def test_fates_by_their_last_change():
@@ -83,7 +69,6 @@ def test_fates_are_kept_apart(planted):
     assert [row[f"n_{end}"] for end in ENDS] == [4, 2, 3]
     assert (row["n_runs"], row["n_failed"]) == (20, 1)
     assert row["sustained"] == pytest.approx(11 / 20)
-    assert (row["first_end"], row["last_end"]) == (50.0, 400.0)
     said = WORDS.answer(found.facts)
     assert "11 of 20 runs at n = 200 are in motion at t = 1000 (34% to 74%); " in said
     assert "4 slip for good, 2 went quiet and 3 ran away" in said

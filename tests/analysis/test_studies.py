@@ -154,9 +154,7 @@ def test_effects_are_ratios_judged_together(rng):
 
 def test_n_stick_that_does_not_change_has_no_effective_samples():
     still = effective.row(window(np.zeros(1), np.array([3]), 0.0, 10.0), 0.0)
-    found = effective.effective(np.array([still, still]), 10.0, 0.95)
-    assert found.samples is None
-    assert found.tau.reason
+    assert effective.tau(np.array([still, still])) is None
 
 
 def test_growth_is_exact_on_exponentials_and_counts_what_it_drops():
@@ -165,8 +163,7 @@ def test_growth_is_exact_on_exponentials_and_counts_what_it_drops():
     found = growth.growth(
         times, [1e-6 * np.exp(r * times) for r in rates], [4, 1, 1, 2, 3], 50.0, 100.0, (1e-13, 1e-1), 0.95
     )
-    assert found.rates == pytest.approx([0.005, 0.01])  # of matrices 1 and 4
-    assert list(found.matrices) == [1, 4]
+    assert found.rate.value == pytest.approx(0.0075)  # 0.005 and 0.01 of matrices 1 and 4
     assert (found.n_pairs, found.n_floor, found.n_ceiling, found.is_selected) == (5, 1, 1, True)
     assert found.t_to == pytest.approx(575, abs=5)  # where 1e-6 exp(0.02 t) passes 0.1
 
@@ -259,13 +256,10 @@ def test_intervals_cover_what_was_planted(name):
 def test_tau_is_not_too_small_where_the_window_can_tell():
     seed = secrets.randbits(32)
     rows = studies.study("effective", seed, 400)
-    taus, short = rows[0::2], rows[1::2]
-    for (name, (_, can_tell)), tau, share in zip(studies.WANDERS.items(), taus, short, strict=True):
+    for (name, (_, can_tell)), tau in zip(studies.WANDERS.items(), rows, strict=True):
         if can_tell:
             assert tau.bias > -0.05 * tau.answer, f"seed {seed}: {name}"
             assert tau.coverage > 0.93, f"seed {seed}: {name}"
-        else:
-            assert share.coverage > 0.8, f"seed {seed}: {name}"
 
 
 @pytest.mark.long
