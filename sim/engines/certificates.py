@@ -266,7 +266,8 @@ class Collapse:
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            self.watch = Watch(modes.inverse, modes.sizes[system.n :], rest, self.watch.slip, limit, modes.growth)
+            sizes = modes.sizes[system.n :]
+            self.watch = Watch.of(modes.inverse, sizes, rest, self.watch.slip, limit, modes.growth)
         # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
         return Certificate(bool(reason), reason, None, 0.25 * float(np.log(reach / wanted)) / -modes.growth)
 

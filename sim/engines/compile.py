@@ -11,6 +11,8 @@ Decisions, and why:
   a tuple by its number, has to count: ``counts=True`` (or, for small ones, `arithmetic.room`).
 - only a kernel is optimised and made machine code, with all that is linked into it: numba would do both at every
   call on the way up, half of the time of a cold start.
+- while a kernel is compiled, what an operation on some types is gets looked up once: numba tries a dozen candidates
+  wherever one stands, a quarter of the time.
 - the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
@@ -28,7 +30,7 @@ import pickle
 import time
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,7 +41,9 @@ from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.serialize import dumps
-from numba.core.types import unliteral
+from numba.core.targetconfig import ConfigStack
+from numba.core.types import Type, unliteral
+from numba.core.types.functions import BaseFunction
 
 from stickslip.sim.engines.sources import cache_directory
 
@@ -139,6 +143,36 @@ class _KernelCache(FunctionCache):
             _warn_uncached(error)
 
 
+@contextlib.contextmanager
+def _types_once() -> Iterator[None]:
+    """Until this ends, numba finds once what an operation on some types is; its lock keeps other threads out."""
+    functions: Any = BaseFunction
+    find = functions.get_call_type
+    found: dict[Any, Any] = {}
+
+    def find_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws or not all(isinstance(arg, Type) for arg in args):  # a number that is written out: 1 would be True
+            return find(function, context, args, kws)
+        key = function, context, tuple(args), ConfigStack().top().nrt
+        if key not in found:
+            found[key] = find(function, context, args, kws)
+        return found[key]
+
+    functions.get_call_type = find_once
+    try:
+        yield
+    finally:
+        functions.get_call_type = find
+
+
+class _KernelCompiler(Compiler):
+    """Compiles a kernel, with all that it calls."""
+
+    def _compile_core(self) -> Any:
+        with _types_once():
+            return super()._compile_core()
+
+
 class _Part(JITCodeLibrary):
     """What an `inner` function is compiled to: code that is linked into a kernel's, and optimised there."""
 
@@ -198,7 +232,7 @@ def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) 
     previous = _config.CACHE_DIR
     _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True)(function)
+        compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)
         if _CACHE is not None:
             compiled._cache = _KernelCache(function, _CACHE)
     except RuntimeError as error:  # numba found no directory that it may write

@@ -15,36 +15,44 @@ from stickslip.sim.engines.compile import inner
 class Watch(NamedTuple):
     """The modes of the all-slip system, as `Collapse` has them, and what every |w_i| must stay below by them."""
 
-    inverse: NDArray[np.complex128]  #: T^-1
+    inverse: Floats  #: T^-1, its real part and its imaginary one: complex numbers take a second to compile
     sizes: Floats  #: |T_{w_i, j}|, shape (n, 2n)
     rest: Floats
     slip: int  #: the direction in which blocks may slip for ever; 0: in none
     limit: float  #: 0: not known yet
     growth: float
+    room: Floats  #: shape (2n,)
 
     @classmethod
     def blank(cls, slip: int) -> Watch:
         """Before more than the direction is known."""
-        return cls(_NO_INVERSE, _NO_SIZES, _NO_REST, slip, 0.0, 0.0)
+        return cls(_NO_INVERSE, _NO_SIZES, _NO_ROW, slip, 0.0, 0.0, _NO_ROW)
+
+    @classmethod
+    def of(
+        cls, inverse: NDArray[np.complex128], sizes: Floats, rest: Floats, slip: int, limit: float, growth: float
+    ) -> Watch:
+        """With all that is known: T^-1, and the rest as the attributes have it."""
+        return cls(np.array([inverse.real, inverse.imag]), sizes, rest, slip, limit, growth, np.empty(len(inverse)))
 
 
-_NO_INVERSE, _NO_SIZES, _NO_REST = np.empty((0, 0), np.complex128), np.empty((0, 0)), np.empty(0)
+_NO_INVERSE, _NO_SIZES, _NO_ROW = np.empty((2, 0, 0)), np.empty((0, 0)), np.empty(0)
 
 
-@inner(counts=True)
+@inner
 def too_far(watch, z, w, slip):  # type: ignore[no-untyped-def]
     """After how long to ask again, if no collapse can be certain of this state; else 0. See `Collapse.certify`."""
     if slip != watch.slip:
         return np.inf
     if watch.limit == 0.0:
         return 0.0
-    n = len(z)
-    sizes = np.empty(2 * n)
+    inverse, rest, sizes, n = watch.inverse, watch.rest, watch.room, len(z)
     for j in range(2 * n):
-        c = 0.0j
+        real, imaginary = 0.0, 0.0
         for k in range(n):
-            c += watch.inverse[j, k] * (z[k] - watch.rest[k]) + watch.inverse[j, n + k] * w[k]
-        sizes[j] = abs(c)
+            real += inverse[0, j, k] * (z[k] - rest[k]) + inverse[0, j, n + k] * w[k]
+            imaginary += inverse[1, j, k] * (z[k] - rest[k]) + inverse[1, j, n + k] * w[k]
+        sizes[j] = math.hypot(real, imaginary)
     reach = 0.0
     for i in range(n):
         bound = 0.0
