@@ -82,7 +82,7 @@ def _law_row(group: Group, confidence: float) -> Row:
     if basis.code in enough.JUDGED:
         row["verdict"] = _verdict(rate, LN2)
     mean = group.mean(confidence).value
-    if rate.value is not None and mean is not None and 0 < mean < group.key["n"] and group.key["n"] > 1:
+    if rate.value is not None and mean is not None and pool.is_one(group.key["n"], mean):
         rows = np.hstack([sums, group.by_unit()[:, [0, 4]]])[some]
         over = over_matrices(pool.against(group.key["n"]), rows, confidence)
         row |= {"gamma_pool": pool.gamma(group.key["n"], mean), **named("over_pool", over)}
@@ -113,7 +113,7 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
     totals = counts.sum(axis=1)
     rate = over_matrices(gamma, group.sums[group.sums[:, 1] > 0], confidence).value
     n, mean = int(group.key["n"]), group.mean(confidence).value
-    by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and n > 1 and 0 < mean < n else None
+    by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and pool.is_one(n, mean) else None
     rows = []
     for size, column in enumerate(counts.T, start=1):
         share = over_matrices(ratio, np.column_stack([column, totals]).astype(float), confidence)

@@ -97,7 +97,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
     """What blocks without memory give, and how far the runs lie from it."""
     n, mean = int(group.key["n"]), group.mean(confidence).value
-    known, over = n > 1 and sizes[0] == 1 and mean is not None and 0 < mean < n, Estimate()
+    known, over = sizes[0] == 1 and pool.is_one(n, mean), Estimate()
     if known:
         means = group.by_unit()[group.counts.sum(axis=1) > 0]
         over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
@@ -134,8 +134,7 @@ def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: 
     except Undefined:
         return []
     n, mean = int(group.key["n"]), group.mean(confidence).value
-    known = sizes[0] == 1 and mean is not None and 0 < mean < n
-    law = pool.law(n, mean, int(sizes[-1])) if known and mean is not None else None
+    law = pool.law(n, mean, int(sizes[-1])) if mean is not None and sizes[0] == 1 and pool.is_one(n, mean) else None
     return [
         {"group": group.label, **one, "pool": None if law is None else float(law[one["size"] - 1] / one["fit"])}
         for one in found

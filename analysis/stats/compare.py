@@ -50,17 +50,7 @@ class Compared:
 
 
 def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
-    """Test a difference with a t-distributed error against zero and against the margins.
-
-    Raises
-    ------
-    ValueError
-        If the margin is not positive or the error is negative.
-    """
-    if not margin > 0:
-        raise ValueError(f"margin: expected a number > 0, got {margin!r}")
-    if not error >= 0:
-        raise ValueError(f"error: expected a number >= 0, got {error!r}")
+    """Test a difference with a t-distributed error >= 0 against zero and against the margins, > 0."""
     size = abs(difference)
     if error == 0:
         return Compared(difference, error, dof, margin, float(size >= margin), float(size == 0))

@@ -39,17 +39,10 @@ def intraclass(values: np.ndarray, confidence: float) -> Estimate:
     Parameters
     ----------
     values : ndarray, shape (G, k)
-        k replicates of each of G matrices.
+        k replicates of each of G matrices, two or more of each.
     confidence : float
-
-    Raises
-    ------
-    ValueError
-        With fewer than two matrices or replicates.
     """
     y = np.asarray(values, dtype=np.float64)
-    if y.ndim != 2 or min(y.shape) < 2:
-        raise ValueError(f"values: expected shape (matrices, replicates), two or more of each, got {y.shape}")
     g, k = y.shape
     means = y.mean(axis=1)
     between, within = k * means.var(ddof=1), np.sum((y - means[:, None]) ** 2) / (g * (k - 1))
@@ -117,19 +110,12 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
     Parameters
     ----------
     values : ndarray, shape (G, k)
-        Base and replicates.
+        Base and replicates; G >= 3, k >= 2.
     changed : ndarray, shape (G, c)
         Changed runs of the same matrices.
     confidence : float
-
-    Raises
-    ------
-    ValueError
-        With fewer than three matrices, fewer than two replicates, or numbers of matrices that differ.
     """
     y, c = np.asarray(values, dtype=np.float64), np.asarray(changed, dtype=np.float64)
-    if y.ndim != 2 or c.ndim != 2 or len(y) != len(c) or len(y) < 3 or y.shape[1] < 2:
-        raise ValueError(f"values, changed: expected (G, k) and (G, c), G >= 3, k >= 2, got {y.shape} and {c.shape}")
     g = len(y)
     change = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2))
     replicate = 2 * y.var(axis=1, ddof=1)

@@ -73,16 +73,7 @@ def growth(
     bounds : (float, float)
         Floor and ceiling: above the error of integration, below the distance at which pairs saturate.
     confidence : float
-
-    Raises
-    ------
-    ValueError
-        If there are no pairs, lengths differ, or floor < ceiling does not hold.
     """
-    if not len(distances) or len(distances) != len(matrix):
-        raise ValueError(f"distances, matrix: expected one length > 0, got {len(distances)} and {len(matrix)}")
-    if not bounds[0] < bounds[1]:
-        raise ValueError(f"bounds: expected floor < ceiling, got {bounds!r}")
     t = times[times >= t_from]
     inside = np.zeros((len(distances), len(t)), dtype=bool)
     log = np.zeros(inside.shape)

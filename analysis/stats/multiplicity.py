@@ -16,24 +16,9 @@ import numpy as np
 def adjusted(primary: Sequence[float], others: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
     """p-values that may be held against alpha as they are.
 
-    Of the primary ones the largest so far, in their order; of the others Holm's.
-
-    Parameters
-    ----------
-    primary : sequence of float
-        In the declared order.
-    others : sequence of float
-
-    Raises
-    ------
-    ValueError
-        If one is not in [0, 1].
+    Of the primary ones, in the declared order, the largest so far; of the others Holm's.
     """
-    first, rest = np.asarray(primary, dtype=np.float64), np.asarray(others, dtype=np.float64)
-    for name, p in (("primary", first), ("others", rest)):
-        if not ((p >= 0) & (p <= 1)).all():
-            raise ValueError(f"{name}: expected p-values in [0, 1], got {p.tolist()}")
-    return np.maximum.accumulate(first), holm(others)
+    return np.maximum.accumulate(np.asarray(primary, dtype=np.float64)), holm(others)
 
 
 def holm(p: Sequence[float]) -> np.ndarray:

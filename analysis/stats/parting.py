@@ -63,16 +63,8 @@ def parted_at(gaps: np.ndarray, level: float) -> float | None:
 
 
 def level(bases: Sequence[ChangePoints], t_from: float, t_stop: float) -> float:
-    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices.
-
-    Raises
-    ------
-    ValueError
-        With fewer than two runs.
-    """
+    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices."""
     g = len(bases)
-    if g < 2:
-        raise ValueError(f"bases: expected two runs or more, got {g}")
     # of sorted values x_(i): sum over pairs of differences = sum_i (2 i - g + 1) x_(i)
     times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
     values = np.sort([sample(*base, times) for base in bases], axis=0)

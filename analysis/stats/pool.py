@@ -33,12 +33,9 @@ def _entry_next(n: int, p: float) -> np.ndarray:
     return p * (n - j) / (p * (n - j) + (1 - p) * j)
 
 
-def _share(n: int, mean: float) -> float:
-    if n < 2:
-        raise ValueError(f"n: expected two blocks or more, got {n!r}")
-    if not 0 < mean < n:
-        raise ValueError(f"mean: expected a mean of n_stick in (0, {n}), got {mean!r}")
-    return mean / n
+def is_one(n: int, mean: float | None) -> bool:
+    """Whether there is such a pool: of one block, or where all always stick, or none, there are no cascades."""
+    return n > 1 and mean is not None and 0 < mean < n
 
 
 def _others(n: int, p: float) -> np.ndarray:
@@ -49,15 +46,8 @@ def _others(n: int, p: float) -> np.ndarray:
 
 
 def gamma(n: int, mean: float) -> float:
-    """gamma by `events` of a pool of n blocks of which `mean` stick on average.
-
-    Raises
-    ------
-    ValueError
-        If n < 2, or the mean is not in (0, n).
-    """
-    p = _share(n, mean)
-    return float(-np.log1p(-_others(n, p) @ _entry_next(n, p)))
+    """gamma by `events` of a pool of n blocks of which `mean` stick on average."""
+    return float(-np.log1p(-_others(n, mean / n) @ _entry_next(n, mean / n)))
 
 
 def law(n: int, mean: float, k_max: int) -> np.ndarray:
@@ -65,13 +55,8 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
 
     A cascade begins with an exit that follows an entry. The law of the number of blocks that stick is carried from
     exit to exit: where j stick after one, the next event is an exit, to j - 1, with probability 1 - u(j).
-
-    Raises
-    ------
-    ValueError
-        As for `gamma`.
     """
-    p = _share(n, mean)
+    p = mean / n
     entry = _entry_next(n, p)
     # The chain is reversible: as many stick after an entry as before an exit, J + 1. An exit next begins a cascade.
     stuck = np.arange(1, n + 1)
@@ -86,13 +71,7 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
 
 
 def excess(n: int, mean: float) -> float:
-    """Variance of the sizes over m (m - 1), minus one: what `dispersion.excess` is for the pool.
-
-    Raises
-    ------
-    ValueError
-        As for `gamma`.
-    """
+    """Variance of the sizes over m (m - 1), minus one: what `dispersion.excess` is for the pool."""
     sizes, shares = np.arange(1, n + 1), law(n, mean, n)
     m = sizes @ shares
     return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)

@@ -129,6 +129,3 @@ def test_degrees_of_freedom_are_positive(dof):
 def test_infinite_degrees_of_freedom_are_the_normal_distribution():
     assert student.half_width(0.95, math.inf) == pytest.approx(1.959963984540054)
     assert student.two_sided(1.959963984540054, math.inf) == pytest.approx(0.05)
-    for level in (0.0, 1.0, 95):
-        with pytest.raises(ValueError, match="confidence"):
-            student.half_width(level, 5)

@@ -27,8 +27,6 @@ def test_the_level_is_the_mean_over_all_pairs(rng):
     bases = [(np.zeros(1), np.array([value])) for value in values]
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
     assert parting.level(bases, 1.0, 5.0) == pytest.approx(np.mean(pairs))
-    with pytest.raises(ValueError, match="two runs"):
-        parting.level(bases[:1], 1.0, 5.0)
 
 
 def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_level():
