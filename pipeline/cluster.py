@@ -14,19 +14,20 @@ import signal
 import socket
 import tempfile
 from collections.abc import Iterator
-from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 import dask
+import distributed
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 from distributed.comm import get_address_host_port
 from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
+from stickslip.pipeline import processes
 from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
 from stickslip.pipeline.processes import ONE_THREAD, environment_kept
-from stickslip.pipeline.signals import unbroken
+from stickslip.pipeline.signals import blocked, unbroken
 
 if TYPE_CHECKING:  # workers load this module first
     from stickslip.pipeline.scene import Scene
@@ -131,7 +132,9 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
         with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
-            loop = _loop_that_ignores_signals()
+            loop = LoopRunner()
+            with blocked():
+                loop.start()
             opened.callback(loop.stop)
             cluster = _local_cluster(workers, dashboard, loop, opened)
             client = Client(cluster, set_as_default=False)
@@ -179,21 +182,6 @@ def _kill(cluster: SpecCluster) -> None:
             os.kill(nanny.pid, signal.SIGKILL)
 
 
-def _loop_that_ignores_signals() -> LoopRunner:
-    """Dask's thread, which ignores Ctrl-C and SIGTERM, as do the workers that it starts.
-
-    Both may reach every process of a group: the driver alone answers them, and ends its workers.
-    """
-    resource_tracker.ensure_running()  # started later, it would unblock the signals
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        loop = LoopRunner()
-        loop.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return loop
-
-
 class QuietScheduler(Scheduler):
     """Without the web server that dask gives it, which tells anybody who asks of workers and logs."""
 
@@ -210,10 +198,13 @@ class QuietWorker(Worker):
 
 def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
     where = dask.config.get("temporary-directory") or tempfile.gettempdir()
+    # if workers are forked: `forked_workers` has said from what, and dask would load pandas here too
+    distributed.utils._forkserver_preload_set = True
     try:
         # dask imports from its directory, and uses one that exists already, even another user's
         own = tempfile.TemporaryDirectory(prefix="stickslip-", dir=where, ignore_cleanup_errors=True)
         settings = {**_LOCAL_CLUSTER, "temporary-directory": opened.enter_context(own)}
+        settings["distributed.worker.multiprocessing-method"] = processes.start_method
         opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
         here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
         here |= {"dashboard": False}

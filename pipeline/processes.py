@@ -14,6 +14,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from stickslip.pipeline.signals import blocked
+
 # One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
 # it differently. Libraries read these when they are loaded, so they must be set before.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -44,6 +46,36 @@ def one_thread() -> Iterator[None]:
 def n_cores() -> int:
     """The cores that this process may use, where the system says so; else those of the machine."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+#: How `multiprocessing` is to start local workers.
+start_method = "spawn"
+
+
+@contextlib.contextmanager
+def forked_workers() -> Iterator[None]:
+    """Within: local workers are forked from a process that loads what they need while this one goes on.
+
+    For a program of our own: a process has one such server, which keeps the environment that it began with. Not on
+    macOS, whose libraries may crash in what is forked.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    from multiprocessing import forkserver
+
+    global start_method
+    server: Any = forkserver._forkserver
+    with environment_kept(), blocked():
+        os.environ |= _environment() | {"PYTHONSAFEPATH": "1"}  # nothing is loaded from the working directory
+        server.set_forkserver_preload(["stickslip.pipeline.preload"])
+        server.ensure_running()
+    start_method = "forkserver"
+    try:
+        yield
+    finally:
+        start_method = "spawn"
+        os.kill(server._forkserver_pid, signal.SIGKILL)
 
 
 # ---------------------------------------------------------------------------------------------- a child

@@ -86,6 +86,22 @@ def unbroken() -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def blocked() -> Iterator[None]:
+    """Within: threads and processes that this thread starts ignore SIGINT and SIGTERM, as does what they start.
+
+    Both may reach every process of a group: this one alone answers them, and ends the others.
+    """
+    from multiprocessing import resource_tracker  # here, and so in `processes`, for who asks for --help
+
+    resource_tracker.ensure_running()  # started later, it would unblock the signals
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
 def last_act(act: Callable[[], None]) -> Iterator[None]:
     """Within: a second signal calls `act` before the process ends."""
     _last_acts.append(act)

@@ -15,7 +15,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.processes import one_thread
+from stickslip.pipeline.processes import forked_workers, one_thread
 from stickslip.pipeline.signals import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, completion, parser
 
@@ -60,8 +60,12 @@ def _run(arguments: argparse.Namespace) -> int:
         return _say_estimate(arguments, file, out)
     if arguments.only is not None:
         return _run_member(file, arguments.only)
-    # before all else: what it loads, and what is loaded here, takes a second each
-    with nullcontext() if arguments.no_report else Asking() as asking:
+    # before all else: what these load, and what is loaded here, takes a second or two each
+    are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
+    with (
+        forked_workers() if are_forked else nullcontext(),
+        nullcontext() if arguments.no_report else Asking() as asking,
+    ):
         return _run_ensemble(arguments, file, out, asking)
 
 
@@ -357,7 +361,7 @@ _COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
-    arguments = parser().parse_args(argv)
+    arguments = parser().parse_args(argv, argparse.Namespace(is_program=argv is None))
     try:
         with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's
             return _COMMANDS[arguments.command](arguments)

@@ -191,14 +191,13 @@ def end_of(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, 
 
 
 def children(pid: int) -> list[int]:
-    """The processes that a process started and that compute: workers, not their helpers."""
-    found = []
+    """The workers of a command, which are forked from a process that it started."""
+    parents = {}
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == pid and b"spawn_main" in (process / "cmdline").read_bytes():
-                found.append(int(process.name))
-    return found
+            if b"forkserver" in (process / "cmdline").read_bytes():
+                parents[int(process.name)] = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+    return [child for child, parent in parents.items() if parents.get(parent) == pid]
 
 
 @contextlib.contextmanager

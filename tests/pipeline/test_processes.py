@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -64,6 +65,44 @@ def test_it_answers_one_question_after_the_other_and_says_how_it_died():
     with Child(hang) as child:
         pass
     assert not is_running(child.pid)
+
+
+FORKING = """
+import json, os, signal, sys
+sys.path.remove("")  # as in a program that is installed
+from stickslip.pipeline.processes import forked_workers, one_thread
+
+def about():
+    there = dict(os.environ), sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+    return os.getppid(), "stickslip.pipeline.preload" in sys.modules, *there
+
+before = dict(os.environ)
+with one_thread(), forked_workers():
+    from stickslip.pipeline import cluster
+    with cluster.local(2) as client:
+        found = list(client.run(about).values())
+assert dict(os.environ) == before
+with cluster.local(1) as client:  # as ever
+    print(json.dumps([os.getpid(), found, client.submit(os.getppid).result()]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux")
+def test_workers_of_a_program_are_forked_from_what_has_loaded_all_and_goes_with_it(tmp_path, monkeypatch):
+    for name in ("sim", "numba", "queue", "stickslip"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    command = [sys.executable, "-c", FORKING]
+    done = subprocess.run(command, cwd=tmp_path, env=processes._environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    driver, found, later = json.loads(done.stdout)
+    (server,) = {parent for parent, *_ in found}
+    assert server != driver == later
+    for _, is_loaded, environment, signals in found:
+        assert is_loaded
+        assert environment["OMP_NUM_THREADS"] == "1"
+        assert signals == sorted([signal.SIGINT, signal.SIGTERM])
+    assert not is_running(server)
 
 
 def test_the_environment_is_as_it_was(monkeypatch):
