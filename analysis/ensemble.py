@@ -41,8 +41,8 @@ OPTIONAL = (
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
-#: Settings of engines that a scene may do without, so that there is no column.
-_NOT_EVERYWHERE = ("step",)
+#: Columns that there may not be, of draws, changes and engines that a scene does without.
+_NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
     "engine",
@@ -306,7 +306,7 @@ def with_units(members: pd.DataFrame) -> pd.DataFrame:
     Where files are the units, `file` and `kappa`, the scale of a file's K, are null: they tell no groups apart.
     """
     found = members.assign(unit=members["matrix"].astype("int64"), unit_is=MATRIX)
-    starts = found["start_draw"] if "start_draw" in found else pd.Series(pd.NA, found.index)
+    starts = found["start_draw"]
     by = [found["n"], found["file"]]
     is_one = found["matrix"].groupby(by, dropna=False).transform("nunique") == 1
     n_starts = starts.groupby(by, dropna=False).transform("nunique")
@@ -320,15 +320,9 @@ def with_units(members: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
-def is_changed(members: pd.DataFrame) -> pd.Series:
-    """Which members have other constants or another start than the original of their matrix."""
-    changed = members["perturbation_size"] > 0
-    return changed | members["twin_size"].notna() if "twin_size" in members else changed
-
-
 def unchanged(members: pd.DataFrame) -> pd.DataFrame:
-    """Members that are no changed copy of another; all of them where each is one."""
-    changed = is_changed(members)
+    """Members with the constants and the start of the original of their matrix; all of them where none has."""
+    changed = (members["perturbation_size"] > 0) | members["twin_size"].notna()
     return members if changed.all() else members[~changed]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
 from stickslip.analysis.stats import parting
 
@@ -22,6 +23,7 @@ START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 DEFAULT_READING = "scale"
 _CHANGING = ("perturbation_size", "ratio")  # settings in which a changed member differs from its base
 _SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in _CHANGING)
+_COLUMNS = [*_CHANGING, "member_id", "matrix", "ratio_draw", "perturbation_reading", "twin_size", "start_draw"]
 
 
 @dataclass(frozen=True, order=True)
@@ -54,7 +56,6 @@ class Pair:
 class Comparison:
     """All pairs of one setting and one change, sorted by matrix."""
 
-    setting: str
     change: Change
     pairs: tuple[Pair, ...]
 
@@ -122,36 +123,20 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     Parameters
     ----------
     members : DataFrame
-        Columns of `analysis.ensemble.REQUIRED`; `ratio_draw`, `perturbation_reading` and `twin_size` may be missing
-        and then count as null.
+        As `analysis.ensemble.Data` has them.
 
     Returns
     -------
     list of Setting
         Sorted by n and engine; settings without an unchanged member are left out.
     """
-    parts = [(key | {"perturbation_size": 0.0}, _rows(some)) for key, some in split(members, _SETTING)]
+    parts = [(key | {"perturbation_size": 0.0}, records(some[_COLUMNS])) for key, some in split(members, _SETTING)]
     keys = [key for key, _ in parts]
-    found = []
-    for key, some in parts:
-        bases = _bases(some)
-        if bases:
-            name = label(key, keys)
-            found.append(Setting(name, key, bases, _comparisons(name, some)))
-    return sorted(found, key=lambda s: (s.key["n"], s.key["engine"], s.label))
+    found = [Setting(label(key, keys), key, *_compared(rows)) for key, rows in parts]
+    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], s.key["engine"], s.label))
 
 
-def _rows(members: pd.DataFrame) -> list[dict[str, Any]]:
-    """Members as plain values, null as None, optional columns filled in."""
-    names = [*_CHANGING, "member_id", "matrix"]
-    empty = dict.fromkeys(("ratio_draw", "perturbation_reading", "twin_size", "start_draw"))
-    optional = [name for name in empty if name in members]
-    table = members[[*names, *optional]].astype(object)
-    rows = table.where(table.notna(), None).to_dict(orient="records")
-    return [empty | {str(name): value for name, value in row.items()} for row in rows]
-
-
-def _change(row: dict[str, Any]) -> Change | None:
+def _change(row: Row) -> Change | None:
     """The change of start or constants; None for neither."""
     if row["twin_size"]:
         return Change(START, None, float(row["twin_size"]))
@@ -160,48 +145,30 @@ def _change(row: dict[str, Any]) -> Change | None:
     return None
 
 
-def _ratios(row: dict[str, Any]) -> tuple[str | None, int | None]:
-    """Which stiffness ratios a member has; the exact law has none."""
-    draw = row["ratio_draw"]
-    if row["ratio"] in (None, "one"):
-        return None, None
-    return str(row["ratio"]), 0 if draw is None else int(draw)
+def _ratios(row: Row) -> tuple[bool, int]:
+    """Which stiffness ratios a member has: equal ones, as under the exact law, or which draw."""
+    return row["ratio"] not in (None, "one"), int(row["ratio_draw"] or 0)
 
 
-def _first(unchanged: Sequence[dict[str, Any]]) -> tuple[str | None, int | None]:
-    """The ratios of the bases: equal ones if there are such members, else the first draw."""
-    return min({_ratios(row) for row in unchanged}, key=lambda r: (r[0] is not None, r[1] or 0))
-
-
-def _bases(rows: Sequence[dict[str, Any]]) -> dict[int, str]:
-    """The unchanged member of each matrix: equal ratios if there are such members, else the first draw."""
-    unchanged = [row for row in rows if _change(row) is None]
-    if not unchanged:
-        return {}
-    first = _first(unchanged)
-    chosen = sorted((row for row in unchanged if _ratios(row) == first), key=lambda row: str(row["member_id"]))
-    return {
-        int(row["matrix"]): str(row["member_id"]) for row in sorted(reversed(chosen), key=lambda row: row["matrix"])
-    }
-
-
-def _comparisons(label: str, rows: Sequence[dict[str, Any]]) -> tuple[Comparison, ...]:
+def _compared(rows: Sequence[Row]) -> tuple[dict[int, str], tuple[Comparison, ...]]:
+    """Of a setting, the base of each matrix, and the comparisons with bases."""
     original = [row for row in rows if _change(row) is None]
+    first = min(map(_ratios, original), default=(False, 0))
+    bases: dict[int, str] = {}
+    for row in sorted(original, key=lambda row: (row["matrix"], row["member_id"])):
+        if _ratios(row) == first:
+            bases.setdefault(int(row["matrix"]), str(row["member_id"]))
     unchanged = {(row["matrix"], row["start_draw"], _ratios(row)): str(row["member_id"]) for row in original}
-    first = _first(original)
     pairs: dict[Change, list[Pair]] = {}
     for row in rows:
-        matrix, member_id, change = int(row["matrix"]), str(row["member_id"]), _change(row)
         if row["twin_size"] and row["perturbation_size"]:
             continue
-        if change is not None:
-            base = unchanged.get((matrix, row["start_draw"], _ratios(row)))
-        else:
-            change, base = Change(RATIOS), unchanged.get((matrix, row["start_draw"], first))
-        if base is not None and base != member_id:
-            pairs.setdefault(change, []).append(Pair(matrix, base, member_id))
-    order = {START: 0, RATIOS: 1, CONSTANTS: 2}
-    return tuple(
-        Comparison(label, change, tuple(sorted(pairs[change], key=lambda pair: (pair.matrix, pair.changed))))
-        for change in sorted(pairs, key=lambda c: (order[c.kind], c.reading or "", c.size))
+        change = _change(row)
+        base = unchanged.get((row["matrix"], row["start_draw"], _ratios(row) if change else first))
+        if base is not None and base != row["member_id"]:
+            pairs.setdefault(change or Change(RATIOS), []).append(Pair(int(row["matrix"]), base, row["member_id"]))
+    order = (START, RATIOS, CONSTANTS)
+    return bases, tuple(
+        Comparison(change, tuple(sorted(pairs[change], key=lambda pair: (pair.matrix, pair.changed))))
+        for change in sorted(pairs, key=lambda c: (order.index(c.kind), c.reading or "", c.size))
     )

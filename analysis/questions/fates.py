@@ -130,9 +130,8 @@ def _figures(
 def _runs(group: Group) -> Iterator[Row]:
     """Fate of each run, and when its motion ended; for a runaway, when it left every bound."""
     table = group.members
-    rates = table["growth_rate"] if "growth_rate" in table else [pd.NA] * len(table)
-    columns = (table[name] for name in ("member_id", "matrix", "unit", "outcome", "t_end", "t_stop"))
-    for member_id, matrix, unit, outcome, t_end, t_stop, rate, last in zip(*columns, rates, group.last, strict=True):
+    columns = (table[name] for name in ("member_id", "matrix", "unit", "outcome", "t_end", "t_stop", "growth_rate"))
+    for member_id, matrix, unit, outcome, t_end, t_stop, rate, last in zip(*columns, group.last, strict=True):
         how = fate(str(outcome), (last[:1], last[1:]), float(t_end))
         t = None if how == FAILED else float(last[0])
         yield {
