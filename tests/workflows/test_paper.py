@@ -33,7 +33,6 @@ t_burn = 5.0
 t_shown = 20.0
 few = 1
 t_few = 30.0
-sizes = [0.01, 0.05, 0.1]
 noise = [0.01, 0.05, 0.1]
 escapes = 2
 dt = [0.1, 1.0]
@@ -413,7 +412,7 @@ def test_each_figure_has_its_panels(scene, measured):
         "figure2": ["s = +1, eq. (6)", "s = −1, section 3", "(a) s = +1"],
         "figure3": ["n = 5", "n = 20"],
         "figure4": [
-            "(i) n = 5, r redrawn", "(ii) n = 20, r redrawn", "(iii) constants moved by 1%",
+            "(i) n = 5, r redrawn", "(ii) n = 20, r redrawn", "(iii) constants moved",
             "(iv) all n² dampings moved", "(v) escape under noise on all n² dampings",
         ],
         "figure5": ["(i)", "(ii) by events"],

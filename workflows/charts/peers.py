@@ -57,19 +57,9 @@ class GivenUp(MethodError):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A system with a start, an end and the widths of its sigmoids.
+    """A system with dense K, every block's start, an end, and the widths r_i eps > 0 of its sigmoids, shape (n,).
 
-    Attributes
-    ----------
-    system : sim.System
-        With dense K.
-    delta : ndarray, shape (n,)
-        r_i eps > 0.
-    z0, w0 : float
-        Start of every block.
-    t_end : float
-    patience : float
-        Seconds after which a peer that calls back to Python gives a run up: only there can it be stopped.
+    After `patience` seconds a peer that calls back to Python gives a run up: only there can it be stopped.
     """
 
     system: sim.System
@@ -108,34 +98,20 @@ def random_problem(seed: int, n: int, t_end: float, eps: float, ratio: Ratio, pa
 
 @dataclass(frozen=True)
 class Method:
-    """One curve of the chart.
+    """One curve of the chart: which law it solves, as the other's reference says nothing about it, and by what.
 
-    Attributes
-    ----------
-    name : str
-    model : "coulomb" or "sigmoid"
-        Which law it solves: the other's reference says nothing about it.
-    prepare : function of a Problem to a Solver
-        All that a user does once: it is not timed.
-    package : str or None
-        What it imports beyond the dependencies.
-    control : "tolerance" or "step"
-        What a user chooses.
+    `prepare` does all that a user does once: it is not timed. `package` is what it imports beyond the dependencies.
     """
 
     name: str
     model: Model
     prepare: Callable[[Problem], Solver]
     package: str | None = None
-    control: Control = "tolerance"
+    control: Control = "tolerance"  # what a user chooses
 
     @property
     def is_ours(self) -> bool:
         return self.prepare in (_coulomb, _sigmoid)
-
-    @property
-    def is_scipy(self) -> bool:
-        return self.name.startswith("SciPy")
 
     @property
     def is_installed(self) -> bool:

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from statistics import median
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -180,5 +179,5 @@ def span(values: Iterable[float], form: str = "%.3g") -> str:
 
 #: What templates have, as filters and as functions.
 FORMS: dict[str, Callable[..., Any]] = {"count3": partial(count, digits=3)}
-for _form in (count, median, number, power, seconds, span):
+for _form in (count, number, power, seconds, span):
     FORMS[_form.__name__] = _form

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import matplotlib
 import numpy as np
@@ -22,7 +22,7 @@ from stickslip.pipeline.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product
 from stickslip.workflows.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
-from stickslip.workflows.charts.runner import frame
+from stickslip.workflows.charts.runner import frame, power
 from stickslip.workflows.charts.trials import Reference, Setting, Trial, referenced, trials
 
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
@@ -35,12 +35,11 @@ REFERENCES: dict[Model, tuple[Setting, Setting]] = {
 }
 #: Finer tolerances would ask more of a method than its reference gives.
 _FINEST, _COARSEST = 1e-11, 5e-3
-#: Errors at which methods are compared: the first two in words, all in the table.
+#: Errors at which methods are compared: the first two in the answer, all in the table.
 TARGETS = (1e-4, 1e-6, 1e-8)
 #: What reading K costs a product at least, in products: two vectors share a pass over it, or it is in float32.
 _LEAST = 0.5
 _OURS = {method.name for method in METHODS if method.is_ours}
-_SCIPY = {method.name for method in METHODS if method.is_scipy}
 
 
 class SpeedScene(ChartScene):
@@ -97,12 +96,10 @@ class SpeedScene(ChartScene):
         """Tables: `costs`, `at_error`, `references`."""
         panels = _panels(measured)
         at_error = [
-            {"n": panel.n, "ratio": panel.ratio, "model": model, "method": name, "error": error, "products": cost}
-            for panel in panels
-            for model in get_args(Model)
-            for error in TARGETS
-            for name, cost in panel.at(error, model).items()
-        ]
+            {"n": panel.n, "ratio": panel.ratio, "model": row["model"], "method": row["method"], "error": error,
+             "products": row[power(error)]}
+            for panel in panels for row in panel.at_error for error in TARGETS
+        ]  # fmt: skip
         return Shown(
             {"panels": panels, "targets": TARGETS},
             {
@@ -178,47 +175,26 @@ class Panel:
     def title(self) -> str:
         return f"n = {self.n}, {'r = 1' if self.ratio == 'one' else 'r uniform in (0, 1]'}"
 
-    def at(self, target: float, model: Model) -> dict[str, float | None]:
-        """Products at an error, by method of a law; None where it was not reached."""
-        of = [method.name for method in METHODS if method.model == model and method.name in self.curves]
-        return {name: products_at(*_points(self.curves[name]), target) for name in of}
+    @property
+    def at_error(self) -> list[dict[str, Any]]:
+        """Of each method its law, and by error of `TARGETS` its products; None where it did not get there."""
+        return [
+            {"method": method.name, "model": method.model}
+            | {power(error): products_at(*_points(self.curves[method.name]), error) for error in TARGETS}
+            for method in METHODS
+            if method.name in self.curves
+        ]
 
-    def rows(self) -> list[tuple[str, list[float | None]]]:
-        """Products at each target, one row a method."""
-        at = [self.at(target, "coulomb") | self.at(target, "sigmoid") for target in TARGETS]
-        return [(name, [column[name] for column in at]) for name in at[0]]
-
-    def ranking(self, target: float) -> dict[str, Any]:
-        """Who is cheapest at an error, as (products, method): the first, the next, the best of SciPy, our other."""
-        ranked = sorted((cost, name) for name, cost in self.at(target, "sigmoid").items() if cost is not None)
-        first, following = next(iter(ranked), None), ranked[1:]
-        best = next((one for one in following if one[1] in _SCIPY), None)
-        ours = next((one for one in following if one[1] in _OURS), None)
-        is_apart = first and best and first[1] not in _SCIPY and following[0] != best
-        return {
-            "first": first,
-            "next": next(iter(following), None),
-            "scipy": best if is_apart else None,
-            "ours": ours,
-        }
-
-    def exact(self) -> list[tuple[str, float, float, bool]]:
-        """(method, products, error, whether it is an error that was asked for) of the exact law's methods."""
-        found = []
-        for name, cost in self.at(TARGETS[1], "coulomb").items():
-            errors, products = _points(self.curves[name])
-            if cost is not None:
-                found.append((name, cost, TARGETS[1], True))
-            elif errors:
-                best = int(np.argmin(errors))
-                found.append((name, products[best], errors[best], False))
-        return found
+    def ranking(self, error: float) -> list[tuple[float, str]]:
+        """(products, method) at an error, of the methods of the sigmoid that got there, the cheapest first."""
+        rows = [row for row in self.at_error if row["model"] == "sigmoid"]
+        return sorted((row[power(error)], row["method"]) for row in rows if row[power(error)] is not None)
 
     def tolerances(self) -> list[tuple[str, float, float]]:
         """(engine, least, most) of an engine's errors over its tolerances."""
         found = []
-        for name in sorted(_OURS & set(self.curves), reverse=True):
-            ratios = [cost.error / cost.tolerance for cost in self.curves[name] if cost.error and cost.tolerance]
+        for name in (method.name for method in METHODS if method.is_ours):
+            ratios = [c.error / c.tolerance for c in self.curves.get(name, ()) if c.error and c.tolerance]
             found += [(name, min(ratios), max(ratios))] if ratios else []
         return found
 

@@ -67,9 +67,7 @@ class PaperScene(ChartScene):
     )
     few: Count = Field(default=3, description="number of matrices for each change of the system", examples=[3])
     t_few: Positive = Field(default=1000.0, description="end of changed runs", examples=[1000.0])
-    sizes: PositiveNumbers = Field(
-        default=(0.01, 0.02, 0.05, 0.1), description="sizes of the perturbations of figure 4", examples=[[0.01, 0.1]]
-    )
+    size: Positive = Field(default=0.01, description="size of the perturbations of kappa and rho", examples=[0.01])
     noise: PositiveNumbers = Field(
         default=(0.01, 0.02, 0.03, 0.05, 0.07, 0.1),
         description="sizes of the noise on all dampings",
@@ -107,9 +105,9 @@ class PaperScene(ChartScene):
                 yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
                 for draw in range(3):
                     yield Ask("r", f"r, draw {draw}", blocks, 0, self.t_few, "sigmoid", detail="r", draw=draw)
-            for size, draw in (*product(self.sizes[:1], range(3)), *product(self.sizes[1:], (0,))):
-                label = f"{100 * size:g}%, draw {draw}"
-                yield Ask("constants", label, n, 0, self.t_few, "sigmoid", reading="scale", size=size, draw=draw)
+            for draw in range(3):
+                label = f"{100 * self.size:g}%, draw {draw}"
+                yield Ask("constants", label, n, 0, self.t_few, "sigmoid", reading="scale", size=self.size, draw=draw)
         if {3, 4, 5} & set(self.figures):
             for matrix in range(self.matrices):
                 yield Ask("long", "", n, matrix, self.t_end)

@@ -186,7 +186,7 @@ def sensitive(scene: PaperScene, measured: Measured) -> Claim:
     times = {study: sorted(t for one, t in apart if one == study) for study in ("r", "constants")}
     parted = share(len(apart), len(rows))
     return parted | {
-        "verdict": told(parted["low"], parted["high"], MOST), "times": times, "size": scene.sizes[0],
+        "verdict": told(parted["low"], parted["high"], MOST), "times": times, "size": scene.size,
     }  # fmt: skip
 
 
@@ -205,8 +205,7 @@ def robust(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def _little_changed(scene: PaperScene, measured: Measured) -> list[Row]:
-    constants = [row for row in _of(measured, "constants") if row.size == scene.sizes[0]]
-    return _of(measured, "r", scene.n[-1]) + constants
+    return _of(measured, "r", scene.n[-1]) + _of(measured, "constants")
 
 
 def oscillations(scene: PaperScene, measured: Measured) -> Claim:

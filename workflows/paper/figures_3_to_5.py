@@ -149,8 +149,8 @@ def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
     if ask.study in ("base", "r") and ask.n in (n[0], last):
         panel = f"({'i' if ask.n == n[0] else 'ii'}) n = {ask.n}, r redrawn"
         yield _trace(path, 4, panel, ask.setting or "unchanged", t_shown)
-    if ask.n == last and (ask.study == "base" or (ask.study == "constants" and ask.setting.startswith("1%"))):
-        yield _trace(path, 4, "(iii) constants moved by 1%", ask.setting or "unchanged", t_shown)
+    if ask.n == last and ask.study in ("base", "constants"):
+        yield _trace(path, 4, "(iii) constants moved", ask.setting or "unchanged", t_shown)
     if ask.n == last and (ask.study == "base" or (ask.study == "dampings" and ask.size in _NOISE_DRAWN)):
         label = f"{100 * ask.size:g}%" if ask.size else "unchanged"
         yield _trace(path, 4, "(iv) all n² dampings moved", label, 0.5 * ask.t_end)

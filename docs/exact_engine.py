@@ -1,13 +1,7 @@
-"""The drawings of the guide: `python docs/figures.py exact_engine`, `python docs/figures.py speed_accuracy REPORT`.
-
-The first computes what it draws; the second takes the chart out of the report of `stickslip run speed_accuracy`.
-"""
+"""The drawing of the guide's page on the exact engine: `python docs/exact_engine.py`."""
 
 from __future__ import annotations
 
-import base64
-import re
-import sys
 from pathlib import Path
 
 import matplotlib
@@ -18,7 +12,6 @@ from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, b
 from stickslip.sim import System, simulate
 from stickslip.sim.theory.folds import sticking_lambda, two_blocks
 
-_HERE = Path(__file__).parent
 _T_END = 8.0
 #: About here block 1 slips, and block 2 too.
 _T_SERIES = 2.0
@@ -88,15 +81,5 @@ def _series(system: System, z: np.ndarray, w: np.ndarray, mode: np.ndarray, orde
     return c
 
 
-def speed_accuracy(report: Path) -> str:
-    """The chart in a report of the scene `speed_accuracy`, as SVG."""
-    found = re.search(r'src="data:image/svg\+xml;base64,([^"]+)"', report.read_text(encoding="utf-8"))
-    if found is None:
-        raise SystemExit(f"{report}: expected a report with its chart; make one with `stickslip run speed_accuracy`")
-    return base64.b64decode(found[1]).decode("utf-8")
-
-
 if __name__ == "__main__":
-    name, *report = sys.argv[1:]
-    drawn = svg(exact_engine()) if name == "exact_engine" else speed_accuracy(Path(*report))
-    (_HERE / f"{name}.svg").write_text(drawn, encoding="utf-8")
+    (Path(__file__).parent / "exact_engine.svg").write_text(svg(exact_engine()), encoding="utf-8")
