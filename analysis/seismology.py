@@ -18,10 +18,10 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         id; time, in UTC: a unit of time counts as a second since 1970; lat and dep, zero; lon, the block that left
-        first, a thousandth of a degree each; mag, log10 of the moment; magtype. Episodes without a moment > 0 have no
-        magnitude and are left out.
+        first, a thousandth of a degree each; mag, log10 of the size of the moment; magtype. Episodes whose moment is
+        zero have no magnitude and are left out.
     """
-    some = episodes[episodes["moment"] > 0]
+    some = episodes[episodes["moment"] != 0]
     member = some["member_id"] if "member_id" in some else pd.Series("run", index=some.index)
     number = some.groupby(member, sort=False).cumcount()
     return pd.DataFrame({
@@ -31,5 +31,5 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         "lon": 1e-3 * some["first_block"],
         "dep": 0.0,
         "magtype": "M",
-        "mag": np.log10(some["moment"]),
+        "mag": np.log10(some["moment"].abs()),
     }).reset_index(drop=True)  # fmt: skip

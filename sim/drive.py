@@ -77,7 +77,8 @@ class Piecewise:
     Raises
     ------
     TypeError, ValueError
-        If a number is not finite, the times do not increase, or there is not one value a time.
+        If a number, or the slope between two, is not finite, the times do not increase, or there is not one value a
+        time.
     """
 
     times: Floats
@@ -91,6 +92,14 @@ class Piecewise:
             raise ValueError(f"values: expected shape ({len(t)},) or ({len(t)}, n), as of the times, got {x.shape}")
         object.__setattr__(self, "times", t)
         object.__setattr__(self, "values", x)
+        with np.errstate(over="ignore"):
+            steep = ~np.isfinite(self._slopes).reshape(len(t) + 1, -1).all(axis=1)
+        if steep.any():
+            k = int(np.argmax(steep))
+            raise ValueError(
+                f"times: expected as much time between values as makes a finite slope, got {t[k] - t[k - 1]:g} after"
+                f" {t[k - 1]:g}; take them further apart"
+            )
 
     def at(self, times: ArrayLike) -> Floats:
         """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""

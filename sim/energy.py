@@ -93,7 +93,7 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         If it is the run of another start or of other settings, or it diverged, or its law is not the exact one.
     """
     engine = settings.get("engine", "coulomb")
-    if not ENGINES[engine].is_exact:
+    if engine not in ENGINES or not ENGINES[engine].is_exact:
         raise ValueError(f"engine: expected one of the exact law, got {engine!r}")
     if run.outcome == "diverged":
         raise ValueError(f"run: expected one that does not diverge, got one that does by t = {run.t_end:g}")
@@ -105,7 +105,9 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     for first in range(0, max(len(edges) - 1, 1), longest):
         part = edges[first : first + longest + 1]
         again = simulate(system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(part), **settings)
-        if again.events.t.tobytes() != series.t.tobytes():
+        if any(
+            a.tobytes() != b.tobytes() for a, b in ((again.events.t, series.t), (again.z, run.z), (again.w, run.w))
+        ):
             raise ValueError(
                 "run: expected that of this start and these settings, got another; pass those it was made with"
             )

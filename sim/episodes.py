@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import Floats
-from stickslip.sim.drive import Piecewise
+from stickslip.sim.drive import Piecewise, belt
 from stickslip.sim.run import Run
 from stickslip.sim.series import EventSeries
 
@@ -29,7 +29,9 @@ class Episodes:
     size : int32, shape (m,)
         Number of blocks that slipped.
     moment : float64, shape (m,)
-        Sum over the blocks of what each slipped on its belt, counted against the motion of the belts.
+        Sum over the blocks of what each slipped on its belt, counted against the way that the belts go together: it
+        is negative where blocks get ahead of them, and slips on belts that go opposite ways cancel. On belts at rest,
+        as it is.
     first_block : int32, shape (m,)
         The block that left first; of several at one instant the one of the lowest number.
     """
@@ -69,8 +71,8 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
 
     Raises
     ------
-    ValueError
-        If the run does not know its `stills`.
+    TypeError, ValueError
+        If the speeds are not those of belts of this run, or the run does not know its `stills`.
     """
     series, stills = run.events, run.stills
     if stills is None:
@@ -81,7 +83,7 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     since, until, first, last = since[rests], until[rests], first[rests], last[rests]
     start, end = until[:-1], since[1:]
     before, after = last[:-1], first[1:]
-    moved = _travel(belt_speed, series.n, stills.t[before], stills.t[after])
+    moved = _travel(belt(belt_speed, series.n), series.n, stills.t[before], stills.t[after])
     slip = stills.total[after] - stills.total[before] - moved
     slips = np.flatnonzero(series.mode != 0)
     leaves = slips[np.searchsorted(series.t[slips], start)]
@@ -89,11 +91,10 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves])
 
 
-def _travel(belt_speed: ArrayLike | Piecewise, n: int, since: Floats, until: Floats) -> Floats:
+def _travel(belt_speed: float | Floats | Piecewise, n: int, since: Floats, until: Floats) -> Floats:
     """How far the belts of n blocks go between two times, together."""
     if isinstance(belt_speed, Piecewise):
-        way = belt_speed.integral(until) - belt_speed.integral(since)
-        return way.sum(axis=-1) if way.ndim > since.ndim else n * way
+        return np.asarray((belt_speed.integral(until) - belt_speed.integral(since)).sum(axis=-1))
     return np.broadcast_to(belt_speed, n).sum() * (until - since)
 
 

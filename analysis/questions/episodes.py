@@ -152,9 +152,9 @@ def _runs(study: Study, group: Group, of_member: Mapping[str, Any]) -> dict[int,
         columns = np.zeros((4, 0))
         if member_id in of_member:
             columns = of_member[member_id][["start", "end", "size", "moment"]].to_numpy(np.float64).T
-            columns = columns[:, (columns[0] >= t_start) & (columns[3] > 0)]
+            columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
         start, end, size, moment = columns
-        slip = np.nan if v is None else n * abs(float(v)) * (float(t_end) - t_start)
+        slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
         one = Catalogue(t_start, float(t_end), start, end - start, size.astype(np.int64), moment, slip)
         found.setdefault(int(unit), []).append(one)
     return found

@@ -28,6 +28,7 @@ from stickslip.analysis.stats.fates import (
     SUSTAINED,
     Curve,
     fate,
+    is_held,
     kaplan_meier,
     median,
 )
@@ -43,7 +44,7 @@ FATES = {
 }  # fmt: skip
 _COUNTS = tuple(f"n_{name}" for name in (*ENDS, SUSTAINED, FAILED))
 _GROUP: Mapping[str, str] = {
-    "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "t_end": F,
+    "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
     "sustained": F, "low": F, "high": F, "median": F, "median_low": F, "median_high": F,
     "mean": F, "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
     "basis": S,
@@ -71,6 +72,7 @@ def answer(study: Study) -> Answer:
         "total": {
             **{name: total[name] for name in (*ENDS, SUSTAINED, FAILED)},
             "runs": total.total() - total[FAILED],
+            "held": sum(row["n_held"] for row in groups),
         },
         "share": _share([row for row in runs if row["fate"] != FAILED], level),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
@@ -139,6 +141,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
             "t": {DIVERGED: t_stop, SUSTAINED: t_end}.get(how, t),
             "growth_rate": None if pd.isna(rate) else float(rate),
+            "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
             "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
         }  # fmt: skip
 
@@ -185,6 +188,7 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
         **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
+        "n_held": sum(row["is_held"] for row in own),
         "half": half, **named("median", half),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * span / (2 * memory),

@@ -1,7 +1,7 @@
 """Episodes: how often, how large and how regular they are, and the law of their moments.
 
-The magnitude of an episode is M = log10 of its moment. Sums of runs add over the runs of a system; what is estimated
-is a function of sums over systems, as everywhere here. Dimensionless.
+The magnitude of an episode is M = log10 of the size of its moment. Sums of runs add over the runs of a system; what
+is estimated is a function of sums over systems, as everywhere here. Dimensionless.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ class Catalogue:
     ----------
     t_start, t_stop : float
     start, duration, moment : ndarray, shape (m,)
-        moment > 0 throughout.
+        moment is zero nowhere; below it where blocks slip on the whole with the belt, as forces can make them.
     size : ndarray of int, shape (m,)
     slip : float
-        What the belt would have all blocks slip in that time, n |v| (t_stop - t_start); NaN if v is not one number.
+        What the belt would have all blocks slip in that time, n |v| (t_stop - t_start); NaN if v is not one
+        number, or zero.
     """
 
     t_start: float
@@ -42,8 +43,8 @@ class Catalogue:
 
     @property
     def magnitude(self) -> np.ndarray:
-        """log10 of the moments, shape (m,)."""
-        return np.log10(self.moment)
+        """log10 of the sizes of the moments, shape (m,)."""
+        return np.log10(np.abs(self.moment))
 
     def halves(self) -> np.ndarray:
         """How many begin in the first and in the second half, shape (2,)."""

@@ -15,7 +15,7 @@ from stickslip.analysis.stats.estimates import Estimate
 
 COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"
 ENDS = (COLLAPSED, SILENT, DIVERGED)
-QUIET_SHARE = 0.25  # of a run: silent if nothing changes in this last part of it
+QUIET_SHARE = 0.25  # of a run: silent if no block sticks in this last part of it, held if all do throughout
 
 
 #: Of `kaplan_meier`: times, share that has not ended, and the ends of its interval, each (m,), each from its time on.
@@ -74,3 +74,12 @@ def fate(outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: floa
         return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
     t, n_stick = series
     return SILENT if n_stick[-1] == 0 and t[-1] <= (1 - QUIET_SHARE) * t_end else SUSTAINED
+
+
+def is_held(last: tuple[float, float], n: int, t_end: float) -> bool:
+    """Whether all n blocks stick throughout the last quarter, from the last change point: t and n_stick.
+
+    Such a run counts as in motion: a belt may load its blocks until one lets go. On a belt at rest it is at rest.
+    """
+    t, n_stick = last
+    return n_stick == n and t <= (1 - QUIET_SHARE) * t_end

@@ -134,6 +134,17 @@ def test_intervals_cover(rng):
     assert min(held.values()) >= 86
 
 
+def test_slips_either_way_all_count(planted_episodes, strict, rng):
+    """On a belt at rest a force drives blocks either way: half of the moments are below zero."""
+    data = planted_episodes({"exact": ({"belt_speed": 0.0}, 1.0)})
+    signs = rng.choice([-1.0, 1.0], len(data.episodes))
+    both = replace(data, episodes=data.episodes.assign(moment=data.episodes["moment"] * signs))
+    found, known = (episodes.answer(Study(one, strict)) for one in (both, data))
+    assert found.facts["lead"] == known.facts["lead"]
+    assert found.facts["lead"]["share of slip in episodes"] is None
+    assert found.facts["lead"]["n_episodes"] == (data.episodes["start"] >= 200.0).sum()
+
+
 def test_regularity(planted_episodes, settings, rng):
     found = {
         name: episodes.answer(Study(planted_episodes(EXACT, gaps=gaps), settings)).facts["lead"]["regularity"]
@@ -204,7 +215,7 @@ def test_the_page_draws_its_figures(planted_episodes, planted, settings):
 def test_a_catalogue_has_the_columns_of_catalogues():
     table = pd.DataFrame({
         "member_id": ["a", "a", "b"], "start": [1.5, 2.5, 0.25], "end": [2.0, 3.0, 1.0], "size": [1, 2, 3],
-        "moment": [10.0, 0.0, 0.1], "first_block": [7, 8, 9],
+        "moment": [10.0, 0.0, -0.1], "first_block": [7, 8, 9],
     })  # fmt: skip
     found = as_catalogue(table)
     assert list(found) == ["id", "time", "lat", "lon", "dep", "magtype", "mag"]

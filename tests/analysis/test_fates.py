@@ -1,6 +1,7 @@
 """Fates and survival: textbook numbers, identities, and what is never called a collapse."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -87,6 +88,23 @@ def test_what_all_runs_do_has_a_bound(planted):
     assert "No run of 20 sticks and slips at t = 1000 (at most 16% of such systems do)" in WORDS.answer(none.facts)
     failed = asked(data_of(planted, ["failed"] * 2))
     assert "all 2 failed" in WORDS.answer(failed.facts)
+
+
+@pytest.mark.parametrize("n_held", [20, 5, 1])
+def test_runs_whose_blocks_all_stick_are_not_said_to_move(planted, n_held):
+    """On a belt at rest they are at rest; nothing but n_stick tells them."""
+    data = data_of(planted, [SUSTAINED] * 20)
+    held = {f"200-{k}": (np.array([0.0, 740.0]), np.array([3, 200])) for k in range(n_held)}
+    late = {
+        f"200-{k}": (np.array([0.0, 760.0]), np.array([3, 200])) for k in range(n_held, 20)
+    }  # for too short a time
+    found = asked(replace(data, series=dict(data.series) | held | late))
+    assert found.tables["fates"]["n_held"].tolist() == [n_held]
+    said, alerts = WORDS.answer(found.facts), WORDS.alerts(found.facts)
+    assert ("stayed in motion" in said) == (n_held < 20)
+    assert ("In all 20 runs every block has stuck to its belt for the last quarter" in said) == (n_held == 20)
+    assert f"{n_held} of 20 runs that count as in motion {'is' if n_held == 1 else 'are'} held" in alerts
+    assert "held" not in WORDS.alerts(asked(data_of(planted, [SUSTAINED] * 20)).facts)
 
 
 def test_two_engines_on_one_matrix_are_one_system(planted):

@@ -100,6 +100,7 @@ def test_drives_that_cannot_be_are_refused(arguments, error, message):
         (lambda: Harmonic([[1.0]], 1.0), r"amplitude: expected a number, or one a block, got shape \(1, 1\)"),
         (lambda: Piecewise([0.0, 0.0], [1.0, 2.0]), "times: expected at least one, and each after the one before"),
         (lambda: Piecewise([], []), "times: expected at least one"),
+        (lambda: Piecewise([0, 1, 1 + 5e-16], [1, 1e300, -1e300]), "times: expected as much time .* after 1;"),
         (lambda: Piecewise([0.0, 1.0], [1.0]), r"values: expected shape \(2,\) or \(2, n\)"),
     ],
 )

@@ -89,6 +89,12 @@ def test_what_has_no_exact_energy_is_refused():
         energy(system, run, 0.1, -0.2)
     with pytest.raises(ValueError, match="engine: expected one of the exact law, got 'moreau'"):
         energy(system, run, 0.0, -0.2, engine="moreau")
+    with pytest.raises(ValueError, match="engine: expected one of the exact law, got 'exact'"):
+        energy(system, run, 0.0, -0.2, engine="exact")
+    still = simulate(system, 0.0, -0.2, 1.0)
+    assert len(still.events) == 0  # the end state alone tells it from another
+    with pytest.raises(ValueError, match="run: expected that of this start and these settings"):
+        energy(system, still, 0.1, -0.2)
     system = System([[-1.0]], 0.0)
     with pytest.raises(ValueError, match="run: expected one that does not diverge"):
         energy(system, simulate(system, 9.0, 0.0, 40.0), 9.0, 0.0)
@@ -142,6 +148,19 @@ def test_one_block_with_static_friction_has_an_episode_a_period():
     assert len(found) == 5
     np.testing.assert_allclose(found.duration, slips, rtol=1e-9)
     np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("belts", "error", "message"),
+    [
+        ([-0.1, -0.2], ValueError, r"belt_speed: expected a number or an array of shape \(3,\)"),
+        (Harmonic(1.0, 1.0), TypeError, "belt_speed: expected a number, 3 numbers or a Piecewise"),
+        ("slow", TypeError, "belt_speed: expected a number or 3 numbers"),
+    ],
+)
+def test_belts_of_another_run_are_refused(belts, error, message):
+    with pytest.raises(error, match=message):
+        episodes(planted(), belts)
 
 
 @pytest.mark.parametrize("belts", ["one", "several", "changing"])
