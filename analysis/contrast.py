@@ -17,29 +17,26 @@ from stickslip.analysis.ensemble import Group
 from stickslip.analysis.stats import estimates, student
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import (
-    DIFFERENT,
-    EQUIVALENT,
-    OPEN,
+    UNKNOWN,
     Compared,
     equivalence_test,
-    judge_together,
     mean_difference,
     relative_difference,
     share_difference,
+    verdict,
     wilson,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
+from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
-AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
 SHORT_WINDOW = "short window"  # a reason beside those of `stats.enough` and of the estimates
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2
 #: The sigmoid certifies no collapse: runs are compared in what went quiet, certified or not.
 _ENDS = {"share gone quiet": (COLLAPSED, SILENT), "share run away": (DIVERGED,)}
-_VERDICT = {EQUIVALENT: AGREE, DIFFERENT: DIFFER, OPEN: UNKNOWN}
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,
@@ -172,10 +169,13 @@ def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estim
 
 
 def judge(rows: Sequence[Row], alpha: float) -> None:
-    """Write verdicts into contrasts, adjusted by Holm's rule over all of them, each kind of test by itself."""
-    judge_together(rows, alpha)
-    for row in rows:
-        row["verdict"] = _VERDICT.get(row["verdict"], row["verdict"])
+    """Write verdicts into contrasts that were tested, by Holm's rule over all `n_tests`, each kind by itself."""
+    tested = [row for row in rows if row["p_equivalent"] is not None]
+    for name in ("p_equivalent", "p_different"):
+        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
+            row[f"{name}_holm"] = float(adjusted)
+    for row in tested:
+        row |= {"verdict": verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha), "n_tests": len(tested)}
 
 
 def told(rows: Iterable[Row]) -> list[Row]:

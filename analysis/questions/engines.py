@@ -16,10 +16,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, B, F, Row, S, frame
 from stickslip.analysis.contrast import (
-    AGREE,
-    DIFFER,
     SCHEMA,
-    UNKNOWN,
     Sample,
     contrast,
     judge,
@@ -30,6 +27,7 @@ from stickslip.analysis.contrast import (
     weight,
 )
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
+from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"

@@ -17,7 +17,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes
-from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, relative_difference, verdict
+from stickslip.analysis.stats.compare import AGREE, DIFFER, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.fates import SUSTAINED, fate
 from stickslip.analysis.stats.multiplicity import adjusted
@@ -146,7 +146,7 @@ class _Judged:
             [1.0 if row["p_stays"] is None else row["p_stays"] for row in rows],
             [1.0 if row["p_moves"] is None else row["p_moves"] for row in rows],
         )
-        codes = {EQUIVALENT: STAYS, DIFFERENT: MOVES}
+        codes = {AGREE: STAYS, DIFFER: MOVES}
         for row, p_stays, p_moves in zip(rows, stays, moves, strict=True):
             if row["p_moves"] is not None:
                 row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}

@@ -11,10 +11,7 @@ import numpy as np
 
 from stickslip.analysis.answer import B, I, Row, S, frame
 from stickslip.analysis.contrast import (
-    AGREE,
-    DIFFER,
     SCHEMA,
-    UNKNOWN,
     contrast,
     judge,
     sample,
@@ -27,6 +24,7 @@ from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain
 from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 
 #: What two settings must share: statistics of groups of another size or ensemble are not the same quantity.
 SHARED = ("n", "coupling")

@@ -161,8 +161,8 @@ def build(
     groups = groups_table(study)
     filled = environment()
     filled.globals["unit"] = study.unit
-    shown = [_Shown(one, filled.get_template(f"{one.key}.html").module) for one in found]
-    answered = [one for one in shown if not one.answer.lack]
+    shown = [_Shown(**vars(one), words=filled.get_template(f"{one.key}.html").module) for one in found]
+    answered = [one for one in shown if not one.lack]
     primary = settings.question or _primary(study, answered)
     leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
     others = [one for one in answered if one not in leading]
@@ -178,7 +178,7 @@ def build(
         leading=leading,
         leading_answers=_safe(said),
         answered=ordered,
-        lacking=[one for one in shown if one.answer.lack],
+        lacking=[one for one in shown if one.lack],
         alarms=_safe(alarms),
         alerts=_safe(alerts),
         primary=[one.words.name for one in leading],
@@ -193,20 +193,18 @@ def build(
     return Report(page, tables, [*(plain(text) for text in alarms), title, *(plain(text) for text in said)], figures)
 
 
-class _Shown:
+@dataclass(frozen=True)
+class _Shown(Answered):
     """An answer beside its template."""
 
-    def __init__(self, answer: Answered, words: Any) -> None:
-        self.answer, self.words = answer, words
-        self.key, self.facts, self.reason = answer.key, answer.facts, answer.lack
+    words: Any = None
 
     def says(self, name: str) -> str:
         """What a macro of the template makes of the facts; nothing if there is none of that name."""
         return str(getattr(self.words, name)(self.facts)).strip() if hasattr(self.words, name) else ""
 
     def figure(self, name: str, alt: str) -> Markup:
-        drawn = self.answer.figures[name]
-        return Markup('<img src="{}" alt="{}">').format(drawn.address(), alt)
+        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
 
 
 def _rank(alert: str) -> int:

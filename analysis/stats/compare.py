@@ -1,6 +1,6 @@
 """Are two quantities the same, to within a margin declared beforehand? Two one-sided tests, and three verdicts.
 
-Failing to see a difference is no evidence of sameness: "equivalent" has to be shown, as a difference has to be
+Failing to see a difference is no evidence of sameness: sameness has to be shown, as a difference has to be
 (Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With t = (difference +- margin) / error:
 
     p_equivalent = max(P(T > (d + m) / e), P(T < (d - m) / e)),    p_different = 2 P(T > |d| / e).
@@ -10,18 +10,15 @@ p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
-from stickslip.analysis.stats.multiplicity import holm
 
-EQUIVALENT, DIFFERENT, OPEN = "equivalent", "different", "not enough data"
+AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
 
 
 @dataclass(frozen=True)
@@ -129,28 +126,12 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
 
 
 def verdict(p_equivalent: float, p_different: float, alpha: float) -> str:
-    """`EQUIVALENT` if p_equivalent < alpha, be there a difference within the margins or none; else `DIFFERENT` if
-    p_different < alpha; else `OPEN`. The p-values may be adjusted ones.
+    """`AGREE` if p_equivalent < alpha, be there a difference within the margins or none; else `DIFFER` if
+    p_different < alpha; else `UNKNOWN`. The p-values may be adjusted ones.
     """
     if p_equivalent < alpha:
-        return EQUIVALENT
-    return DIFFERENT if p_different < alpha else OPEN
-
-
-def judge_together(rows: Sequence[dict[str, Any]], alpha: float) -> None:
-    """Write adjusted p-values and verdicts into rows that were tested; by Holm's rule, each kind of test by itself.
-
-    Rows without `p_equivalent` are left as they are. `by_itself` is the verdict without adjustment, `n_tests` the
-    number of rows adjusted for.
-    """
-    tested = [row for row in rows if row["p_equivalent"] is not None]
-    for name in ("p_equivalent", "p_different"):
-        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
-            row[f"{name}_holm"] = float(adjusted)
-    for row in tested:
-        row["verdict"] = verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha)
-        row["by_itself"] = verdict(row["p_equivalent"], row["p_different"], alpha)
-        row["n_tests"] = len(tested)
+        return AGREE
+    return DIFFER if p_different < alpha else UNKNOWN
 
 
 def wilson(successes: float, trials: float, confidence: float) -> tuple[float, float]:

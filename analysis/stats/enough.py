@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.stats.cascades import Window
-from stickslip.analysis.stats.compare import DIFFERENT, EQUIVALENT, equivalence_test, verdict
+from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test, verdict
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
 ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
@@ -85,6 +85,6 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
     elif n_cascades < LEAST_CASCADES:
         code = FEW_CASCADES
     else:
-        is_shown = answer == DIFFERENT and abs(value) >= MARGIN
-        code = ENOUGH if answer == EQUIVALENT else DRIFTS if is_shown else DRIFT_UNKNOWN
+        is_shown = answer == DIFFER and abs(value) >= MARGIN
+        code = ENOUGH if answer == AGREE else DRIFTS if is_shown else DRIFT_UNKNOWN
     return Basis(code, g, n_cascades, drift)

@@ -498,7 +498,7 @@ def equivalence_study(rng, ensembles):
                 sums = [np.column_stack([values, np.ones(MATRICES)]) for values in (base, changed * (1 + true))]
                 test = compare.equivalence_test(*compare.relative_difference(ratio, *sums, True), margin)
                 told = compare.verdict(test.p_equivalent, test.p_different, 1 - CONFIDENCE)
-                false += told == (compare.EQUIVALENT if true else compare.DIFFERENT)
+                false += told == (compare.AGREE if true else compare.DIFFER)
             row = f"{name} by {true:g}, margin {margin:g}"
             yield Row("equivalence", row, true, np.nan, np.nan, 1 - false / ensembles, ensembles)
 

@@ -7,10 +7,7 @@ from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.contrast import (
-    AGREE,
-    DIFFER,
     SHORT_WINDOW,
-    UNKNOWN,
     Sample,
     Statistic,
     contrast,
@@ -20,6 +17,7 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
+from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import gamma, ratio
 

@@ -10,7 +10,7 @@ import pytest
 from stickslip.analysis import AnalysisSettings, Data, Study, build
 from stickslip.analysis.questions.fates import answer
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.page import MOST_ALERTS, Answered, _primary, _Shown
+from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
 from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, kaplan_meier, median
 
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
@@ -187,7 +187,7 @@ def test_a_drift_is_an_alert_even_of_few_cascades(planted):
 
 
 def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
-    shown = [_Shown(Answered("robustness", {}), None)]
+    shown = [_Shown("robustness", {})]
     for outcomes, leads in (
         ([COLLAPSED] * 6 + [SUSTAINED] * 4, "fates"),
         ([COLLAPSED] * 4 + [SUSTAINED] * 6, "robustness"),
