@@ -24,8 +24,9 @@ from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.system_table import QUANTITIES
 from stickslip.pipeline.systems import OF_BLOCKS, SystemFile, SystemFunction, make, read
 from stickslip.sim.couplings import READINGS
-from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.contract import Ratios
+from stickslip.sim.engines import ENGINES, contract
+from stickslip.sim.engines.contract import Engine, Ratios
+from stickslip.sim.simulation import as_engine, as_task
 from stickslip.sim.weakening import Rational, Stribeck
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
@@ -148,12 +149,9 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        return (_own_system if self.perturbation_draw is None else _moved_system)(_values_of_system(self))
-
-    @property
-    def of_system(self) -> Member:
-        """This member with all that its system does not depend on at one value: the same for those that share it."""
-        return _member_of_system(_values_of_system(self))
+        return _latest(
+            _own_system if self.perturbation_draw is None else _moved_system, self, _values_of_system(self)
+        )
 
     def start(self) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2."""
@@ -179,14 +177,17 @@ class Member:
             return 1.0
         return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
 
+    def task(self, system: sim.System, t_eval: ArrayLike = ()) -> tuple[Engine, contract.Task]:
+        """What is run of its system, and by what: members with the same settings have one engine."""
+        engine = _engine(self.engine, self.settings)
+        if self.ratio_draw is not None:
+            engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
+        return engine, as_task(engine, system, *self.start(), t_end=self.t_end, t_eval=t_eval)
+
     def simulate(self, t_eval: ArrayLike = ()) -> sim.Run:
         """Draw the system and run it."""
-        settings = dict(self.settings)
-        if "ratio" in settings:
-            settings["ratio"] = self.ratios()
-        return sim.simulate(
-            self.system(), *self.start(), t_end=self.t_end, t_eval=t_eval, engine=self.engine, **settings
-        )
+        engine, task = self.task(self.system(), t_eval)
+        return engine.integrate(task)
 
     @property
     def cost(self) -> float:
@@ -202,24 +203,35 @@ class Member:
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
-#: What a system does not depend on, at one value.
-_OF_A_RUN: dict[str, Any] = dict.fromkeys(
-    ["member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "t_end", "z0", "w0", "start_draw"]
-) | {"start_from": None}
+#: What a system does not depend on.
+_OF_A_RUN = ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "t_end", "z0", "w0",
+             "start_draw", "start_from")  # fmt: skip
 _UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
 #: The others.
 _OF_A_SYSTEM = tuple(one.name for one in fields(Member) if one.compare and one.name not in _OF_A_RUN)
 _values_of_system = attrgetter(*_OF_A_SYSTEM)
 
 
-def _member_of_system(values: tuple[Any, ...]) -> Member:
-    return Member(**_OF_A_RUN, **dict(zip(_OF_A_SYSTEM, values, strict=True)))
+@lru_cache(maxsize=8)
+def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
+    """An engine with a member's settings, but for ratios, which are one."""
+    return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
 
 
-# Members that share a system come one after the other: it is drawn once, and its eigenvalues are found once.
-@lru_cache(maxsize=1)
-def _own_system(values: tuple[Any, ...]) -> sim.System:
-    member = _member_of_system(values)
+#: The last system that each function made, behind what it depends on.
+_made: dict[Callable[[Member], sim.System], tuple[tuple[Any, ...], sim.System]] = {}
+
+
+def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[Any, ...]) -> sim.System:
+    """A member's system: those that share one come one after the other, it is made once."""
+    made = _made.get(make)
+    if made is None or made[0] != values:
+        made = _made[make] = values, make(member)
+    return made[1]
+
+
+def _own_system(member: Member) -> sim.System:
+    """The system of a member's matrix, not moved."""
     seed = member._seed(MATRIX)
     given: dict[str, Any] = {
         name: member._by_block(value, purpose)
@@ -246,14 +258,12 @@ def _own_system(values: tuple[Any, ...]) -> sim.System:
     return sim.draw_system(member.coupling, member.n, seed, **member.scales, rho=member.rho, **given)
 
 
-@lru_cache(maxsize=1)
-def _moved_system(values: tuple[Any, ...]) -> sim.System:
-    member = _member_of_system(values)
+def _moved_system(member: Member) -> sim.System:
     assert member.perturbation_reading is not None
     assert member.perturbation_draw is not None
-    own = tuple(_UNMOVED.get(name, value) for name, value in zip(_OF_A_SYSTEM, values, strict=True))
+    own = tuple(_UNMOVED.get(name, getattr(member, name)) for name in _OF_A_SYSTEM)
     return sim.perturb_system(
-        _own_system(own),
+        _latest(_own_system, member, own),
         member.coupling,
         member.perturbation_size,
         member._seed(PERTURBATION, member.perturbation_draw),

@@ -9,11 +9,13 @@ import pickle
 import socket
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -24,10 +26,15 @@ from stickslip.pipeline.quantity import Course, Distribution, Named
 from stickslip.pipeline.schema import Recording, encode
 from stickslip.sim.energy import energy
 from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.engines.sources import cache_directory, source_digest
 from stickslip.sim.episodes import episodes
 from stickslip.sim.series import summaries
+from stickslip.sim.system import work_out
 from stickslip.version import __version__
+
+#: So many members are set up at once, with so many entries of K together.
+_TOGETHER, _ENTRIES = 128, 2**16
 
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
@@ -117,7 +124,7 @@ def row(member: Member, recording: Recording) -> dict[str, Any]:
 
 def run_members(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
     """Run members: what came of each, by column; of one that raised, the words that say so."""
-    found = [_result(member, recording) for member in members]
+    found = [_result(member, system, run, recording) for member, system, run in _prepared(members, recording)]
     summarised = iter(summaries([events for events, _ in found if events is not None]))
     for events, result in found:
         if events is not None:
@@ -126,10 +133,54 @@ def run_members(members: Sequence[Member], recording: Recording) -> list[dict[st
     return [result for _, result in found]
 
 
-def _result(member: Member, recording: Recording) -> tuple[sim.EventSeries | None, dict[str, Any]]:
+#: A member, its system, and its run, which starts when it is called; what failed before is raised then.
+_Prepared = tuple[Member, sim.System | None, Callable[[], sim.Run]]
+
+
+def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prepared]:
+    """The members, in order, some at a time: one by one small systems take longer to set up than to run."""
+    for n, of_size in groupby(members, key=lambda member: member.n):
+        size = min(_TOGETHER, max(1, _ENTRIES // n**2))
+        while some := list(islice(of_size, size)):
+            yield from _set_up(some, recording)
+
+
+def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
+    """Some members of as many blocks; those with plain systems and the same settings are set up at once."""
+    prepared: list[_Prepared] = []
+    alike: dict[Engine, dict[int, Task]] = {}
+    for k, member in enumerate(members):
+        try:
+            system = member.system()
+            engine, task = member.task(system, _times(member, recording))
+        except Exception as error:  # noqa: BLE001  as in `_result`
+            prepared.append((member, None, partial(_raise, error)))
+            continue
+        prepared.append((member, system, partial(engine.integrate, task)))
+        if task.system.is_plain:
+            alike.setdefault(engine, {})[k] = task
+    plain = {task.system: None for tasks in alike.values() for task in tasks.values()}
+    if len(plain) > 1:
+        work_out([*plain])
+    for engine, tasks in alike.items():
+        with contextlib.suppress(Exception):  # each is then set up alone, when it is run, and says what is wrong
+            for k, run in zip(tasks, engine.prepare([*tasks.values()]), strict=True):
+                prepared[k] = (*prepared[k][:2], run)
+    return prepared
+
+
+def _raise(error: Exception) -> sim.Run:
+    raise error
+
+
+def _result(
+    member: Member, system: sim.System | None, run: Callable[[], sim.Run], recording: Recording
+) -> tuple[sim.EventSeries | None, dict[str, Any]]:
     """A member's events and what else came of it."""
     try:
-        return _run(member, recording)
+        ran = run()
+        assert system is not None  # else that has raised
+        return _kept(member, system, ran, recording)
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
         message = " ".join(str(error).split())
         return None, failed(member, f"{type(error).__name__}: {message}")
@@ -143,11 +194,10 @@ def failed(member: Member, reason: str) -> dict[str, Any]:
     return {"outcome": "failed", "reason": reason, "reproduce": command}
 
 
-def _run(member: Member, recording: Recording) -> tuple[sim.EventSeries, dict[str, Any]]:
-    times, base = np.empty(0), None
-    if recording.separation is not None:
-        times, base = _multiples(recording.separation, member.t_end), member.base
-    run = member.simulate(times if base is not None else ())
+def _kept(
+    member: Member, system: sim.System, run: sim.Run, recording: Recording
+) -> tuple[sim.EventSeries, dict[str, Any]]:
+    """What is kept of a run."""
     if not np.isfinite(run.events.t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
     found: dict[str, Any] = {
@@ -160,17 +210,18 @@ def _run(member: Member, recording: Recording) -> tuple[sim.EventSeries, dict[st
         "n_products": run.stats.n_products,
     }
     if "growth_rate" in recording.parts:
-        found["growth_rate"] = _growth_rate(member.of_system)
+        found["growth_rate"] = _growth_rate(system)
     if "end" in recording.parts:
-        found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, member.system())}
+        found |= {"z_end": run.z, "w_end": run.w, "mode_end": _modes(run, system)}
     if "events" in recording.parts:
         found |= _events(run.events)
     if "episodes" in recording.parts:
-        whole = episodes(run, member.system().belt_speed)
+        whole = episodes(run, system.belt_speed)
         found |= {f"episode_{one.name}": getattr(whole, one.name) for one in fields(whole)}
     if "energy" in recording.parts:
-        found |= _energy(member, run, found.get("episode_start", ()), found.get("episode_end", ()))
-    if base is not None:
+        found |= _energy(member, system, run, found.get("episode_start", ()), found.get("episode_end", ()))
+    if recording.separation is not None and (base := member.base) is not None:
+        times = _times(member, recording)
         found["separation"] = _distance(run.samples, _states(replace(base, member_id=""), tuple(times)))
     if run.by_threshold:
         changes = zip(run.by_threshold, summaries([*run.by_threshold.values()]), strict=True)
@@ -178,11 +229,13 @@ def _run(member: Member, recording: Recording) -> tuple[sim.EventSeries, dict[st
     return run.events, found
 
 
-def _energy(member: Member, run: sim.Run, start: Sequence[float], end: Sequence[float]) -> dict[str, Any]:
+def _energy(
+    member: Member, system: sim.System, run: sim.Run, start: Sequence[float], end: Sequence[float]
+) -> dict[str, Any]:
     """Energy of a run, and what was lost between these events, the ends of episodes."""
     if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
         return {"episode_energy": [None] * len(start)}
-    found = energy(member.system(), run, *member.start(), engine=member.engine, **dict(member.settings))
+    found = energy(system, run, *member.start(), engine=member.engine, **dict(member.settings))
     lost = found.damping + found.heat
     return {
         "kinetic_energy_start": found.kinetic[0],
@@ -198,15 +251,22 @@ def _energy(member: Member, run: sim.Run, start: Sequence[float], end: Sequence[
     }
 
 
-@lru_cache(maxsize=64)
-def _growth_rate(member: Member) -> float:
-    return float(np.linalg.eigvals(member.system().slip_matrix()).real.max())
+_GROWTH_RATES: WeakKeyDictionary[sim.System, float] = WeakKeyDictionary()
 
 
-def _multiples(step: float, t_end: float) -> np.ndarray:
-    """0, step, 2 step ... to t_end, which rounding does not lose."""
-    times = step * np.arange(math.floor(t_end / step * (1 + 1e-12)) + 1)
-    return np.minimum(times, t_end)
+def _growth_rate(system: sim.System) -> float:
+    if system not in _GROWTH_RATES:
+        _GROWTH_RATES[system] = float(np.linalg.eigvals(system.slip_matrix()).real.max())
+    return _GROWTH_RATES[system]
+
+
+def _times(member: Member, recording: Recording) -> np.ndarray:
+    """When the distance of a changed run is kept: 0, step, 2 step ... to t_end, which rounding does not lose."""
+    step = recording.separation
+    if step is None or member.base is None:
+        return np.empty(0)
+    times = step * np.arange(math.floor(member.t_end / step * (1 + 1e-12)) + 1)
+    return np.minimum(times, member.t_end)
 
 
 @lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it

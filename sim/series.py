@@ -195,6 +195,8 @@ def without_returns(series: EventSeries, shortest: Floats) -> EventSeries:
         order = series.by_block
         t, block, mode = series.t[order], series.block[order], series.mode[order]
         undone = (block[1:] == block[:-1]) & (t[1:] - t[:-1] <= shortest[block[1:]])
+        if not undone.any():
+            break
         undone &= mode[1:] == series.previous_mode[order][:-1]
         if not undone.any():
             break

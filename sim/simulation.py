@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.arguments import did_you_mean, flag, floats, number, per_block
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.run import Run, Samples
 from stickslip.sim.system import System, require_constant_friction, require_one_belt, require_one_friction
 
@@ -65,17 +66,38 @@ def simulate(
     IntegrationError
         If the engine cannot go on.
     """
+    chosen = as_engine(engine, settings)
+    return chosen.integrate(as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early))
+
+
+def as_engine(name: str, settings: Mapping[str, Any]) -> Engine:
+    """An engine by its name, with its settings; see `simulate`."""
+    if name not in ENGINES:
+        raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {name!r}")
+    _check_names(settings, name)
+    return ENGINES[name](**settings)
+
+
+def as_task(
+    engine: Engine,
+    system: System,
+    z0: ArrayLike,
+    w0: ArrayLike,
+    t_end: float,
+    t_start: float = 0.0,
+    t_eval: ArrayLike = (),
+    modes: ArrayLike | None = None,
+    stop_early: bool = True,
+) -> Task:
+    """What an engine is asked to run; see `simulate`."""
     if not isinstance(system, System):
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
-    if engine not in ENGINES:
-        raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
-    _check_names(settings, engine)
-    if not ENGINES[engine].takes_static:
-        require_one_friction(system, f"engine={engine!r}")
-    if not ENGINES[engine].takes_weakening:
-        require_constant_friction(system, f"engine={engine!r}")
-    if not ENGINES[engine].takes_drive:
-        require_one_belt(system.of_unit_mass, f"engine={engine!r}")
+    if not engine.takes_static:
+        require_one_friction(system, f"engine={engine.name!r}")
+    if not engine.takes_weakening:
+        require_constant_friction(system, f"engine={engine.name!r}")
+    if not engine.takes_drive:
+        require_one_belt(system.of_unit_mass, f"engine={engine.name!r}")
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")
@@ -89,13 +111,12 @@ def simulate(
             f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
             " and leave out what lies outside"
         )
-    if modes is not None and not ENGINES[engine].is_exact:
-        raise ValueError(f"modes: expected None with engine={engine!r}, where the state alone says who sticks")
+    if modes is not None and not engine.is_exact:
+        raise ValueError(f"modes: expected None with engine={engine.name!r}, where the state alone says who sticks")
     samples = Samples.blank(times, system.n)
-    task = Task(
+    return Task(
         system.of_unit_mass, z, w, t_start, t_end, samples, flag("stop_early", stop_early), _modes(modes, system.n)
     )
-    return ENGINES[engine](**settings).integrate(task)
 
 
 def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:

@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -188,6 +188,13 @@ class Engine(ABC):
     @abstractmethod
     def integrate(self, task: Task) -> Run:
         """Run a task under the rules of this module."""
+
+    def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
+        """The runs of tasks, each of which starts when it is called, and is the one of `integrate` to the last bit.
+
+        Their systems are plain, see `System.is_plain`, and of as many blocks: an engine may set them up at once.
+        """
+        return [partial(self.integrate, task) for task in tasks]
 
     @classmethod
     def settings(cls) -> dict[str, Setting]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,9 +41,12 @@ class Coulomb(Engine):
     tol: float = setting(1e-10, TOL)
 
     def integrate(self, task: Task) -> Run:
+        return self.prepare([task])[0]()
+
+    def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
         from stickslip.sim.engines import coulomb_steps  # it loads numba, half a second that settings do not need
 
-        return coulomb_steps.integrate(task, self.tol)
+        return coulomb_steps.runs(tasks, self.tol)
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

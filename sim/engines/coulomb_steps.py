@@ -26,6 +26,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +42,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Events, Law, State
 from stickslip.sim.engines.outside import Drive
 from stickslip.sim.engines.overdamped import Slow, follow
+from stickslip.sim.engines.products import Pairs
 from stickslip.sim.engines.roots import roots
 from stickslip.sim.engines.sticking import UNDECIDED_BOTH, force_rounding, known, push
 from stickslip.sim.engines.taylor import (
@@ -358,12 +361,25 @@ def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  
     return loop.PAUSED, n_recorded
 
 
-def integrate(task: Task, tol: float) -> Run:
-    """Run a task to the tolerance `tol`; IntegrationError if events accumulate at one instant."""
-    system, tol = task.system, min(tol, _LOOSEST)
+def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
+    """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
+
+    Raises
+    ------
+    ValueError
+        Of a run: if the system has cross damping, or a block starts ahead of its belt where that is barred.
+    IntegrationError
+        Of a run: if events accumulate at one instant.
+    """
+    pairs = Pairs.of([task.system for task in tasks])
+    return [partial(_integrate, task, min(tol, _LOOSEST), own) for task, own in zip(tasks, pairs, strict=True)]
+
+
+def _integrate(task: Task, tol: float, pairs: Pairs) -> Run:
+    system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
-    law, v = Law.of(system, drive), drive.belt_speed
+    law, v = Law.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction
     # bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself
     rate = float(system.rates.max())

@@ -62,7 +62,7 @@ class Law(NamedTuple):
     outside: Outside | None
 
     @classmethod
-    def of(cls, system: System, drive: Drive) -> Law:
+    def of(cls, system: System, pairs: Pairs, drive: Drive) -> Law:
         near, far = system.slip_friction
         fall, weakening = None, system.weakening
         if weakening is not None:
@@ -70,7 +70,7 @@ class Law(NamedTuple):
             fall = Fall(share, weakening.steepness, isinstance(weakening, Stribeck))
         return cls(
             system.columns,
-            Pairs.of(system),
+            pairs,
             system.row_sums,
             system.damping,
             near,

@@ -27,18 +27,18 @@ _SINGLE_MAX = float(np.finfo(np.float32).max)
 
 
 def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
-    """A square matrix, by panels of `height` rows, each by columns; rows of zeros are added to fill the last panel.
+    """A square matrix, or several, shape (..., n, n), by panels of `height` rows, each by columns.
 
-    Shape (number of panels, n, height).
+    Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
-    n = len(matrix)
+    *several, n, _ = matrix.shape
     if n == 0:
-        return np.empty((0, 0, height), dtype)
+        return np.empty((*several, 0, 0, height), dtype)
     if dtype == np.float32:
         matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)  # infinity would make 0 times K_ij not a number
-    rows = np.zeros((-(-n // height) * height, n), dtype)
-    rows[:n] = matrix
-    return np.ascontiguousarray(rows.reshape(len(rows) // height, height, n).transpose(0, 2, 1))
+    rows = np.zeros((*several, -(-n // height) * height, n), dtype)
+    rows[..., :n, :] = matrix
+    return np.ascontiguousarray(rows.reshape(*several, -1, height, n).swapaxes(-1, -2))
 
 
 def _panel(n_vectors: int, height: int, single: bool, listed: bool = False) -> Any:

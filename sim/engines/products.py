@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,15 +32,21 @@ class Pairs(NamedTuple):
     columns: NDArray[np.int64]
 
     @classmethod
-    def of(cls, system: System) -> Pairs:
-        """Of the K of a system."""
-        n = system.n
-        none = np.empty((0, 0))
-        dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else none
-        single = panels(dense if n >= _SMALL and _fits_single(system) else none, SINGLE_PAIR_HEIGHT, np.float32)
+    def of(cls, systems: Sequence[System]) -> list[Pairs]:
+        """Of the K of each of some systems of as many blocks, dense or the only one; they share the room."""
+        n, is_dense = systems[0].n, isinstance(systems[0].stiffness, np.ndarray)
+        none = np.empty((len(systems), 0, 0))
+        dense = np.array([system.stiffness for system in systems]) if is_dense else none
+        double = panels(dense, PAIR_HEIGHT, np.float64)
+        is_rough = [is_dense and n >= _SMALL and _fits_single(system) for system in systems]
+        single = panels(dense if any(is_rough) else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
-        rough = single, np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32)
-        return cls(panels(dense, PAIR_HEIGHT, np.float64), np.zeros((2, padded)), *rough, np.zeros(n, np.int64))
+        product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
+        room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
+        # without rows of panels there are none
+        return [
+            cls(double[k], product, single[k] if is_rough[k] else single[k, :0], *room) for k in range(len(systems))
+        ]
 
 
 def _fits_single(system: System) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,9 +100,12 @@ class Sigmoid(Engine):
     )
 
     def integrate(self, task: Task) -> Run:
+        return self.prepare([task])[0]()
+
+    def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
         from stickslip.sim.engines import sigmoid_steps  # it loads numba, half a second that settings do not need
 
-        return sigmoid_steps.integrate(task, self)
+        return sigmoid_steps.runs(tasks, self)
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -491,8 +492,8 @@ def _advance(  # type: ignore[no-untyped-def]
     return loop.PAUSED, n_recorded
 
 
-def integrate(task: Task, engine: Sigmoid) -> Run:
-    """Run a task under the rules of `stickslip.sim.engines.contract`.
+def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
+    """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
 
     Raises
     ------
@@ -500,11 +501,10 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
         If there is not one ratio a block, the layer is too wide for its definition of sticking, or a block has
         static friction alone.
     IntegrationError
-        If the step shrinks to rounding.
+        Of a run: if the step shrinks to rounding.
     """
-    system, n = task.system, task.system.n
-    drive = Drive(system, task.t_start, task.t_end, 0)
-    v, pushes = drive.belt_speed, np.zeros((0 if drive.outside is None else STAGES, n))
+    systems = [task.system for task in tasks]
+    system, n = systems[0], systems[0].n  # where it is not plain, it is the only one
     delta = Ratios.for_blocks("ratio", engine.ratio, n) * engine.eps
     is_manifold = engine.stick == "manifold"
     if is_manifold and not (delta < 1).all():
@@ -512,89 +512,102 @@ def integrate(task: Task, engine: Sigmoid) -> Run:
             f"eps, ratio: stick='manifold' needs ratio * eps < 1, got {delta.max():g}; use stick='threshold'"
         )
     band = delta * np.log(1 / delta) if is_manifold else engine.threshold * delta
-    friction, far = system.slip_friction
-    bands = np.array([band, *(c * delta for c in engine.thresholds)])
-    bands *= friction > 0.0  # without friction no block sticks
     by_force = np.array([is_manifold, *(False for _ in engine.thresholds)])
-    kinetic = np.empty_like(bands)
-    kinetic[:] = system.kinetic(bands)
     rtol, atol = _CALIBRATION * engine.rtol, _CALIBRATION * engine.atol
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
-
+    allowed = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
     law, hidden, peak = _law(system)
-    z, w, cross = task.z0.copy(), task.w0.copy(), system.cross_damping
-    drag, pull = _forces(system, drive, z, w)
-    modes = _modes(system, w - v, pull, bands, is_manifold, peak * delta)
-    table = _table(system, z, w, v, delta, drag, pull)
-    table[HIDDEN, :n], table[PEAK, :n], table[STATIC, :n] = hidden, peak * delta, system.static
-    table[CLOSED, :n], table[FINE, :n] = system.closed, 1.0
-    if system.weakening is not None:
-        table[FALL, :n] = system.weakening.steepness * delta
-        table[FAR, :n] = np.divide(far, friction, out=np.ones(n), where=friction > 0)
-    if system.is_static_above:
-        table[FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
-    # how deep in the layer friction differs from kinetic by what counts
-    table[REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * friction * (1.0 + 2.0 * hidden) / (boost * atol))
-    numbers = np.zeros((STAGES + 1, STAGES))
-    numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
 
-    def first_step(speeds: Floats) -> float:
-        speed = float(np.abs(speeds).max())
+    # from here on by task and block, or by task, definition of sticking and block
+    drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
+    v = np.array([drive.belt_speed for drive in drives])
+    z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
+    damping, friction, static, closed = (
+        np.array([getattr(one, name) for one in systems]) for name in ("damping", "friction", "static", "closed")
+    )
+    near, far = (np.array(rows) for rows in zip(*(one.slip_friction for one in systems), strict=True))
+    bands = np.array([band, *(c * delta for c in engine.thresholds)])
+    bands = bands * (near > 0.0)[:, np.newaxis]  # without friction no block sticks
+    kinetic = np.empty_like(bands)
+    for k, one in enumerate(systems):
+        kinetic[k] = one.kinetic(bands[k])
+    drag, pull = (np.array(rows) for rows in zip(*map(_forces, systems, drives, z, w), strict=True))
+    u = w - v
+    modes = _modes(u, pull, bands, is_manifold, peak * delta, near, static, closed)
+    table = _table(z, w, u, delta, damping, near, drag, pull)
+    table[:, BELT, :n], table[:, STATIC, :n], table[:, CLOSED, :n] = v, static, closed
+    table[:, HIDDEN, :n], table[:, PEAK, :n], table[:, FINE, :n] = hidden, peak * delta, 1.0
+    if system.weakening is not None:
+        table[:, FALL, :n] = system.weakening.steepness * delta
+        table[:, FAR, :n] = np.divide(far, near, out=np.ones_like(near), where=near > 0)
+    if system.is_static_above:
+        table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
+    # how deep in the layer friction differs from kinetic by what counts
+    table[:, REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * hidden) / (boost * atol))
+    fastest = np.abs(np.array([w, damping * u + pull, friction])).max(axis=(0, 2)).tolist()
+    matrices = _matrices(systems)
+    n_pieces = 16 * n + 256
+
+    def first_step(speed: float) -> float:
         return (atol**0.2) * 0.3 / speed if speed > 0 else np.inf
 
-    speeds = np.array([w, system.damping * (w - v) + pull, system.friction])
-    step = min(task.t_end - task.t_start, 0.1, first_step(speeds))
-    next_h = np.full(n, step / 4)
-    state = loop.State.at_start(task, z, w, modes[0], step, 1.0, 0.0)
-    state.counters[loop.N_PRODUCTS] = 1 if cross is None else 2
+    def run(k: int) -> Run:
+        task, system, drive, own = tasks[k], systems[k], drives[k], table[k]
+        z, w, next_h = task.z0.copy(), task.w0.copy(), np.empty(n)
+        step = min(task.t_end - task.t_start, 0.1, first_step(fastest[k]))
+        next_h[:] = step / 4
+        state = loop.State.at_start(task, z, w, modes[k, 0], step, 1.0, 0.0)
+        state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
+        numbers = np.zeros((STAGES + 1, STAGES))
+        numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
+        single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
+        pushes = np.zeros((0 if drive.outside is None else STAGES, n))
+        arguments = (
+            own, np.zeros((N_ROWS, WIDTH)), numbers, law, matrices[k], ROUGH * float(system.row_sums.max()),
+            (np.zeros((STAGES, own.shape[1])), single[0], single[1]),
+            (bands[k], kinetic[k], by_force, modes[k]),
+            np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), next_h,
+            np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
+            tuple(state.samples),
+        )  # fmt: skip
+        collapse = certificates.Collapse(system, allowed[k], band.max(), bands[k].max(), delta, hidden)
+        longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
 
-    n_pieces = 16 * n + 256
-    single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
-    arguments = (
-        table, np.zeros((N_ROWS, WIDTH)), numbers, law, _matrices(system), ROUGH * float(system.row_sums.max()),
-        (np.zeros((STAGES, table.shape[1])), single[0], single[1]),
-        (bands, kinetic, by_force, modes),
-        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), next_h,
-        np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
-        tuple(state.samples),
-    )  # fmt: skip
-    allowed = engine.atol + engine.rtol * system.fastest_belt
-    collapse = certificates.Collapse(system, allowed, band.max(), bands.max(), delta, hidden)
-    longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
+        def go_on() -> None:
+            """At the start of a piece: u is what it was; F jumps where belts' speeds change by another rate."""
+            before = own[FORCE0, :n].copy()
+            own[Z0, :n], own[BELT, :n] = z, drive.belt_speed
+            own[DRAG, :n], own[FORCE0, :n] = _forces(system, drive, z, w)
+            step = first_step(float(np.abs(own[FORCE0, :n] - before).max()))
+            state.clock[_STEP] = min(state.clock[_STEP], step)
+            next_h[:] = np.minimum(next_h, step / 4)
 
-    def go_on() -> None:
-        """At the start of a piece: u is what it was; F jumps where belts' speeds change by another rate."""
-        before = table[FORCE0, :n].copy()
-        table[Z0, :n], table[BELT, :n] = z, v
-        table[DRAG, :n], table[FORCE0, :n] = _forces(system, drive, z, w)
-        step = first_step(table[FORCE0, :n] - before)
-        state.clock[_STEP] = min(state.clock[_STEP], step)
-        next_h[:] = np.minimum(next_h, step / 4)
+        return loop.complete(
+            task,
+            state,
+            drive,
+            lambda events, bound: _advance(
+                *arguments,
+                drive.t_end,
+                longest,
+                drive.outside,
+                pushes,
+                atol,
+                boost,
+                tuple(events),
+                bound,
+                collapse.watch,
+            ),
+            collapse,
+            stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less"
+            " accuracy, or use engine='coulomb'",
+            events_a_step=PASSES * (n + n_pieces) * len(by_force),
+            initial_modes=modes[k].copy(),
+            thresholds=engine.thresholds,
+            go_on=go_on,
+        )
 
-    return loop.complete(
-        task,
-        state,
-        drive,
-        lambda events, bound: _advance(
-            *arguments,
-            drive.t_end,
-            longest,
-            drive.outside,
-            pushes,
-            atol,
-            boost,
-            tuple(events),
-            bound,
-            collapse.watch,
-        ),
-        collapse,
-        stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less accuracy,"
-        " or use engine='coulomb'",
-        events_a_step=PASSES * (n + n_pieces) * len(bands),
-        initial_modes=modes.copy(),
-        thresholds=engine.thresholds,
-        go_on=go_on,
-    )
+    return [partial(run, k) for k in range(len(tasks))]
 
 
 def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -644,46 +657,54 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
 
 
 def _modes(
-    system: System, u: Floats, pull: Floats, bands: Floats, is_manifold: bool, peak: Floats
+    u: Floats,
+    pull: Floats,
+    bands: Floats,
+    is_manifold: bool,
+    peak: Floats,
+    kinetic: Floats,
+    static: Floats,
+    closed: Any,
 ) -> NDArray[np.int8]:
     """Who sticks at the start, by each definition."""
-    if not system.back_slip:
-        u, pull = np.where(u * system.closed > 0, 0.0, u), np.where(pull * system.closed < 0, 0.0, pull)
-    held = np.abs(u) < bands
+    if closed.any():
+        u, pull = np.where(u * closed > 0, 0.0, u), np.where(pull * closed < 0, 0.0, pull)
+    held = np.abs(u)[:, np.newaxis] < bands
     if is_manifold:
-        is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > system.slip_friction[0])
-        held[0] &= (np.abs(pull) < system.static) & ~is_driven
+        is_driven = (np.abs(u) > peak) & (-pull * np.sign(u) > kinetic)
+        held[:, 0] &= (np.abs(pull) < static) & ~is_driven
     side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
-    return np.where(held, 0, side).astype(np.int8)
+    return np.where(held, 0, side[:, np.newaxis]).astype(np.int8)
 
 
-def _table(system: System, z: Floats, w: Floats, v: Floats, delta: Floats, drag: Floats, pull: Floats) -> Floats:
+def _table(
+    z: Floats, w: Floats, u: Floats, delta: Floats, damping: Floats, friction: Floats, drag: Floats, pull: Floats
+) -> Floats:
     """What formulas read and write, at the start; columns that are no block have numbers that are harmless."""
-    n = system.n
-    table = np.zeros((N_ROWS, -(-n // HEIGHT) * HEIGHT))
-    for row in (STEEP, H, DONE, TOLERANCE):
-        table[row] = 1.0
-    table[BELT, :n] = v
-    table[U0, :n], table[Z0, :n], table[SPEED_BEFORE, :n] = w - v, z, np.abs(w)
-    table[DAMPING, :n], table[FRICTION, :n], table[STEEP, :n] = system.damping, system.slip_friction[0], 1.0 / delta
-    table[DRAG, :n], table[FORCE0, :n] = drag, pull
-    table[KEPT_F : KEPT_F + STAGES, :n], table[KEPT_U : KEPT_U + STAGES, :n] = pull, w - v
+    several, n = z.shape
+    table = np.zeros((several, N_ROWS, -(-n // HEIGHT) * HEIGHT))
+    table[:, [STEEP, H, DONE, TOLERANCE]] = 1.0
+    table[:, U0, :n], table[:, Z0, :n], table[:, SPEED_BEFORE, :n] = u, z, np.abs(w)
+    table[:, DAMPING, :n], table[:, FRICTION, :n], table[:, STEEP, :n] = damping, friction, 1.0 / delta
+    table[:, DRAG, :n], table[:, FORCE0, :n] = drag, pull
+    table[:, KEPT_F : KEPT_F + STAGES, :n], table[:, KEPT_U : KEPT_U + STAGES, :n] = (
+        pull[:, np.newaxis],
+        u[:, np.newaxis],
+    )
     return table
 
 
-_MATRICES: WeakKeyDictionary[System, tuple[Any, Any, bool]] = WeakKeyDictionary()
-
-
-def _matrices(system: System) -> tuple[Any, Any, bool]:
+def _matrices(systems: Sequence[System]) -> list[tuple[Any, Any, bool]]:
     """K and N as `_times` takes them, and whether there is an N."""
-    if system not in _MATRICES:
-        cross = system.cross_damping
-        _MATRICES[system] = _matrix(system.stiffness), _NONE if cross is None else _matrix(cross), cross is not None
-    return _MATRICES[system]
+    if len(systems) == 1:
+        stiffness, cross = systems[0].stiffness, systems[0].cross_damping
+        return [(_matrix(stiffness), _NONE if cross is None else _matrix(cross), cross is not None)]
+    dense, single, *no_rows = _matrix(np.array([one.stiffness for one in systems]))
+    return [((dense[k], single[k], *no_rows), _NONE, False) for k in range(len(systems))]
 
 
 def _matrix(matrix: Any) -> tuple[NDArray[Any], ...]:
-    """Panels in float64 and float32 if it is dense, else its rows."""
+    """Panels in float64 and float32 if it is dense, or dense ones, shape (m, n, n); else its rows."""
     if isinstance(matrix, np.ndarray):
         no_index = np.empty(0, dtype=np.int32)
         dense, single = panels(matrix, HEIGHT, np.float64), panels(matrix, SINGLE_HEIGHT, np.float32)

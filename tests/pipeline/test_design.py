@@ -184,22 +184,23 @@ def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
     assert program() != before
 
 
-def test_settings_reach_the_engine(source, monkeypatch):
+def test_settings_reach_the_engine(source):
     scene = change(source, it=('ratio = "uniform"', 'rtol = 1e-7\natol = 1e-9\nratio = "uniform"'))
-    seen = []
-    monkeypatch.setattr(
-        "stickslip.sim.simulate", lambda system, z0, w0, **settings: seen.append((system.n, z0, w0, settings))
-    )
     members = by_id(scene)
-    members["n3-m000-coulomb-1e-10"].simulate()
-    members["n5-m002-sigmoid-0.03-u1-1e-7-1e-9-c1"].simulate()
-    assert seen[0] == (3, -0.7, -0.4, {"t_end": 8.0, "t_eval": (), "engine": "coulomb", "tol": 1e-10})
-    n, _, _, settings = seen[1]
-    assert n == 5
+
+    def asked(name):
+        member = members[name]
+        engine, task = member.task(member.system())
+        return task, {"engine": engine.name} | {key: getattr(engine, key) for key in engine.settings()}
+
+    task, settings = asked("n3-m000-coulomb-1e-10")
+    assert (task.z0.tolist(), task.w0.tolist()) == ([-0.7] * 3, [-0.4] * 3)
+    assert (task.t_start, task.t_end, len(task.samples)) == (0.0, 8.0, 0)
+    assert settings == {"engine": "coulomb", "tol": 1e-10}
+    task, settings = asked("n5-m002-sigmoid-0.03-u1-1e-7-1e-9-c1")
+    assert task.system.n == 5
     assert settings.pop("ratio").shape == (5,)
     assert settings == {
-        "t_end": 8.0,
-        "t_eval": (),
         "engine": "sigmoid",
         "thresholds": (),
         "eps": 0.03,

@@ -7,6 +7,7 @@ import pytest
 
 from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify, worker
+from stickslip.pipeline.design import Member
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
 from stickslip.pipeline.schema import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
@@ -117,10 +118,8 @@ def test_a_scene_that_grows_keeps_its_step(kept):
 def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
     """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
     worker._states.cache_clear()
-    simulate, made = sim.simulate, []
-    monkeypatch.setattr(
-        "stickslip.sim.simulate", lambda *args, **settings: made.append(args) or simulate(*args, **settings)
-    )
+    task, made = Member.task, []
+    monkeypatch.setattr(Member, "task", lambda *args: made.append(args) or task(*args))
     for member in expand(scene):
         worker.row(member, Recording.of(scene))
     assert len(made) == scene.n_members + 2 * 3

@@ -1,0 +1,73 @@
+"""Members whose systems are set up at once: each has the row that it has alone, to the last bit."""
+
+import numpy as np
+import pytest
+
+from stickslip.pipeline import design, parse_scene, worker
+from stickslip.pipeline.schema import Recording, encode
+from tests.scenes import COULOMB, SIGMOID, ensemble
+
+RECORD = "[record]\nevents = true\nend = true\nepisodes = true\n"
+
+
+def bytes_of(members, found, recording):
+    return encode(worker.columns(members, found, recording), recording.schema)
+
+
+def members_of(source):
+    scene = parse_scene(source.encode())
+    return design.expand(scene), Recording.of(scene)
+
+
+@pytest.mark.parametrize("perturbation", ["", "[perturbation]\nsizes = [0.05]\nreadings = ['scale', 'relative']\n"])
+def test_members_together_have_the_rows_that_they_have_alone(rng, perturbation):
+    """Drawn wide: sizes, couplings, damping, friction and belts."""
+    for _ in range(2):
+        system = (
+            f'coupling = "{rng.choice(["antisymmetric", "symmetric", "full", "signed_diagonal"])}"\n'
+            f"kappa = {10.0 ** rng.uniform(-2, 0)}\n"
+            f"rho = {rng.choice([0.0, 0.5, 3.5, 200.0])}\n"
+            f"friction = {rng.uniform(0.1, 2.0)}\n"
+            f"belt_speed = {rng.choice([-0.2, 0.3, -1.0])}"
+        )
+        sizes = rng.choice(np.arange(1, 60), 3, replace=False).tolist()
+        scene = ensemble(
+            sizes, 10.0, 3, COULOMB, SIGMOID, seed=int(rng.integers(1 << 31)), rest=perturbation + RECORD
+        )
+        members, recording = members_of(scene.replace('coupling = "antisymmetric"', system))
+        together = worker.run_members(members, recording)
+        alone = [found for member in members for found in worker.run_members([member], recording)]
+        assert bytes_of(members, together, recording) == bytes_of(members, alone, recording)
+        order = rng.permutation(len(members))
+        mixed = worker.run_members([members[k] for k in order], recording)
+        back = [mixed[k] for k in np.argsort(order)]
+        assert bytes_of(members, back, recording) == bytes_of(members, alone, recording)
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered")
+@pytest.mark.parametrize(("start", "words"), [((np.nan, 0.0), "z0: expected"), ((0.0, 1.7e308), "t = 0")])
+def test_a_member_that_fails_among_others_fails_alone(monkeypatch, start, words):
+    members, recording = members_of(ensemble(5, 10.0, 4, COULOMB, SIGMOID, rest=RECORD))
+    undisturbed = worker.run_members(members, recording)
+    own = design.Member.start
+    failing = members[3]
+    monkeypatch.setattr(design.Member, "start", lambda self: start if self is failing else own(self))
+    found = worker.run_members(members, recording)
+    assert found[3]["outcome"] == "failed"
+    assert words in found[3]["reason"]
+    rest = [k for k in range(len(members)) if k != 3]
+    for one in (undisturbed, found):
+        assert all(one[k]["outcome"] != "failed" for k in rest)
+    kept = [members[k] for k in rest]
+    expected, got = ([one[k] for k in rest] for one in (undisturbed, found))
+    assert bytes_of(kept, got, recording) == bytes_of(kept, expected, recording)
+
+
+@pytest.mark.parametrize(("n", "at_most"), [(5, 128), (50, 26), (300, 1)])
+def test_no_more_systems_are_held_than_their_size_allows(monkeypatch, n, at_most):
+    members, recording = members_of(ensemble(n, 2.0, 200, COULOMB, rest=RECORD))
+    drawn = []
+    own = design.Member.system
+    monkeypatch.setattr(design.Member, "system", lambda self: drawn.append(self) or own(self))
+    next(iter(worker._prepared(members, recording)))
+    assert len(drawn) == at_most
