@@ -109,9 +109,12 @@ _FINE = 0.1
 #: for steps far below what is allowed.
 _SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
 _FAR_BELOW = 1e-2
+#: Of friction: by how much F jumps where a belt's speed begins to change by another rate, if it is no rounding.
+_JUMP = 1e-9
 
-# behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change
-_STEP, _KEPT, _SLOW = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)
+# behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change,
+# and whether F has jumped since the last step
+_STEP, _KEPT, _SLOW, _JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 #: Rows that a block keeps in steps of its own.
 _OF_BLOCK = (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED)
@@ -449,8 +452,8 @@ def _advance(  # type: ignore[no-untyped-def]
         for k in range(len(pushes)):
             value_at(outside, t + NODES[k] * macro, pushes[k])
         copy(next_h, before)
-        for i in range(n):
-            flags[i] = False
+        for i in range(n):  # what a step that leaves a layer errs by, no layer takes back
+            flags[i] = clock[_JUMPED] > 0.0 and abs(table[U0, i]) * table[STEEP, i] < table[REACH, i]
         rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
         swept, tail, slow, n_pieces = _sweep(
             table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
@@ -484,7 +487,7 @@ def _advance(  # type: ignore[no-untyped-def]
         _accept(table, n, flags, macro, next_h, ends, z, w)
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
         most = _GROW_FAST if tail < _FAR_BELOW * _TAIL else _GROW
-        clock[loop.TIME], clock[_KEPT], clock[_SLOW] = t_next, macro, slow
+        clock[loop.TIME], clock[_KEPT], clock[_SLOW], clock[_JUMPED] = t_next, macro, slow, 0.0
         clock[_STEP] = macro * min(max(factor, _SHRINK), most if grown else 1.0)
         grown = True
         if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
@@ -556,7 +559,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
         z, w, next_h = task.z0.copy(), task.w0.copy(), np.empty(n)
         step = min(task.t_end - task.t_start, 0.1, first_step(fastest[k]))
         next_h[:] = step / 4
-        state = loop.State.at_start(task, z, w, modes[k, 0], step, 1.0, 0.0)
+        state = loop.State.at_start(task, z, w, modes[k, 0], step, 1.0, 0.0, 0.0)
         state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         numbers = np.zeros((STAGES + 1, STAGES))
         numbers[STAGES, STEP_H + 1 :] = atol, rtol, boost, 0.0
@@ -578,9 +581,15 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             before = own[FORCE0, :n].copy()
             own[Z0, :n], own[BELT, :n] = z, drive.belt_speed
             own[DRAG, :n], own[FORCE0, :n] = _forces(system, drive, z, w)
-            step = first_step(float(np.abs(own[FORCE0, :n] - before).max()))
+            jump = np.abs(own[FORCE0, :n] - before)
+            step = first_step(float(jump.max()))
             state.clock[_STEP] = min(state.clock[_STEP], step)
             next_h[:] = np.minimum(next_h, step / 4)
+            if (jump > _JUMP * own[FRICTION, :n]).any():
+                # the time in which blocks settle, or leave, within the layer
+                state.clock[_JUMPED] = 1.0
+                is_in = np.abs(own[U0, :n]) * own[STEEP, :n] < own[REACH, :n]
+                np.minimum(next_h, 1.0 / np.maximum(own[FRICTION, :n] * own[STEEP, :n], 1.0), out=next_h, where=is_in)
 
         return loop.complete(
             task,

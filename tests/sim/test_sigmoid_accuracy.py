@@ -12,8 +12,9 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from stickslip.sim import Rational, Stribeck, System, draw_system, simulate
+from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, simulate
 from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
@@ -118,6 +119,27 @@ def test_a_layer_passed_at_speed_is_seen(case):
     found = multiples(system, *start, times, (tol, 1e-2 * tol), np.random.default_rng(0))
     print(found)
     assert max(samples for _, samples in found) < 8
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-8])
+def test_a_block_that_its_belt_tears_off_leaves_in_time(tol, rng):
+    """F jumps beyond friction by m v', and one step may pass the layer: w was off by up to 230 tolerances."""
+    for _ in range(8):
+        friction, stiffness = rng.uniform(0.5, 1.5), 10 ** rng.uniform(-1, 1)
+        delta, held, over = tol**0.85 * 10 ** rng.uniform(0.3, 2), rng.uniform(0.0, 0.8), rng.uniform(1.02, 1.5)
+        gain = (over - held) * friction
+        system = System([[stiffness]], 0.0, friction, Piecewise([1.0, 2.0], [0.0, gain]))
+
+        def rates(t, x, k=stiffness, mu=friction, gain=gain, delta=delta):
+            return [x[1], -k * x[0] - mu * np.tanh((x[1] - gain * max(t - 1.0, 0.0)) / delta)]
+
+        expected = [held * friction / stiffness, 0.0]
+        run = simulate(system, *expected, 1.3, engine="sigmoid", eps=delta, stick="threshold", rtol=tol, atol=tol)
+        for span in ((0.0, 1.0), (1.0, 1.3)):
+            expected = solve_ivp(rates, span, expected, method="Radau", rtol=1e-11, atol=1e-13).y[:, -1]
+        error = np.abs([run.z[0], run.w[0]] - expected).max() / (tol * (1.0 + np.abs(expected).max()))
+        print(system, delta, error)
+        assert error < 0.5 * BOUND
 
 
 @pytest.mark.parametrize("tol", [1e-7, 1e-8])
