@@ -8,7 +8,6 @@ from concurrent.futures import Future
 
 import pytest
 
-from stickslip import sim
 from stickslip.pipeline import ScheduleError, design, estimate
 from stickslip.workflows.progress import in_words
 
@@ -29,14 +28,14 @@ def batches(scene, monkeypatch):
 
 
 def test_a_pilot_that_fails_gives_a_reason_and_no_interval(scene, batches, monkeypatch):
-    simulate = sim.simulate
+    task = design.Member.task
 
-    def fragile(system, *args, **settings):
-        if system.n == 5 and settings["engine"] == "coulomb":
+    def fragile(member, *args):
+        if member.n == 5 and member.engine == "coulomb":
             raise MemoryError("no room for K")
-        return simulate(system, *args, **settings)
+        return task(member, *args)
 
-    monkeypatch.setattr("stickslip.sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
     found = estimate.estimate(scene, batches, 2)
     assert found.amounts is None
     assert list(found.failures) == ["MemoryError: no room for K"]

@@ -93,7 +93,7 @@ def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, 
     del memory["/bucket/out/manifest.json"]
     with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
         status(OUT)
-    monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # nothing is computed
     run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
@@ -103,7 +103,7 @@ def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, co
     fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
     assert content(tmp_path) == content(finished)
     (tmp_path / "manifest.json").unlink()
-    monkeypatch.setattr("stickslip.sim.simulate", None)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
     assert run_ensemble(scene, tmp_path, workers=0).is_complete
 
 

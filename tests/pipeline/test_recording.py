@@ -119,7 +119,7 @@ def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
     """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
     worker._states.cache_clear()
     task, made = Member.task, []
-    monkeypatch.setattr(Member, "task", lambda *args: made.append(args) or task(*args))
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", lambda *args: made.append(args) or task(*args))
     for member in expand(scene):
         worker.row(member, Recording.of(scene))
     assert len(made) == scene.n_members + 2 * 3

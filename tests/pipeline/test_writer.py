@@ -16,10 +16,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stickslip import pipeline, sim
+from stickslip import pipeline
 from stickslip.pipeline import (
     Progress,
     StoreError,
+    design,
     expand,
     object_store,
     parse_scene,
@@ -109,14 +110,14 @@ def test_scene_is_kept_byte_for_byte(finished, source):
 def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
     scene, source, tmp_path, finished, monkeypatch
 ):
-    simulate = sim.simulate
+    task = design.Member.task
 
-    def fragile(system, *args, **settings):
-        if system.n == 5 and settings["engine"] == "coulomb":
+    def fragile(member, *args):
+        if member.n == 5 and member.engine == "coulomb":
             raise ZeroDivisionError("one\n  two")
-        return simulate(system, *args, **settings)
+        return task(member, *args)
 
-    monkeypatch.setattr("stickslip.sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
     result = run_ensemble(scene, tmp_path / "out", workers=0)
     assert result.is_complete
     assert result.outcomes["failed"] == 9
@@ -341,7 +342,7 @@ def test_the_key_that_was_changed_comes_before_what_follows_from_it(copy, source
 
 
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):
-    monkeypatch.setattr("stickslip.sim.simulate", None)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
     changed = source.replace(b'title = "small"', b'title = "new"').replace(b"t_burn = 1.0", b"t_burn = 2.0")
     assert run_ensemble(parse_scene(changed), copy, workers=0).is_complete
     assert (copy / "scene.toml").read_bytes() == changed
@@ -411,7 +412,7 @@ def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
     with pytest.raises(StoreError):  # of another scene, it is left alone
         run_ensemble(other, copy, workers=0)
     assert listing(copy) == before
-    monkeypatch.setattr("stickslip.sim.simulate", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # nothing is computed
     run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert verify(copy) == []
@@ -432,7 +433,7 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
 @pytest.mark.parametrize("where", ["{tmp_path}/out", "memory://bucket/written"])
 def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, tmp_path, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 1e-9)  # a member each
-    monkeypatch.setattr("stickslip.sim.simulate", None)  # a row that says so
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # a row that says so
     written = []
 
     def counting(function, position):
@@ -546,15 +547,15 @@ def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_p
 def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     scene, source, tmp_path, finished, content, monkeypatch
 ):
-    simulate, calls = sim.simulate, []
+    task, calls = design.Member.task, []
 
-    def fragile(system, *args, **settings):
-        calls.append(system.n)
-        if system.n == 5 and settings["engine"] == "coulomb":
+    def fragile(member, *args):
+        calls.append(member)
+        if member.n == 5 and member.engine == "coulomb":
             raise ZeroDivisionError
-        return simulate(system, *args, **settings)
+        return task(member, *args)
 
-    monkeypatch.setattr("stickslip.sim.simulate", fragile)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
     out = tmp_path / "out"
     run_ensemble(scene, out, workers=0)
     failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
@@ -566,7 +567,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     calls.clear()
     run_ensemble(scene, out, workers=0)
     assert calls == []  # a failed member is done
-    monkeypatch.setattr("stickslip.sim.simulate", simulate)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", task)
     touched = {file: file.stat().st_mtime_ns for file in shards(out)}
     with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
     seen: list[Progress] = []

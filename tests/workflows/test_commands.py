@@ -572,7 +572,7 @@ def test_one_member_is_run_and_nothing_written(dataset, small_scene, tmp_path, m
     shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.strip().split("\n"))
     assert (shown["member_id"], shown["outcome"], int(shown["n_events"])) == tuple(row)
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("stickslip.sim.simulate", None)
+    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
     assert main(["run", str(small_scene), "--only", row.member_id]) == 1
     assert "reason             TypeError: 'NoneType' object is not callable" in capsys.readouterr().out
     assert main(["run", str(small_scene), "--only", "n7"]) == 2
