@@ -117,7 +117,7 @@ def follow(system, z0, w0, t_end):
     y = np.concatenate([z, w])
     while True:
         found = solve_ivp(
-            rate, (t, t_end), y, "DOP853", rtol=1e-12, atol=1e-13, events=[watch(i) for i in range(n)], max_step=0.05
+            rate, (t, t_end), y, "DOP853", rtol=1e-12, atol=1e-13, events=[watch(i) for i in range(n)], max_step=0.02
         )
         t, y = found.t[-1], found.y[:, -1].copy()
         if found.status == 0:
