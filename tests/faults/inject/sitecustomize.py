@@ -35,12 +35,12 @@ if _plan and not _is_helper:
     from stickslip.pipeline import design
 
     design.TARGET_COST = _plan["target_cost"]
-    _simulate = design.Member.simulate
+    _task = design.Member.task
 
-    def _faulty(self: design.Member, t_eval: object = ()) -> object:
+    def _faulty(self: design.Member, *arguments: object) -> object:
         time.sleep(_plan.get("sleep", 0.0))
         if self.member_id in _plan.get("victims", {}):
             _die(_plan["victims"][self.member_id])
-        return _simulate(self, t_eval)
+        return _task(self, *arguments)
 
-    design.Member.simulate = _faulty
+    design.Member.task = _faulty
