@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -706,8 +707,11 @@ def _table(
 def _matrices(systems: Sequence[System]) -> list[tuple[Any, Any, bool]]:
     """K and N as `_times` takes them, and whether there is an N."""
     if len(systems) == 1:
-        stiffness, cross = systems[0].stiffness, systems[0].cross_damping
-        return [(_matrix(stiffness), _NONE if cross is None else _matrix(cross), cross is not None)]
+        system, cross = systems[0], systems[0].cross_damping
+        if system not in _MATRICES:
+            kept = _matrix(system.stiffness), _NONE if cross is None else _matrix(cross), cross is not None
+            _MATRICES[system] = kept
+        return [_MATRICES[system]]
     dense, single, *no_rows = _matrix(np.array([one.stiffness for one in systems]))
     return [((dense[k], single[k], *no_rows), _NONE, False) for k in range(len(systems))]
 
@@ -724,3 +728,5 @@ def _matrix(matrix: Any) -> tuple[NDArray[Any], ...]:
 
 
 _NONE = _matrix(np.empty((0, 0)))
+#: Of systems that are run by themselves, as large ones are, from many starts: panels take as long as 30 products.
+_MATRICES: WeakKeyDictionary[System, tuple[Any, Any, bool]] = WeakKeyDictionary()
