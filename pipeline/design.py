@@ -179,8 +179,9 @@ class Member:
 
     def task(self, system: sim.System, t_eval: ArrayLike = ()) -> tuple[Engine, contract.Task]:
         """What is run of its system, and by what: members with the same settings have one engine."""
-        engine = _engine(self.engine, self.settings)
-        if self.ratio_draw is not None:
+        if self.ratio_draw is None:
+            engine = _engine(self.engine, self.settings)
+        else:
             engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
         return engine, as_task(engine, system, *self.start(), t_end=self.t_end, t_eval=t_eval)
 
@@ -214,8 +215,8 @@ _values_of_system = attrgetter(*_OF_A_SYSTEM)
 
 @lru_cache(maxsize=8)
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
-    """An engine with a member's settings, but for ratios, which are one."""
-    return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
+    """An engine with a member's settings, whose ratios, if it has such, are one."""
+    return as_engine(name, dict(settings) | ({"ratio": 1.0} if "ratio" in dict(settings) else {}))
 
 
 #: The last system that each function made, behind what it depends on.

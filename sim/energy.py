@@ -101,7 +101,8 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     edges, stored, powers = _edges(system, series), [], []
     modes = _modes(series, edges)
     longest, at_a_time = (max(room // ((_NODES + 1) * system.n), 1) for room in (_ROOM, _AT_A_TIME))
-    symmetric = (system.stiffness + system.stiffness.T) / 2
+    transposed = system.stiffness.T
+    symmetric, skew = (system.stiffness + transposed) / 2, (system.stiffness - transposed) / 2
     for first in range(0, max(len(edges) - 1, 1), longest):
         part = edges[first : first + longest + 1]
         again = simulate(system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(part), **settings)
@@ -118,13 +119,13 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         )
         for k in range(0, max(len(part) - 1, 1), at_a_time):
             m = min(at_a_time, len(part) - 1 - k)
-            powers.append(_powers(system, modes[first + k : first + k + m], again.samples, k * (_NODES + 1)))
+            powers.append(_powers(system, skew, modes[first + k : first + k + m], again.samples, k * (_NODES + 1)))
     lengths = np.diff(edges)[:, None] * _GAUSS[1]
     flows = (np.append(0.0, np.cumsum((power * lengths).sum(axis=1))) for power in np.concatenate(powers, axis=1))
     return Energy(edges, *np.concatenate(stored, axis=1), *flows)
 
 
-def _powers(system: System, mode: NDArray[np.int8], samples: Samples, first: int) -> Floats:
+def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples, first: int) -> Floats:
     """What the five flows of `Energy` do a unit of time, at the nodes of segments from a sample on, (5, m, nodes)."""
     shape = len(mode), _NODES + 1, system.n
     its = slice(first, first + shape[0] * shape[1])
@@ -138,7 +139,6 @@ def _powers(system: System, mode: NDArray[np.int8], samples: Samples, first: int
 
     holding = system.damping * v + times_matrix(system.stiffness, z) - pull + system.mass * gain
     force = np.where(mode == 0, holding, -system.kinetic(w - v) * mode)
-    skew = (system.stiffness - system.stiffness.T) / 2
     return np.array(
         [
             (force * v).sum(axis=2),
