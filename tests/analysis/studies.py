@@ -32,6 +32,7 @@ from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations
+from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95
 MATRICES = 20
@@ -50,13 +51,12 @@ class Row:
     ensembles: int
 
     def is_covered(self, low=0.93, high=0.97):
-        """Whether the share lies within bounds, give or take four standard errors of it."""
-        slack = 4 * np.sqrt(0.05 * 0.95 / self.ensembles)
-        return low - slack <= self.coverage <= high + slack
+        """Whether the share lies within bounds, but for chance."""
+        return agrees(round(self.coverage * self.ensembles), self.ensembles, low, high)
 
     def is_unbiased(self, share=0.1):
-        """Whether the bias is less than a share of the scatter, give or take four standard errors."""
-        return abs(self.bias) <= (share + 4 / np.sqrt(self.ensembles)) * self.scatter
+        """Whether the bias is less than a share of the scatter, but for chance."""
+        return abs(self.bias) <= (share + ERRORS / np.sqrt(self.ensembles)) * self.scatter
 
 
 def judged(study, planted, answer, estimates: list[Estimate], log=False):
@@ -90,6 +90,13 @@ def of_rates(rng, rates):
     return rng.geometric(1 - np.exp(-rates))
 
 
+def spread_rates(rng, n_matrices, spread):
+    """Rates of matrices that differ by some `spread`; the mean of their mean sizes is that of the rate GAMMA."""
+    mean = -1 / np.expm1(-GAMMA)
+    means = mean + spread * mean * (mean - 1) * rng.standard_normal((n_matrices, 1))  # d mean / d rate
+    return np.repeat(-np.log1p(-1 / means), N_CASCADES, axis=1)
+
+
 def counted(sizes, k_max=200, k_min=1):
     """Sizes k_min..k_max and numbers by matrix, as the estimators take them."""
     histograms = np.array([np.bincount(row, minlength=k_max + 1) for row in sizes])
@@ -102,7 +109,7 @@ TRUE = {
     "serial as observed": lambda rng, g: dependent_sizes(rng, g, serial=-0.03),
     "serial 0.3": lambda rng, g: dependent_sizes(rng, g, serial=0.3),
     "spread 0.03": lambda rng, g: dependent_sizes(rng, g, serial=-0.03, spread=0.048),
-    "gammas spread by 0.03": lambda rng, g: of_rates(rng, np.repeat(rng.normal(GAMMA, 0.03, (g, 1)), N_CASCADES, 1)),
+    "gammas spread by 0.03": lambda rng, g: of_rates(rng, spread_rates(rng, g, 0.03)),
 }
 #: Ensembles for which it does not.
 FALSE = {

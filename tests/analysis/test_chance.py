@@ -8,6 +8,7 @@ from stickslip.analysis import Law, over_matrices, sizes, window
 from stickslip.analysis.stats.cascades import Window, laws
 from stickslip.analysis.stats.estimates import LN2, gamma
 from stickslip.analysis.stats.nulls import BlockSteps, block_steps, rotated, rotations
+from tests.chance import SURE, agrees
 
 EVENTS = Law("events")
 
@@ -23,7 +24,7 @@ def poisson_window(exits, entries, t_stop, rng):
 
 def test_the_toss_of_a_coin_gives_ln_2(rng):
     runs = [sizes(poisson_window(1.0, 1.0, 2_000.0, rng), EVENTS) for _ in range(30)]
-    found = over_matrices(gamma, np.array([[one.sum(), len(one)] for one in runs], dtype=float), 0.9999)
+    found = over_matrices(gamma, np.array([[one.sum(), len(one)] for one in runs], dtype=float), SURE)
     assert found.low < LN2 < found.high
 
 
@@ -43,8 +44,7 @@ def test_fair_series_are_rarely_called_different_from_chance(planted):
         assert against.low is not None
         assert against.high is not None
         alarms += not against.low <= LN2 <= against.high
-    # 5% of 400 with a standard deviation of 1.1 points: three of them.
-    assert 0.017 <= alarms / n_ensembles <= 0.083
+    assert agrees(alarms, n_ensembles, 0.05)
 
 
 # Blocks 0 sticks at first, 1 and 2 slip. Exits: 0 at 1 and 7; entries: 1 at 2, 0 at 3; crossing: 2 at 4.
@@ -124,5 +124,5 @@ def test_rotation_of_many_slow_blocks_is_what_independence_gives(dt, rng):
     expected = {"length": -np.log(p_fall), "drop": -np.log1p(-(1 - p_fall) / mean_fall), "decreases": LN2,
                 "descent": -np.log1p(-0.5 / mean_fall)}  # fmt: skip
     for law, rate in ((EVENTS, LN2), *((Law(name, dt), rate) for name, rate in expected.items())):
-        found = over_matrices(gamma, np.array([one[law] for one in draws]), 0.9999)
+        found = over_matrices(gamma, np.array([one[law] for one in draws]), SURE)
         assert found.low - 0.005 < rate < found.high + 0.005, law

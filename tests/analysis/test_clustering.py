@@ -137,9 +137,9 @@ def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
     part, n_exits = Part(PAIRS, 0.2), float(np.mean([np.sum(steps.step < 0) for steps in runs]))
     rows = np.array([measure(steps, [part]) for steps in runs])
     measured = clustering._Measured(SimpleNamespace(label=""), [part], [], rows, n_exits, gap=1.0)
-    close = clustering._closest(clustering._rows(measured, 0.9999), measured)
+    close = clustering._closest(clustering._rows(measured, 0.99999), measured)
     assert 0.0865 < close["share"] < 0.25
-    assert clustering._closest(clustering._rows(measured, 0.9999), dataclasses.replace(measured, gap=2.0)) is None
+    assert clustering._closest(clustering._rows(measured, 0.99999), dataclasses.replace(measured, gap=2.0)) is None
 
 
 def test_without_events_it_says_what_to_record(planted, rng):

@@ -105,7 +105,9 @@ def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, setting
 @pytest.mark.parametrize("spread", [0.0, 2.0])
 def test_the_page_says_it(rng, planted, settings, spread):
     data = ensemble(rng, planted, to_and_fro if spread else lambda own: own, spread=spread)
+    moves = asked(data, settings)[1].loc["mean", "verdict"] == MOVES
+    assert moves or not spread  # matrices that are alike may be said to move, in one draw of two hundred
     report = build(data, replace(settings, question=("robustness", "sensitivity")), "T", "", {})
     assert "Does a changed system keep its statistics?" in report.html
-    assert ("Mean n<sub>stick</sub> moves" in report.html) == (spread > 0)
+    assert ("Mean n<sub>stick</sub> moves" in report.html) == moves
     assert set(report.figures) >= {"robustness", "parting"}
