@@ -310,9 +310,11 @@ class System:
         """
         if not all(term.is_constant for term in self.force):
             raise ValueError("force: expected a constant one, under which blocks may rest, got one that changes")
-        force = -self.friction * per_block("slip", slip, self.n)
-        if self.force:
-            force += self.force_at(0.0)
+        return self.rest_under(-self.friction * per_block("slip", slip, self.n))
+
+    def rest_under(self, friction: Floats) -> Floats:
+        """As `rest_state`, from the forces of friction, shape (n,), where those from outside are constant."""
+        force = friction + self.force_at(0.0) if self.force else friction
         if isinstance(self.stiffness, np.ndarray):
             return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
         from scipy.sparse.linalg import splu  # with csgraph it takes a tenth of a second to load

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -41,7 +42,7 @@ _CERTAIN = 1.01
 _MODE_ROUNDING = 16 * np.finfo(np.float64).eps
 
 #: Shares of the belt's speed that are tried as a bound of |w|.
-_SHARES = np.geomspace(1.0, 1e-6, 256)[:, None]
+_SHARES = np.geomspace(1.0, 1e-6, 256)
 
 #: Where tanh'' is largest: 1 / cosh^2 is concave below.
 _INFLECTION = 0.66
@@ -127,21 +128,15 @@ class Certificate:
     ask_again_after: float = _NEVER
 
 
-@dataclass(frozen=True)
 class _Modes:
     """The all-slip system A T = T Lambda.
 
-    `rounding` is what each Lambda_j may err by. It and T^-1 are infinite if A is defective, or too nearly so.
+    `rounding` is what each Lambda_j may err by. It and T^-1 are infinite if A is defective, or too nearly so. `sizes`
+    and `inverse_sizes` are |T_ij| and |T^-1_ij|, `growth` max Re Lambda, and `decay` says whether all modes decay,
+    beyond rounding, and can be told apart.
     """
 
-    eigenvalues: NDArray[np.complex128]
-    vectors: NDArray[np.complex128]
-    inverse: NDArray[np.complex128]
-    rounding: Floats
-
-    @classmethod
-    def of(cls, matrix: Floats) -> _Modes:
-        """The modes of A."""
+    def __init__(self, matrix: Floats) -> None:
         eigenvalues, vectors = np.linalg.eig(matrix)
         eigenvalues, vectors = eigenvalues.astype(np.complex128), vectors.astype(np.complex128)
         try:
@@ -151,29 +146,19 @@ class _Modes:
         sizes = np.abs(inverse)
         if not sizes.max() < _DEFECTIVE:  # no certificate by these bounds
             inverse, sizes = np.full_like(vectors, np.inf), np.full_like(matrix, np.inf)
-        rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * np.sqrt((sizes * sizes).sum(axis=1))
-        return cls(eigenvalues, vectors, inverse, rounding)
+        self.eigenvalues: NDArray[np.complex128] = eigenvalues
+        self.vectors: NDArray[np.complex128] = vectors
+        self.inverse: NDArray[np.complex128] = inverse
+        self.sizes, self.inverse_sizes = np.abs(self.vectors), sizes
+        lengths = np.sqrt((sizes * sizes).sum(axis=1))
+        self.rounding = _EIGENVALUE_ROUNDING * np.linalg.norm(matrix) * lengths
+        self.growth = float(self.eigenvalues.real.max())
+        self.decay = bool((self.eigenvalues.real < -self.rounding).all())
 
-    @cached_property
-    def sizes(self) -> Floats:
-        """|T_ij|."""
-        return np.abs(self.vectors)
-
-    @cached_property
     def response(self) -> Floats:
         """Bounds the |z_i|, |w_i| that unit forces cause: sum_j |T_ij| |T^-1_{j, n+k}| / |Re Lambda_j|, (2n, n)."""
         n = len(self.eigenvalues) // 2
-        return np.asarray((self.sizes / np.abs(self.eigenvalues.real)) @ np.abs(self.inverse[:, n:]))
-
-    @cached_property
-    def growth(self) -> float:
-        """max Re Lambda."""
-        return float(self.eigenvalues.real.max())
-
-    @cached_property
-    def decay(self) -> bool:
-        """Whether all modes decay, beyond rounding, and can be told apart."""
-        return bool((self.eigenvalues.real < -self.rounding).all())
+        return np.asarray((self.sizes / np.abs(self.eigenvalues.real)) @ self.inverse_sizes[:, n:])
 
 
 _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
@@ -182,13 +167,71 @@ _MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
 def _modes(system: System) -> _Modes:
     modes = _MODES.get(system)
     if modes is None:
-        modes = _MODES[system] = _Modes.of(system.slip_matrix())
+        modes = _MODES[system] = _Modes(system.slip_matrix())
     return modes
 
 
 def _rise(x: Floats) -> Floats:
     """sech^2 x, the slope of tanh."""
     return np.asarray(1.0 / np.cosh(np.minimum(x, 300.0)) ** 2)
+
+
+class Smoothed:
+    """The smoothed law under a belt, from which a collapse takes the same in all runs that have both.
+
+    Parameters
+    ----------
+    speed : float
+        |v| of the belt.
+    delta : ndarray, shape (n,)
+        Widths of the law.
+    hidden : ndarray, shape (n,), optional
+        c of the law s(tanh x) with s = l + c l (1 - l^2); None for tanh x.
+    band, widest : float
+        Largest half-width of the layer around v in which a block sticks, by the run's own definition, and by any
+        whose events are wanted.
+
+    Attributes
+    ----------
+    is_one : bool
+        Whether all blocks have one law. `at_rest` and `slope`, the law at rest and its slope there, both over mu,
+        then have shape (1,), else (n,).
+    """
+
+    def __init__(
+        self, speed: float, delta: Floats, hidden: Floats | None = None, band: float = 0.0, widest: float = 0.0
+    ) -> None:
+        c = np.zeros_like(delta) if hidden is None else hidden
+        self.is_one = bool((delta == delta[0]).all() and (c == c[0]).all())
+        if self.is_one:
+            delta, c = delta[:1], c[:1]
+        self.speed, self.band, self.widest, self._delta, self._hidden = speed, band, max(band, widest), delta, c
+        lam, self._rise = np.tanh(speed / delta), _rise(speed / delta)
+        self.at_rest = lam + c * lam * self._rise
+        self.slope = self._rise * (1.0 + c * (3.0 * self._rise - 2.0)) / delta
+
+    @cached_property
+    def bends(self) -> list[tuple[Floats, Floats]]:
+        """Bounds r of |w|, shape (m,), below `band`, and below `widest`, with rho(r) / mu by rows of all bounds."""
+        delta, c = self._delta[:, np.newaxis], self._hidden[:, np.newaxis]
+        rise, steepness = self._rise[:, np.newaxis], np.abs(1.0 - 2.0 * c)
+        slope = (steepness * rise + 3.0 * c * rise**2) / delta
+
+        def concave(u: Floats | float) -> Floats:
+            lam = np.tanh(u / delta)
+            return steepness * lam + c * (3.0 * lam - lam * lam * lam) if c.any() else lam
+
+        at_rest = concave(self.speed)
+
+        def bend(band: float) -> tuple[Floats, Floats]:
+            r = (self.speed - band) * _SHARES
+            bend = np.abs(at_rest - concave(self.speed - r) - slope * r)
+            if (band < _INFLECTION * delta).any():  # then it may stray more on the other side
+                bend = np.maximum(bend, np.abs(concave(self.speed + r) - at_rest - slope * r))
+            return r, bend
+
+        own = bend(self.band)
+        return [own, own if self.widest == self.band else bend(self.widest)]
 
 
 class Collapse:
@@ -216,40 +259,25 @@ class Collapse:
     system : System
     allowed : float
         What the motion that is followed may err by.
-    band, widest : float
-        Largest half-width of the layer around v in which a block sticks (0 for the Coulomb law), by the run's own
-        definition, and by any whose events are wanted.
-    delta : ndarray, shape (n,), optional
-        Widths of the smoothed law; None for the Coulomb law.
-    hidden : ndarray, shape (n,), optional
-        c of the smoothed law s(tanh x) with s = l + c l (1 - l^2); None for tanh x.
+    law : Smoothed, optional
+        None for the Coulomb law.
     """
 
-    def __init__(
-        self,
-        system: System,
-        allowed: float,
-        band: float = 0.0,
-        widest: float = 0.0,
-        delta: Floats | None = None,
-        hidden: Floats | None = None,
-    ) -> None:
-        self._system, self._allowed, self._delta = system, allowed, delta
-        self._hidden = np.zeros(system.n) if hidden is None else hidden
-        self._band, self._widest = band, max(band, widest)
+    def __init__(self, system: System, allowed: float, law: Smoothed | None = None) -> None:
+        self._system, self._allowed, self._law = system, allowed, law
         # else what slips is not linear, or w = 0, the rest, is across the belt or in the layer
         may = system.has_one_belt and system.weakening is None and system.n <= _EIGENVALUES_MAX
-        may = may and band < abs(system.belt_speed)
+        may = may and (0.0 if law is None else law.band) < abs(system.belt_speed)
         #: What kernels need to see for themselves that it is too early to ask, or of no use.
         self.watch = Watch.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0)
 
     def certify(self, z: Floats, w: Floats) -> Certificate:
         """Whether it is certain of a state, shape (n,) each, in which all blocks slip the way `watch.slip`."""
-        system, modes = self._system, self._modes
+        n, modes = self._system.n, self._modes
         if not modes.decay or (rest := self._rest) is None:
             return Certificate(False)
         coefficients = modes.inverse @ np.concatenate((z - rest, w))
-        reach = float((modes.sizes[system.n :] @ np.abs(coefficients)).max())
+        reach = float((modes.sizes[n:] @ np.abs(coefficients)).max())
         limit, limit_of_flow = self._limits
         reason = ""
         if reach < limit:
@@ -259,76 +287,53 @@ class Collapse:
         flow = None
         if reach < limit_of_flow:
             at_rest = np.concatenate((np.abs(z) + np.abs(rest), np.abs(w)))
-            rounding = (modes.sizes @ (np.abs(modes.inverse) @ at_rest)).max() * _MODE_ROUNDING
+            rounding = (modes.sizes @ (modes.inverse_sizes @ at_rest)).max() * _MODE_ROUNDING
             if rounding <= self._allowed:
                 flow = Flow(rest, modes.vectors, modes.eigenvalues, coefficients)
         wanted = limit_of_flow if reach < limit else limit
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            sizes = modes.sizes[system.n :]
-            self.watch = Watch.of(modes.inverse, sizes, rest, self.watch.slip, limit, modes.growth)
+            self.watch = Watch.of(modes.inverse, modes.sizes[n:], rest, self.watch.slip, limit, modes.growth)
         # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
-        return Certificate(bool(reason), reason, None, 0.25 * float(np.log(reach / wanted)) / -modes.growth)
+        return Certificate(bool(reason), reason, None, 0.25 * math.log(reach / wanted) / -modes.growth)
 
     @cached_property
     def _modes(self) -> _Modes:
         """Of the law far from the belt's speed."""
-        if self._delta is None:
+        if self._law is None:
             return _modes(self._system)
-        return _Modes.of(self._system.slip_matrix(self._system.friction * self._tangent[1]))
-
-    @cached_property
-    def _tangent(self) -> tuple[Floats, Floats]:
-        """The law of friction at rest, and its slope, both over mu."""
-        if self._delta is None:
-            return np.ones(self._system.n), np.zeros(self._system.n)
-        far = abs(self._system.belt_speed) / self._delta
-        lam, rise = np.tanh(far), _rise(far)
-        c = self._hidden
-        return lam + c * lam * rise, rise * (1.0 + c * (3.0 * rise - 2.0)) / self._delta
+        return _Modes(self._system.slip_matrix(self._system.friction * self._law.slope))
 
     @cached_property
     def _rest(self) -> Floats | None:
         """Where all blocks rest that slip that way; None if K is singular."""
+        share = np.ones(self._system.n) if self._law is None else self._law.at_rest
         try:
-            return self._system.rest_state(self.watch.slip * self._tangent[0])
+            return self._system.rest_under(-self._system.friction * (self.watch.slip * share))
         except np.linalg.LinAlgError:
             return None
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
         """What every |w_i| must stay below, by modes alone: for the certificate, and for the motion."""
-        speed, delta = abs(self._system.belt_speed), self._delta
-        if delta is None:
+        speed, law, n = abs(self._system.belt_speed), self._law, self._system.n
+        if law is None:
             return speed, speed
-        n, response, c = self._system.n, self._modes.response, self._hidden
-        if (delta == delta[0]).all() and (c == c[0]).all():  # one law for all
-            delta, c = delta[:1], c[:1]
-        rise = _rise(speed / delta)
-        steepness = np.abs(1.0 - 2.0 * c)
-        slope = (steepness * rise + 3.0 * c * rise**2) / delta
+        response = self._modes.response() * self._system.friction
+        if law.is_one:
+            response = response.sum(axis=1, keepdims=True)
 
-        def concave(u: Floats | float) -> Floats:
-            lam = np.tanh(u / delta)
-            return steepness * lam + c * (3.0 * lam - lam * lam * lam) if c.any() else lam
-
-        at_rest = concave(speed)
-
-        def tried(band: float) -> tuple[Floats, Floats]:
+        def tried(r: Floats, bend: Floats) -> tuple[Floats, Floats]:
             """How far the modes may reach, and how far the motion then strays from theirs, by each bound r."""
-            r = (speed - band) * _SHARES
-            bend = np.abs(at_rest - concave(speed - r) - slope * r)
-            if (band < _INFLECTION * delta).any():  # then it may stray more on the other side
-                bend = np.maximum(bend, np.abs(concave(speed + r) - at_rest - slope * r))
-            # by rows of all bounds: maxima along short rows are slow
-            strayed = np.ascontiguousarray((self._system.friction * bend @ response.T).T)
+            strayed = response @ bend
             of_w = strayed[n:].max(axis=0)
-            return r[:, 0] - of_w, np.maximum(of_w, strayed[:n].max(axis=0))
+            return r - of_w, np.maximum(of_w, strayed[:n].max(axis=0))
 
-        own, strayed = tried(self._band)
+        of_own, of_widest = law.bends
+        own, strayed = tried(*of_own)
         limit = float(own.max(initial=0.0))
-        if self._widest >= speed:
+        if law.widest >= speed:
             return limit, 0.0
-        wide, strayed = (own, strayed) if self._widest == self._band else tried(self._widest)
+        wide, strayed = (own, strayed) if of_widest is of_own else tried(*of_widest)
         return limit, float(np.where(strayed <= self._allowed, wide, 0.0).max(initial=0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -555,6 +555,10 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     def first_step(speed: float) -> float:
         return (atol**0.2) * 0.3 / speed if speed > 0 else np.inf
 
+    @cache
+    def smoothed(speed: float, widest: float) -> certificates.Smoothed:
+        return certificates.Smoothed(speed, delta, hidden, band.max(), widest)
+
     def run(k: int) -> Run:
         task, system, drive, own = tasks[k], systems[k], drives[k], table[k]
         z, w, next_h = task.z0.copy(), task.w0.copy(), np.empty(n)
@@ -574,7 +578,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
             tuple(state.samples),
         )  # fmt: skip
-        collapse = certificates.Collapse(system, allowed[k], band.max(), bands[k].max(), delta, hidden)
+        collapse = certificates.Collapse(system, allowed[k], smoothed(system.fastest_belt, bands[k].max()))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
 
         def go_on() -> None:

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.certificates import Collapse, Smoothed
 
 START = (-0.7, -0.4)
 
@@ -73,7 +73,7 @@ def test_collapse_under_the_smoothed_law_is_certain_where_the_bound_says(share, 
     r = np.linspace(0.0, speed, 100_001)
     limit = (r - 2 / q * mu * (np.tanh(speed / delta) - np.tanh((speed - r) / delta) - r * slope)).max()
     z = -mu * np.tanh(speed / delta) + share * limit * q / 2
-    certificate = Collapse(system, 0.0, delta=np.array([delta])).certify(np.array([z]), np.zeros(1))
+    certificate = Collapse(system, 0.0, Smoothed(speed, np.array([delta]))).certify(np.array([z]), np.zeros(1))
     assert certificate.is_certain == (share < 1)
     assert certificate.flow is None  # that strays from the tangent by more than nothing
 

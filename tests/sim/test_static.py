@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.certificates import Collapse, Smoothed
 from stickslip.sim.theory import blowup, folds, slow_time, strata
 from stickslip.sim.theory.laws import Coulomb, hidden_term, turning_point
 from tests.fuzz.draw import draw
@@ -159,7 +159,7 @@ def test_what_the_law_strays_from_its_tangent_is_bounded(ratio):
     moves = np.linspace(-1, 1, 401)[:, None] * r
     strays = np.abs(law(speed - moves) - law(speed) + slope * moves).max(axis=0)
     limit = (r - 2 / q * mu * strays).max()
-    collapse = Collapse(system, 0.0, delta=np.array([delta]), hidden=np.array([c]))
+    collapse = Collapse(system, 0.0, Smoothed(speed, np.array([delta]), np.array([c])))
     z = -mu * law(speed)
 
     def is_certain(share):
