@@ -28,6 +28,12 @@ def is_running(pid: int) -> bool:
         return False
 
 
+def seconds_of(pid: int) -> float:
+    """Time of a processor that a process has had: it goes slower on a busy machine, as the process does."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @contextlib.contextmanager
 def dask_by_hand(directory: Path, *worker: str, **variables: str) -> Iterator[tuple[str, list[subprocess.Popen]]]:
     """A scheduler and a worker, started as the guide says: the address, and the two processes."""

@@ -59,8 +59,8 @@ def test_nothing_listens_but_on_the_loopback_and_no_web_server_unless_asked_for(
 def test_who_has_not_the_certificate_of_the_run_is_not_answered():
     async def ask(address, security):
         connection = security.get_connection_args("client")
-        async with rpc(address, timeout=5, connection_args=connection) as server:
-            return await asyncio.wait_for(server.identity(), 5)
+        async with rpc(address, timeout=60, connection_args=connection) as server:
+            return await asyncio.wait_for(server.identity(), 60)
 
     before = listening([os.getpid()])
     with cluster.local(1) as client:

@@ -182,10 +182,14 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
 ):
     monkeypatch.setattr(object_store, "LEASE", 0.2)
 
+    def taken_over():
+        leave_lock(60.0, "process 77 on elsewhere")
+        time.sleep(0.25)
+        return memory["/bucket/out/.lock"].getvalue().startswith(b"process 77")  # or a renewal was under way
+
     def stopped_for_a_while(progress):
         if progress.n_shards_done == 2:
-            leave_lock(60.0, "process 77 on elsewhere")
-            time.sleep(0.25)
+            until(taken_over)
 
     with pytest.raises(StoreError, match=r"lost the lock to process 77 on elsewhere.*rerun the scene when"):
         run_ensemble(scene, OUT, workers=0, on_progress=stopped_for_a_while)

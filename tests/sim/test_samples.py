@@ -64,7 +64,7 @@ def test_a_collapsed_run_is_the_one_that_goes_on(settings, n):
     print(f"seed {seed}")
     rng = np.random.default_rng(seed)
     saved = 0
-    for _ in range(5):
+    for _ in range(20):  # of which some save nothing
         system = draw_system("antisymmetric", n, rng.integers(2**32))
         start = rng.normal(size=(2, n))
         run, full = (
@@ -76,7 +76,7 @@ def test_a_collapsed_run_is_the_one_that_goes_on(settings, n):
         assert run.t_collapse < run.t_end == 800.0
         assert full.outcome == "finished"
         assert full.t_collapse is None
-        bound = 1e-9 if settings["engine"] == "coulomb" else 1e-5
+        bound = (1e-9 if settings["engine"] == "coulomb" else 1e-5) * max(1.0, np.abs(full.samples.z).max())
         np.testing.assert_allclose(run.z, full.z, rtol=0, atol=bound)
         np.testing.assert_allclose(run.samples.z, full.samples.z, rtol=0, atol=bound)
         np.testing.assert_allclose(run.samples.w, full.samples.w, rtol=0, atol=bound)

@@ -119,7 +119,7 @@ def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, 
     run_ensemble(parse_scene(source), tmp_path / "reference", workers=0)
     with dask_by_hand(tmp_path, *worker) as (address, _):
         with Client(address, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=30)
+            client.wait_for_workers(1, timeout=120)
         command = ["run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--scheduler", address]
         assert main(command) == 0
     assert len(shards(tmp_path / "out")) > 3

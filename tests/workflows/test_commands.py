@@ -32,6 +32,7 @@ from stickslip.workflows.commands import _COMMANDS, main
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
+from tests.processes import seconds_of, until
 
 
 def test_run_leaves_data_and_a_report(dataset, capsys):
@@ -302,10 +303,9 @@ def test_an_interrupted_query(number, dataset, tmp_path):
         str(tmp_path / "a.csv"),
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while "duckdb" not in Path(f"/proc/{process.pid}/maps").read_text():  # until it asks
-        assert process.poll() is None
-        time.sleep(0.1)
-    time.sleep(1.0)
+    until(lambda: "duckdb" in Path(f"/proc/{process.pid}/maps").read_text())
+    loaded = seconds_of(process.pid)
+    until(lambda: seconds_of(process.pid) > loaded + 1.0)  # it has asked
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (128 + number, "", "\ninterrupted; no answer was written\n")
