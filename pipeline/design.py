@@ -115,6 +115,8 @@ class Member:
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
         """A number as it is; of a distribution its draw, of a file or another run's end its array, shape (n,)."""
+        if isinstance(value, float):
+            return value
         if isinstance(value, Course):
             return sim.Piecewise(value.times, value.values)
         if isinstance(value, Distribution):

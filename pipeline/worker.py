@@ -113,8 +113,11 @@ def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recordin
     }
 
 
+_NO_NUMBER = (Distribution, Course, Named)
+
+
 def _plain(value: Any) -> Any:
-    return None if isinstance(value, Distribution | Course | Named) else value
+    return None if isinstance(value, _NO_NUMBER) else value
 
 
 def row(member: Member, recording: Recording) -> dict[str, Any]:

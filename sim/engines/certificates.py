@@ -52,7 +52,7 @@ _NEVER = float("inf")
 
 def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
     """From where on of |z| or |w| to ask a run from this start for its escape; beyond which |w| it has diverged."""
-    start = max(1.0, system.fastest_belt, float(np.abs(z).max()), float(np.abs(w).max()))
+    start = max(1.0, system.fastest_belt, float(np.abs((z, w)).max()))
     if system.force:
         start = max(start, float(system.most_force.max()))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start

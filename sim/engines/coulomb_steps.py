@@ -106,7 +106,8 @@ class _Search(NamedTuple):
     @classmethod
     def of(cls, mode: NDArray[np.int8]) -> _Search:
         n = len(mode)
-        return cls(mode.copy(), mode.copy(), np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(1))
+        reach, near = np.zeros((2, n))
+        return cls(mode.copy(), mode.copy(), reach, near, np.zeros(ORDER_MAX + 1), np.zeros(1))
 
 
 @inner
@@ -371,18 +372,26 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
-    pairs = Pairs.of([task.system for task in tasks])
-    return [partial(_integrate, task, min(tol, _LOOSEST), own) for task, own in zip(tasks, pairs, strict=True)]
+    tol, systems = min(tol, _LOOSEST), [task.system for task in tasks]
+    # from here on by task and block
+    rates, static, near = (
+        np.array(rows)
+        for rows in zip(*((one.rates, one.static, one.slip_friction[0]) for one in systems), strict=True)
+    )
+    # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
+    is_touch = (rates > 0) & (static == near)
+    shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
+    of_runs = zip(tasks, Pairs.of(systems), rates.max(axis=1).tolist(), shortest, strict=True)
+    return [partial(_integrate, tol, *of_run) for of_run in of_runs]
 
 
-def _integrate(task: Task, tol: float, pairs: Pairs) -> Run:
+def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
+    """Run a task. `rate` bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself."""
     system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
     law, v = Law.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction
-    # bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself
-    rate = float(system.rates.max())
     if law.fall is not None:
         rate += law.fall.steepness * float((near - far).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
@@ -424,14 +433,8 @@ def _integrate(task: Task, tol: float, pairs: Pairs) -> Run:
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other; and
         # what drives a block may turn it round in less time than its own motion takes
-        shortest=np.divide(
-            _TOUCH * math.sqrt(tol),
-            system.rates,
-            out=np.zeros(system.n),
-            where=(system.rates > 0) & (system.static == near) & (law.outside is None),
-        ),
+        shortest=shortest if law.outside is None else np.zeros(system.n),
     )
 
 

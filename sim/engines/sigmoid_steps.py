@@ -549,7 +549,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     # how deep in the layer friction differs from kinetic by what counts
     table[:, REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * hidden) / (boost * atol))
     fastest = np.abs(np.array([w, damping * u + pull, friction])).max(axis=(0, 2)).tolist()
-    matrices = _matrices(systems)
+    matrices, widest = _matrices(systems), bands.max(axis=(1, 2)).tolist()
+    pulls = np.array([one.row_sums for one in systems]).max(axis=1).tolist()
     n_pieces = 16 * n + 256
 
     def first_step(speed: float) -> float:
@@ -557,7 +558,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
 
     @cache
     def smoothed(speed: float, widest: float) -> certificates.Smoothed:
-        return certificates.Smoothed(speed, delta, hidden, band.max(), widest)
+        return certificates.Smoothed(speed, delta, hidden, float(band.max()), widest)
 
     def run(k: int) -> Run:
         task, system, drive, own = tasks[k], systems[k], drives[k], table[k]
@@ -571,14 +572,14 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
         single = np.zeros((2, STAGES, -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT), np.float32)
         pushes = np.zeros((0 if drive.outside is None else STAGES, n))
         arguments = (
-            own, np.zeros((N_ROWS, WIDTH)), numbers, law, matrices[k], ROUGH * float(system.row_sums.max()),
+            own, np.zeros((N_ROWS, WIDTH)), numbers, law, matrices[k], ROUGH * pulls[k],
             (np.zeros((STAGES, own.shape[1])), single[0], single[1]),
             (bands[k], kinetic[k], by_force, modes[k]),
             np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), next_h,
             np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
             tuple(state.samples),
         )  # fmt: skip
-        collapse = certificates.Collapse(system, allowed[k], smoothed(system.fastest_belt, bands[k].max()))
+        collapse = certificates.Collapse(system, allowed[k], smoothed(system.fastest_belt, widest[k]))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
 
         def go_on() -> None:

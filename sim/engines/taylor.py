@@ -72,12 +72,13 @@ class Expansion(NamedTuple):
         """No series yet; blocks of mode 0 are to be decided."""
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
-        series, forces = np.full((ORDER_MAX + 1, n), np.nan), np.full((ORDER_MAX + 1, n), np.nan)
-        zeros, side = np.zeros(n, np.int64), np.zeros(n, np.int64)
-        rows = np.zeros(n), np.zeros(n), np.zeros(ORDER_MAX + 1), np.zeros(2)
+        series, forces = np.full((2, ORDER_MAX + 1, n), np.nan)
+        zeros, side = np.zeros((2, n), np.int64)
+        slips, column, last = np.zeros((3, n))
+        rows = column, last, np.zeros(ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
         shape = np.full((ORDER_MAX + 1, n if falls else 0), np.nan)
-        return cls(series, forces, mode, np.zeros(n), mode == 0, leaves, zeros, side, *rows, shape)
+        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
 
 
 @inner
