@@ -13,7 +13,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from stickslip.pipeline.design import Task
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError
@@ -134,6 +133,8 @@ def rows_that_failed(path: Where, shards: Sequence[str]) -> list[tuple[str, str]
     """Id and reason of each member of some shards that failed, in order."""
     source = dataset(path, shards)
     with reading(path):
+        import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
+
         found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
     return list(zip(*(found[name].to_pylist() for name in ("member_id", "reason")), strict=True))
 

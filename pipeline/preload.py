@@ -2,13 +2,14 @@
 
 from importlib import import_module
 
-import numba
+from stickslip.pipeline.processes import loading
 
-from stickslip.pipeline import cluster, worker  # noqa: F401
-from stickslip.sim import engines
+with loading():
+    import pandas  # noqa: F401  Arrow loads it when it is first given a list
 
-for engine in engines.ENGINES.values():
-    if engine.kernels:
-        import_module(f"{engines.__name__}.{engine.kernels}")
-# the first function that is compiled, or loaded, takes half a second: numba prepares itself
-numba.njit("void()")(lambda: None)
+    from stickslip.pipeline import cluster, worker  # noqa: F401
+    from stickslip.sim import engines
+
+    for engine in engines.ENGINES.values():
+        if engine.kernels:
+            import_module(f"{engines.__name__}.{engine.kernels}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import os
 import pickle
@@ -33,6 +34,17 @@ def environment_kept() -> Iterator[None]:
                 del os.environ[name]
             elif os.environ.get(name) != before[name]:
                 os.environ[name] = before[name]
+
+
+@contextlib.contextmanager
+def loading() -> Iterator[None]:
+    """Within: modules are loaded. They stay: the garbage collector looks through them neither now nor later."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @contextlib.contextmanager

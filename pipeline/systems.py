@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.sim.arguments import did_you_mean, per_block
@@ -151,9 +150,11 @@ def _arrays(name: str, content: bytes) -> dict[str, Any]:
         why = " ".join(str(error).split())
         raise SceneError(f"system.path: {name}: expected an .npz, .npy or Matrix Market file, got: {why}") from None
     if arrays.keys() >= _SPARSE:
+        from scipy import sparse  # as above
+
         parts = {key: arrays.pop(key) for key in _SPARSE}
         arrays.pop("_is_array", None)
-        kind = {b"csc": scipy.sparse.csc_array, b"csr": scipy.sparse.csr_array}.get(bytes(parts["format"].item()))
+        kind = {b"csc": sparse.csc_array, b"csr": sparse.csr_array}.get(bytes(parts["format"].item()))
         if kind is None:
             raise SceneError(f"system.path: {name}: expected the format csc or csr, got {parts['format'].item()!r}")
         arrays["stiffness"] = kind((parts["data"], parts["indices"], parts["indptr"]), parts["shape"])

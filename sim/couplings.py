@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import ArrayLike
 
 from stickslip.sim.arguments import Floats, did_you_mean, integer, per_block
 from stickslip.sim.graphs import GRAPHS, spring_matrix
 from stickslip.sim.system import System
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 
 def _on_diagonal(off: Floats, diagonal: Floats) -> Floats:

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 #: Pairs of neighbours, shape (m, 2), each once and no block its own, for n blocks.
 Pairs = NDArray[np.int64]
@@ -62,11 +65,13 @@ GRAPHS: dict[str, Callable[[int, float, np.random.Generator], Pairs]] = {
 }
 
 
-def spring_matrix(n: int, pairs: Pairs, kappa: float, leaf: float | Floats) -> scipy.sparse.csc_array:
+def spring_matrix(n: int, pairs: Pairs, kappa: float, leaf: float | Floats) -> csc_array:
     """K of n blocks with a spring between the two of each pair, and a leaf spring for each block, shape (n, n)."""
+    from scipy.sparse import csc_array  # takes a tenth of a second to load, and few systems need it
+
     i, j = pairs.T
     counts = np.bincount(pairs.ravel(), minlength=n)
     block = np.arange(n)
     entries = np.concatenate((np.full(2 * len(pairs), -kappa), leaf + kappa * counts))
     rows, columns = np.concatenate((i, j, block)), np.concatenate((j, i, block))
-    return scipy.sparse.csc_array((entries, (rows, columns)), shape=(n, n))
+    return csc_array((entries, (rows, columns)), shape=(n, n))

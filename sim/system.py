@@ -10,19 +10,22 @@ of its own, of speed v_i(t). Everything is dimensionless.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim import show
 from stickslip.sim.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
 from stickslip.sim.weakening import Weakening, require_static
+
+if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
+    import scipy.sparse
 
 
 class Columns(NamedTuple):
@@ -109,9 +112,11 @@ class System:
         weakening: Weakening | None = None,
         back_slip: bool = True,
     ) -> None:
-        if scipy.sparse.issparse(stiffness):
-            matrix = scipy.sparse.csc_array(stiffness)
-            matrix = scipy.sparse.csc_array(
+        if _is_sparse(stiffness):
+            from scipy.sparse import csc_array
+
+            matrix = csc_array(stiffness)
+            matrix = csc_array(
                 (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
             )
             matrix.sum_duplicates()
@@ -226,11 +231,14 @@ class System:
     @cached_property
     def _divided_by_mass(self) -> System:
         share = 1.0 / self.mass
-        stiffness = self.stiffness
+        if isinstance(self.stiffness, np.ndarray):
+            stiffness = self.stiffness * share[:, np.newaxis]
+        else:
+            from scipy.sparse import diags_array
+
+            stiffness = diags_array(share) @ self.stiffness
         return self.changed(
-            stiffness=stiffness * share[:, np.newaxis]
-            if isinstance(stiffness, np.ndarray)
-            else scipy.sparse.diags_array(share) @ stiffness,
+            stiffness=stiffness,
             damping=self.damping * share
             if self.cross_damping is None
             else (self.cross_damping + np.diag(self.damping)) * share[:, np.newaxis],
@@ -340,9 +348,9 @@ class System:
                 own = np.maximum(own, np.abs(term.frequency) * (term.amplitude != 0.0))
         if isinstance(self.stiffness, np.ndarray) and self.stiffness.all():
             return np.full(self.n, own.max())
-        from scipy.sparse.csgraph import connected_components  # as above
+        from scipy.sparse import csgraph, csr_array  # as above
 
-        _, group = connected_components(scipy.sparse.csr_array(self.stiffness), directed=True, connection="weak")
+        _, group = csgraph.connected_components(csr_array(self.stiffness), directed=True, connection="weak")
         fastest = np.zeros(self.n)
         np.maximum.at(fastest, group, own)
         return np.asarray(fastest[group])
@@ -477,6 +485,12 @@ def require_plain(system: System, what: str) -> None:
     require_one_friction(system, what)
     require_one_belt(system, what)
     require_constant_friction(system, what)
+
+
+def _is_sparse(matrix: object) -> bool:
+    """As `scipy.sparse.issparse`, without loading that: who has a sparse matrix has done so."""
+    sparse = sys.modules.get("scipy.sparse")
+    return sparse is not None and bool(sparse.issparse(matrix))
 
 
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:

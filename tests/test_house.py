@@ -53,3 +53,15 @@ def loaded_by(code):
     show = f"{code}; import sys; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", show], cwd=ROOT, capture_output=True, text=True, check=True)
     return set(done.stdout.split())
+
+
+def test_a_run_from_kept_kernels_loads_nothing_to_compile_with():
+    """Nor parts of SciPy, as K is dense: to load all that takes longer than many a run."""
+    run = (
+        "from stickslip import draw_system, simulate; system = draw_system('antisymmetric', n=3, seed=0); "
+        "[simulate(system, 0.0, 0.0, t_end=1.0, engine=engine) for engine in ('coulomb', 'sigmoid')]"
+    )
+    loaded_by(run)  # compiled, if they are not kept yet
+    loaded = loaded_by(run)
+    assert "numba" in loaded
+    assert not loaded & {"scipy.sparse", "scipy.linalg", "pandas", "numba.np.linalg", "numba.np.arraymath"}

@@ -15,7 +15,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.processes import forked_workers, one_thread
+from stickslip.pipeline.processes import forked_workers, loading, one_thread
 from stickslip.pipeline.signals import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, completion, parser
 
@@ -70,10 +70,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
-    from stickslip.pipeline import load_scene, run_ensemble
-    from stickslip.pipeline.signals import last_act
-    from stickslip.pipeline.storage import DATA, SCENE, Directory
-    from stickslip.workflows.progress import Watch, clock
+    with loading() if arguments.is_program else nullcontext():
+        from stickslip.pipeline import load_scene, run_ensemble
+        from stickslip.pipeline.signals import last_act
+        from stickslip.pipeline.storage import DATA, SCENE, Directory
+        from stickslip.workflows.progress import Watch, clock
 
     scene = load_scene(file)
 
@@ -381,3 +382,6 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
+    finally:
+        if arguments.is_program:
+            gc.freeze()  # the system takes all back: no need to look what of it is garbage first

@@ -40,6 +40,7 @@ from numba._dynfunc import make_function
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 from numba.core.targetconfig import ConfigStack
 from numba.core.types import Type, unliteral
@@ -135,6 +136,11 @@ class _KernelCache(FunctionCache):
     def __init__(self, function: Callable[..., Any], directory: Path) -> None:
         super().__init__(function)
         self._cache_file: Any = _KernelFiles(directory, self._impl.filename_base)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """What is kept; before, numba would load all that it may need to compile, which takes half a second."""
+        rtsys.initialize(target)  # which compiled code may call
+        return self._load_overload(signature, target)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         try:
