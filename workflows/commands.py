@@ -382,6 +382,3 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
-    finally:
-        if arguments.is_program:
-            gc.freeze()  # the system takes all back: no need to look what of it is garbage first
