@@ -36,6 +36,7 @@ from stickslip.sim.engines.radau import (
     ALL_AT_PLACES,
     AT_PLACES,
     INVERSE,
+    LAST,
     NODES,
     PLACES,
     STAGES,
@@ -47,14 +48,15 @@ from stickslip.sim.engines.radau import (
 #: What a formula reads and writes, by rows of a table: a column is a block, on the step that it is taking. First one
 #: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by;
 #: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that. It falls
-#: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0.
+#: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0. TAKEN is
+#: LENGTH of a step that will do, else 0.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
     LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
-    FAR, FALL, CLOSED,
-) = range(31)  # fmt: skip
-F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(31, 31 + 11 * STAGES, STAGES)
-N_ROWS = 31 + 11 * STAGES
+    FAR, FALL, CLOSED, TAKEN,
+) = range(32)  # fmt: skip
+F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(32, 32 + 11 * STAGES, STAGES)
+N_ROWS = 32 + 11 * STAGES
 #: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
 STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 
@@ -270,7 +272,26 @@ def _prepare(rows: Rows, law: Law) -> None:
         rows[U + k] = u0 + after * rate / (1.0 + after * stiffness)
 
 
+def _gather(of: int, to: int) -> Callable[[Rows, Numbers], None]:
+    """Add what the step taken has of the integrals of x^p z(x), or of u, over the macro step."""
+
+    def formula(rows: Rows, _: Numbers) -> None:
+        start, length, taken = rows[START], rows[LENGTH], rows[TAKEN]
+        moments = [rows[to + p] for p in range(STAGES)]
+        for k in range(STAGES):
+            x = start + length * float(NODES[k])
+            weight = where(taken > 0.0, rows[of + k] * taken * float(LAST[k]), 0.0)
+            for p in range(STAGES):
+                moments[p] = moments[p] + weight
+                weight = weight * x
+        for p in range(STAGES):
+            rows[to + p] = moments[p]
+
+    return formula
+
+
 #: For kernels.
 newton, finish, probe, view = on_rows(_newton), on_rows(_finish), on_rows(_probe), on_rows(_view)
 predict, prepare = on_rows(_predict), on_rows(_prepare)
+gather, gather_u = on_rows(_gather(Z, MOMENT)), on_rows(_gather(U, MOMENT_U))
 force, force_changed = on_rows(_force(False)), on_rows(_force(True))

@@ -45,8 +45,9 @@ from stickslip.sim.engines.radau import (
 from stickslip.sim.engines.roots import horner, insert, insert_roots, refine
 from stickslip.sim.engines.sticking import mode_of
 
-#: A piece: where it starts and how long it is, as shares of the macro step; z and u at its start; u at its nodes.
-PIECE_AT, PIECE_H, PIECE_Z, PIECE_U = range(4)
+#: A piece: where it starts and how long it is, as shares of the macro step; z at its start, which piece of
+#: its block is next; u at its start and its nodes.
+PIECE_AT, PIECE_H, PIECE_Z, PIECE_NEXT, PIECE_U = range(5)
 PIECE = PIECE_U + 1 + STAGES
 #: Places on the bounds of a band that a block can pass in a piece: eleven polynomials of degree five, and the start.
 PASSES = 11 * STAGES + 1

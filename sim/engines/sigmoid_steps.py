@@ -46,6 +46,7 @@ from stickslip.sim.engines.collocation import (
     STEP_H,
     SUSPECT,
     TAIL,
+    TAKEN,
     TOLERANCE,
     U0,
     Z0,
@@ -58,6 +59,8 @@ from stickslip.sim.engines.collocation import (
     finish,
     force,
     force_changed,
+    gather,
+    gather_u,
     newton,
     predict,
     prepare,
@@ -73,6 +76,7 @@ from stickslip.sim.engines.layer import (
     PIECE,
     PIECE_AT,
     PIECE_H,
+    PIECE_NEXT,
     PIECE_U,
     PIECE_Z,
     note_stills,
@@ -81,7 +85,7 @@ from stickslip.sim.engines.layer import (
 )
 from stickslip.sim.engines.outside import Drive, value_at
 from stickslip.sim.engines.panels import HEIGHT, ROUGH, SINGLE_HEIGHT, panels, products
-from stickslip.sim.engines.radau import LAST, NODES, PROJECT, STAGES, TO_POWERS
+from stickslip.sim.engines.radau import NODES, PROJECT, STAGES, TO_POWERS
 from stickslip.sim.engines.roots import horner
 from stickslip.sim.engines.sigmoid import Sigmoid
 from stickslip.sim.engines.watch import too_far
@@ -164,24 +168,44 @@ def _together(table, n, flags, listed, iterations, law):  # type: ignore[no-unty
 
 
 @inner
-def _strayed(table, n, flags, law):  # type: ignore[no-untyped-def]
-    """Flag those whose one step does not do off the nodes; returns how many."""
-    n_strayed = 0
+def _strayed(table, n, flags, listed, n_listed, law):  # type: ignore[no-untyped-def]
+    """Flag and list those whose one step does not do off the nodes; returns how many are listed."""
     for first in range(0, n, WIDTH):
         well = probe(table, first, law)
         if well != ALL:
             for lane in range(min(WIDTH, n - first)):
                 if not flags[first + lane] and not (well >> lane) & 1:
                     flags[first + lane] = True
-                    n_strayed += 1
-    return n_strayed
+                    listed[n_listed] = first + lane
+                    n_listed += 1
+    return n_listed
+
+
+@inner
+def _fine(own, lane):  # type: ignore[no-untyped-def]
+    """What part of its tolerance a step may err by."""
+    return own[FINE, lane] if abs(own[U0, lane]) < NEAR_PEAK * own[PEAK, lane] else 1.0
+
+
+@inner
+def _factor(own, lane):  # type: ignore[no-untyped-def]
+    """By how much the next step may be longer."""
+    if own[DONE, lane] < 0.5:
+        return 0.25
+    allowed = own[TOLERANCE, lane] * _fine(own, lane)
+    return min(max(_SAFETY * (allowed / max(own[ERROR, lane], 1e-300)) ** (1.0 / STAGES), 0.1), _GROW_OWN)
 
 
 @inner(counts=True)
-def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, law):  # type: ignore[no-untyped-def]
-    """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot."""
+def _apart(  # type: ignore[no-untyped-def]
+    table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, begins, old, numbers, law
+):
+    """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot.
+
+    A block takes the steps of the sweep before, `old` from `begins`, from where they led, as long as they will do.
+    """
     n_pieces = np.int64(0)
-    block = np.full(WIDTH, -1)
+    block, again, last = np.full(WIDTH, -1), np.full(WIDTH, -1), np.full(WIDTH, -1)
     waiting, active = 0, 0
     for lane in range(WIDTH):
         for row in range(N_ROWS):
@@ -194,7 +218,7 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                 i = listed[waiting]
                 waiting += 1
                 active += 1
-                block[lane] = i
+                block[lane], again[lane], last[lane] = i, begins[i], -1
                 for row in _OF_BLOCK:
                     own[row, lane] = table[row, i]
                 for p in range(STAGES):
@@ -213,32 +237,39 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
             if block[lane] >= 0:
                 rest = 1.0 - own[START, lane]
                 length = own[LENGTH, lane]
-                if length > 0.97 * rest:
+                if again[lane] >= 0:
+                    length = old[again[lane], PIECE_H]
+                elif length > 0.97 * rest:
                     length = rest
                 elif length > 0.5 * rest:
                     length = 0.5 * rest
                 own[LENGTH, lane] = length
                 own[H, lane] = length * macro
         prepare(own, 0, law)
+        for lane in range(WIDTH):
+            if again[lane] >= 0:
+                for k in range(STAGES):
+                    own[U + k, lane] = old[again[lane], PIECE_U + 1 + k]
         for _ in range(_NEWTON_OWN):
             if newton(own, 0, law) == ALL:
                 break
         finish(own, 0, law)
         probe(own, 0, law)
         for lane in range(WIDTH):
+            does = block[lane] >= 0 and own[DONE, lane] > 0.5 and own[SUSPECT, lane] < 0.5
+            does = does and own[ERROR, lane] <= own[TOLERANCE, lane] * _fine(own, lane)
+            own[TAKEN, lane] = own[LENGTH, lane] if does else 0.0
+        gather(own, 0, numbers)
+        if with_u:
+            gather_u(own, 0, numbers)
+        for lane in range(WIDTH):
             i = block[lane]
             if i < 0:
                 continue
-            length, allowed = own[LENGTH, lane], own[TOLERANCE, lane]
-            if abs(own[U0, lane]) < NEAR_PEAK * own[PEAK, lane]:
-                allowed *= own[FINE, lane]
-            error = own[ERROR, lane]
-            if own[DONE, lane] < 0.5:
-                factor = 0.25
-            else:
-                factor = min(max(_SAFETY * (allowed / max(error, 1e-300)) ** (1.0 / STAGES), 0.1), _GROW_OWN)
-            if own[DONE, lane] < 0.5 or own[SUSPECT, lane] > 0.5 or not error <= allowed:
-                own[LENGTH, lane] = length * min(factor, 0.5)
+            length = own[LENGTH, lane]
+            if own[TAKEN, lane] == 0.0:
+                own[LENGTH, lane] = length * min(_factor(own, lane), 0.5)
+                again[lane] = -1
                 if not length > 1e-13:
                     return -1 - i
                 continue
@@ -246,37 +277,40 @@ def _apart(table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, pi
                 return -1 - i
             piece = pieces[n_pieces]
             piece_block[n_pieces] = i
+            piece[PIECE_NEXT] = -1.0
+            if last[lane] < 0:
+                begins[i] = n_pieces
+            else:
+                pieces[last[lane], PIECE_NEXT] = n_pieces
+            last[lane] = n_pieces
             n_pieces += 1
+            if again[lane] >= 0:
+                again[lane] = np.int64(old[again[lane], PIECE_NEXT])
             start = own[START, lane]
             piece[PIECE_AT], piece[PIECE_H] = start, length
             piece[PIECE_Z], piece[PIECE_U] = own[Z0, lane], own[U0, lane]
             for k in range(STAGES):
                 piece[PIECE_U + 1 + k] = own[U + k, lane]
-                x = start + NODES[k] * length
-                weight = LAST[k] * length * own[Z + k, lane]
-                for p in range(STAGES):
-                    own[MOMENT + p, lane] += weight
-                    weight *= x
-                if with_u:
-                    weight = LAST[k] * length * own[U + k, lane]
-                    for p in range(STAGES):
-                        own[MOMENT_U + p, lane] += weight
-                        weight *= x
+            if again[lane] < 0:
+                own[LENGTH, lane] = length * _factor(own, lane)
             own[U0, lane] = own[U + STAGES - 1, lane]
             own[Z0, lane] = own[Z + STAGES - 1, lane]
             own[START, lane] = start + length
-            own[LENGTH, lane] = length * factor
             if own[START, lane] >= 1.0 - 1e-12:
                 ends[0, i], ends[1, i] = own[U0, lane], own[Z0, lane]
-                next_h[i] = length * factor * macro
+                next_h[i] = own[LENGTH, lane] * macro
                 for k in range(STAGES):
-                    value, mean = 0.0, 0.0
+                    value = 0.0
                     for p in range(STAGES):
                         value += PROJECT[k, p] * own[MOMENT + p, lane]
-                        mean += PROJECT[k, p] * own[MOMENT_U + p, lane]
                     table[Z + k, i] = value
-                    table[MEAN_U + k, i] = mean
-                block[lane] = -1
+                if with_u:
+                    for k in range(STAGES):
+                        value = 0.0
+                        for p in range(STAGES):
+                            value += PROJECT[k, p] * own[MOMENT_U + p, lane]
+                        table[MEAN_U + k, i] = value
+                block[lane], again[lane] = -1, -1
                 active -= 1
                 own[H, lane] = 1.0
                 own[STEEP, lane] = 1.0
@@ -365,30 +399,44 @@ def _worst(table, n):  # type: ignore[no-untyped-def]
 @inner(counts=True)
 def _sweep(  # type: ignore[no-untyped-def]
     table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
-    work, pushes, law, counters,
+    begins, old, work, pushes, numbers, law, counters,
 ):  # fmt: skip
     """Sweep over the blocks until F stays. Returns whether it does, the tail of F, `slow`, and how many pieces.
 
-    `slow` is what a sweep leaves of a change, as seen before. Blocks with steps of their own begin anew each time.
+    `slow` is what a sweep leaves of a change, as seen before. The last sweep needs no product if what it leaves of
+    the last change of F does not count. If the tail is too large the step is given up: sweeps hardly change it.
     """
     swept_below = min(1.0, _SWEPT / boost)
-    tail, n_pieces, last = 0.0, np.int64(0), np.inf
+    tail, n_pieces, n_listed, last, is_last = 0.0, np.int64(0), np.int64(0), np.inf, False
+    for i in range(n):
+        begins[i] = -1
     for sweep in range(_SWEEPS):
+        for k in range(n_pieces):
+            copy(pieces[k], old[k])
+        n_before = n_listed
         n_listed = _together(table, n, flags, listed, _NEWTON, law)
+        if is_last:
+            n_listed = _strayed(table, n, flags, listed, n_listed, law)
         for k in range(n_listed):
             next_h[listed[k]] = before[listed[k]]
-        n_pieces = _apart(table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, law)
+        n_pieces = _apart(
+            table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, begins, old, numbers,
+            law,
+        )  # fmt: skip
         if n_pieces < 0:
             break
+        if is_last and n_listed == n_before:
+            return True, tail, slow, n_pieces
         moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, pushes, law)
         counters[loop.N_PRODUCTS] += STAGES * (2 if matrices[2] else 1)
         moved, tail = moved * boost, tail * boost
-        if not tail < 100.0 * _TAIL:
+        if not tail < _TAIL:
             break
         now = min(moved / last, 0.9) if sweep > 0 else slow
         enough = swept_below * (1.0 - now) * (_AT_ONCE if sweep == 0 else 1.0)
-        if moved < enough and _strayed(table, n, flags, law) == 0:
+        if moved < enough and _strayed(table, n, flags, listed, n_listed, law) == n_listed:
             return True, tail, slow, n_pieces
+        is_last = sweep > 0 and moved * now < enough
         last, slow = moved, now
     return False, tail, slow, n_pieces
 
@@ -414,7 +462,7 @@ def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-unty
 @kernel(counts=True)
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,
+    begins, old, z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,
 ):  # fmt: skip
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
     n = len(z)
@@ -458,9 +506,9 @@ def _advance(  # type: ignore[no-untyped-def]
         rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
         swept, tail, slow, n_pieces = _sweep(
             table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
-            piece_block, work, pushes, law, counters,
+            piece_block, begins, old, work, pushes, numbers, law, counters,
         )  # fmt: skip
-        if not swept or tail > _TAIL:
+        if not swept:
             counters[loop.N_REJECTED] += 1
             counters[loop.LAST_BLOCK] = _worst(table, n) if n_pieces >= 0 else -1 - n_pieces
             factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK) if tail > _TAIL else 0.5
@@ -576,8 +624,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             (np.zeros((STAGES, own.shape[1])), single[0], single[1]),
             (bands[k], kinetic[k], by_force, modes[k]),
             np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), next_h,
-            np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), z, w, state.clock, state.counters,
-            tuple(state.samples),
+            np.empty((n_pieces, PIECE)), np.zeros(n_pieces, dtype=np.int64), np.empty(n, dtype=np.int64),
+            np.empty((n_pieces, PIECE)), z, w, state.clock, state.counters, tuple(state.samples),
         )  # fmt: skip
         collapse = certificates.Collapse(system, allowed[k], smoothed(system.fastest_belt, widest[k]))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
