@@ -120,7 +120,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.cluster import check_memory
     from stickslip.pipeline.estimate import estimate
     from stickslip.pipeline.writer import Store
-    from stickslip.workflows.progress import in_words
+    from stickslip.workflows.progress import clock
 
     scene = load_scene(file)
     check_memory(scene, arguments.workers)
@@ -136,8 +136,16 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     if not to_go:
         return _DONE
     found = estimate(scene, to_go, arguments.workers)
-    print("\n".join(in_words(found)))
-    return _UNFINISHED if found.failures else _DONE
+    for reason, count in found.failures.items():
+        print(f"failed  {count} of the pilot: {reason}")
+    if found.failures:
+        return _UNFINISHED
+    workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+    print(
+        f"time    about {clock(found.seconds)} on {workers}, {found.core_seconds:.2g} s of a core, not counting start"
+        f" and report\ndisk    about {found.n_bytes / 1e6:.2g} MB"
+    )
+    return _DONE
 
 
 def _run_member(file: Path, member_id: str) -> int:

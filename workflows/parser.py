@@ -168,7 +168,7 @@ def _run(run: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--dry-run",
         action="store_true",
-        help="show what would be run and estimate time and disk by a pilot; write nothing",
+        help="show what would be run and estimate time and disk; write nothing",
     )
 
 

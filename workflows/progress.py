@@ -1,4 +1,4 @@
-"""What a person is told of a run: what it will take, how it goes (a bar, or a line now and then), where it stands."""
+"""What a person is told of a run: how it goes (a bar, or a line now and then), where it stands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from stickslip.pipeline.storage import Where
 
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress
-    from stickslip.pipeline.estimate import Estimate
 
 #: Seconds between two lines where there is no terminal.
 _EVERY = 10.0
@@ -30,34 +29,6 @@ _LOOK = 2.0
 def clock(seconds: float) -> str:
     """Seconds as m:ss or h:mm:ss."""
     return str(tqdm.format_interval(max(seconds, 0.0)))
-
-
-def in_words(found: Estimate) -> list[str]:
-    """An estimate in lines: time, disk, and where they come from; or why there is none."""
-    lines = []
-    if found.amounts is None:
-        n_failed = sum(found.failures.values())
-        lines.append(f"time    not known, nor is disk: {n_failed} of the pilot's {found.n_pilot} members failed")
-        lines += [f"failed  {count}: {reason}" for reason, count in found.failures.items()]
-    else:
-        low, middle, high = map(clock, found.amounts.seconds)
-        least, _, most = found.amounts.core_seconds
-        small, mean, large = (value / 1e6 for value in found.amounts.n_bytes)
-        workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
-        if found.cores < found.workers:
-            workers += f" (which share {found.cores} core{'s' * (found.cores > 1)})"
-        lines += [
-            f"time    {middle} ({low} to {high}) on {workers}, not counting the report; "
-            f"{least:.3g} to {most:.3g} s of a core",
-            f"disk    {mean:.3g} MB ({small:.3g} to {large:.3g})",
-            f"start   {found.start_seconds:.1f} s of the time, until the workers are there",
-        ]
-    others = f"; others use the machine too: {found.busy:.1f} s for one of a core" if found.busy > 1.2 else ""
-    kinds = f"{found.n_kinds} kind{'s' * (found.n_kinds > 1)}"
-    lines.append(f"pilot   {found.n_pilot} members, of {kinds}, in {found.pilot_seconds:.1f} s{others}")
-    if found.compile_seconds:
-        lines.append(f"compile {found.compile_seconds:.0f} s, done now: the run finds the kernels compiled")
-    return lines
 
 
 def say(directory: Where) -> None:
