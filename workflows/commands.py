@@ -185,8 +185,7 @@ def _check_no_ensemble(out: Place) -> None:
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.storage import Directory
-    from stickslip.workflows.charts import ChartError, load_chart
-    from stickslip.workflows.charts.runner import measure, report
+    from stickslip.workflows.charts import load_chart
 
     scene = load_chart(file)
     if arguments.dry_run:
@@ -196,10 +195,10 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     try:
         if isinstance(out, Directory):
             out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
-        _publish(report(scene, measure(file, out)), out)
-    except ChartError as error:
-        print(f"stickslip: {error}", file=sys.stderr)
-        return _UNFINISHED
+        measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
+        from stickslip.workflows.charts.runner import report
+
+        _publish(report(scene, measured), out)
     except Interrupted as interrupt:
         print("\ninterrupted; nothing was written", file=sys.stderr)
         return interrupt.exit_code

@@ -61,12 +61,6 @@ def refuse(tmp_path, capsys):
 
 
 @pytest.fixture
-def in_this_process(monkeypatch):
-    """Charts are measured here: a process of its own sees nothing that a test has changed."""
-    monkeypatch.setattr(runner, "in_a_child", runner.measured_here)
-
-
-@pytest.fixture
 def undrawn(monkeypatch):
     """Pages of charts without their figures, which take most of their time."""
     monkeypatch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
@@ -88,9 +82,3 @@ def said():
         return found
 
     return lines
-
-
-@pytest.fixture(scope="session")
-def page():
-    """The report of a scene, made of what was measured."""
-    return lambda scene, measured: runner.report(scene, runner.Measurement("", {}, measured))

@@ -266,7 +266,7 @@ def test_a_question_is_a_file_and_a_template(first):
     assert words.lack({}, "no changes").startswith("No run")
 
 
-def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, in_this_process, capsys):
+def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
     (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[2])
     (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import System, simulate
-from stickslip.workflows.charts import load_chart
+from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.field import one_block
 from stickslip.workflows.field.forced import Forced, State, most_friction, shape, sliding_cycle
 from stickslip.workflows.field.one_block import Basin, Measured, Period, Shifted, Sliding, Stability, Stops
@@ -191,11 +191,11 @@ def test_a_claim_is_judged_by_what_was_measured(claim, changes, verdict):
     assert getattr(one_block, claim)(plain(**changes))["verdict"] == verdict
 
 
-def test_the_page(tmp_path, page):
+def test_the_page(tmp_path):
     file = tmp_path / "tiny.toml"
     file.write_text(TINY)
     scene = load_chart(file)
-    report = page(scene, scene.measure(lambda line: None))
+    report = runner.report(scene, scene.measure(lambda line: None))
     assert report.html.count('class="verdict ') == len(report.tables["claims"]) == 8
     assert not re.search(r">\s*(nan|inf|None)\s*<", report.html)
     assert set(report.tables) == {"claims", "periods", "sliding", "stability", "shifted", "stops"}

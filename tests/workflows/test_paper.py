@@ -62,11 +62,11 @@ def measured(scene):
 
 
 @pytest.fixture(scope="module")
-def report(scene, measured, page):
+def report(scene, measured):
     """Without what is drawn, which is looked at figure by figure."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
-        return page(scene, measured)
+        return runner.report(scene, measured)
 
 
 # ---------------------------------------------------------------------------------------------- the scenes
@@ -269,11 +269,11 @@ def judged(scene, measured):
 
 
 @pytest.fixture
-def told(scene, measured, page, undrawn):
+def told(scene, measured, undrawn):
     """The lines of the table of claims, as text by claim."""
 
     def found(**changes):
-        html = page(scene, replace(measured, **changes)).html
+        html = runner.report(scene, replace(measured, **changes)).html
         rows = re.findall(r"<tr>(<td data-h=\"claim\".*?)</tr>", html, flags=re.DOTALL)
         texts = [[" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in row.split("</td>")] for row in rows]
         return {text[0]: text[1:4] for text in texts}
@@ -446,7 +446,7 @@ def test_the_page_has_every_claim_figure_and_table(report, scene):
     assert len(report.tables["runs"]) == len(set(scene.asks()))
 
 
-def test_a_scene_of_one_figure_judges_its_claims_alone(tmp_path, capsys, in_this_process):
+def test_a_scene_of_one_figure_judges_its_claims_alone(tmp_path, capsys):
     file, out = tmp_path / "one.toml", tmp_path / "out"
     file.write_text('chart = "paper"\nfigures = 2\nseed = 0\n')
     assert main(["run", str(file), "--out", str(out)]) == 0

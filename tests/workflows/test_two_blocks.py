@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from stickslip.workflows.charts import load_chart
+from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.field import two_blocks
 from stickslip.workflows.field.two_blocks import End, Measured, Pair, Together, Unequal
 from stickslip.workflows.scenes import shipped
@@ -169,11 +169,11 @@ def test_a_claim_is_judged_by_what_was_measured(claim, changes, verdict):
     assert verdicts(**changes)[claim] == verdict
 
 
-def test_the_page(tmp_path, page):
+def test_the_page(tmp_path):
     file = tmp_path / "tiny.toml"
     file.write_text(TINY)
     scene = load_chart(file)
-    report = page(scene, scene.measure(lambda line: None))
+    report = runner.report(scene, scene.measure(lambda line: None))
     assert report.html.count('class="verdict ') == len(report.tables["claims"]) == 6
     assert not re.search(r">\s*(nan|inf|None)\s*<", report.html)
     assert set(report.tables) == {"claims", "ends", "homogeneous", "unequal"}

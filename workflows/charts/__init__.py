@@ -42,10 +42,6 @@ CHARTS = {
 }
 
 
-class ChartError(RuntimeError):
-    """The measurement ended before it was done."""
-
-
 @dataclass(frozen=True)
 class Shown:
     """What a page is made of: `facts` by their names in the template, and by name the tables and figures to keep."""
@@ -73,10 +69,7 @@ class ChartScene(StrictTable):
 
     @abstractmethod
     def measure(self, say: Say) -> Any:
-        """Measure all of it; `say` is told of each part as it is done.
-
-        The annotation of a subclass names a dataclass of plain values: it comes back through JSON.
-        """
+        """Measure all of it, in this process with one thread; `say` is told of each part as it is done."""
 
     @abstractmethod
     def show(self, measured: Any) -> Shown:

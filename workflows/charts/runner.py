@@ -1,15 +1,13 @@
-"""Run a chart: measure in a process of its own with one thread, keep what was measured, make the page."""
+"""From what a chart measured to its page."""
 
 from __future__ import annotations
 
 import html
 import inspect
-import json
 import platform
 import re
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,28 +17,12 @@ import numpy as np
 import pandas as pd
 from jinja2 import ChoiceLoader, FileSystemLoader
 from markupsafe import Markup
-from pydantic import TypeAdapter, ValidationError
 
 from stickslip.analysis import Report
 from stickslip.analysis.report.formats import environment as page_environment
 from stickslip.analysis.report.formats import number
 from stickslip.analysis.report.page import Drawn, draw
-from stickslip.pipeline.processes import Child, ChildDied
-from stickslip.pipeline.storage import Place
-from stickslip.sim.engines.sources import source_digest
-from stickslip.workflows.charts import ChartError, ChartScene, load_chart
-
-#: What was measured, beside the report: the page is made from it again while scene and program are the same.
-MEASURED = "measured.json"
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """What a scene's `measure` gave, as plain values, with the versions of what took part and of what it is for."""
-
-    key: str
-    versions: dict[str, str]
-    measured: Any
+from stickslip.workflows.charts import ChartScene
 
 
 def versions(*libraries: str) -> dict[str, str]:
@@ -54,70 +36,12 @@ def versions(*libraries: str) -> dict[str, str]:
     return found
 
 
-def _key(scene: ChartScene) -> str:
-    """Differs where the scene or the sources of the measurement do; templates are no part of it."""
-    folders = {Path(__file__).parent, _folder(scene)}
-    sources = sorted(source for folder in folders for source in folder.glob("*.py"))
-    return f"{source_digest(*sources)} {scene.model_dump_json()}"
-
-
 def _folder(scene: ChartScene) -> Path:
     return Path(inspect.getfile(type(scene))).parent
 
 
-def measure(file: Path, out: Place) -> Measurement:
-    """What the chart of a scene file measures: what `out` has of it already, or measured now and kept there.
-
-    Raises
-    ------
-    ChartError
-        If the measurement ends early.
-    """
-    scene = load_chart(file)
-    (kept,) = out.read_each([MEASURED])
-    if kept is not None:
-        try:
-            found = _restored(kept)
-        except ValidationError as error:
-            print(f"{out.named(MEASURED)} is not readable, measuring again: {error}", file=sys.stderr)
-        else:
-            if (found.key, found.versions) == (_key(scene), versions(*scene.libraries)):
-                print(f"measured before: {out.named(MEASURED)}; remove it to measure again", file=sys.stderr)
-                return found
-    content = in_a_child(file)
-    out.replace(MEASURED, content)
-    return _restored(content)
-
-
-def _restored(content: bytes) -> Measurement:
-    return TypeAdapter(Measurement).validate_json(content)
-
-
-def in_a_child(file: Path) -> bytes:
-    """`measured_here`, in a process of its own with one thread."""
-    with Child(measured_here, shows_errors=True) as child:
-        try:
-            content: bytes = child(file)
-        except ChildDied as error:
-            raise ChartError(f"the measurement ended with {error}; its own words are above") from error
-    return content
-
-
-def measured_here(file: Path) -> bytes:
-    """Measure the chart of a scene file in this process: a `Measurement` as JSON. Progress goes to stderr."""
-    scene = load_chart(file)
-    measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
-    found = Measurement(_key(scene), versions(*scene.libraries), measured)
-    return json.dumps(asdict(found), allow_nan=False).encode()
-
-
-# ---------------------------------------------------------------------------------------------- the page
-
-
-def report(scene: ChartScene, found: Measurement) -> Report:
-    """The page of a scene, made of what was measured; its headline is the page's lead."""
-    of = get_type_hints(type(scene).measure)["return"]
-    measured = TypeAdapter(of).validate_python(found.measured)
+def report(scene: ChartScene, measured: Any) -> Report:
+    """The page of a scene, made of what its `measure` gave; its headline is the page's lead."""
     shown = scene.show(measured)
     environment = page_environment("stickslip.workflows.charts")
     assert environment.loader is not None
@@ -126,7 +50,7 @@ def report(scene: ChartScene, found: Measurement) -> Report:
     environment.filters |= FORMS
     environment.globals |= FORMS | {"image": partial(_image, figures)}
     template = environment.get_template(f"{scene.chart}.html")
-    page = template.render(shown.facts, scene=scene, measured=measured, versions=found.versions)
+    page = template.render(shown.facts, scene=scene, measured=measured, versions=versions(*scene.libraries))
     return Report(page, shown.tables, [scene.title, *_headline(page)], figures)
 
 

@@ -1,13 +1,13 @@
-"""What all charts share: a measurement crosses as JSON, is kept beside the report, and makes the page."""
+"""What all charts share: a page of what was measured, with tables and figures, and scenes that are refused."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
 from stickslip.analysis.report import formats
 from stickslip.workflows import charts
@@ -62,7 +62,7 @@ TEMPLATE = """{% extends "chart.html" %}
 
 
 @pytest.fixture
-def planted(tmp_path, monkeypatch, in_this_process):
+def planted(tmp_path, monkeypatch):
     """The file of a scene of a chart of our making, and where its report goes."""
     (tmp_path / "planted.html").write_text(TEMPLATE)
     (tmp_path / "scene.toml").write_text('chart = "planted"\ntitle = "A planted <chart>"\nn = 5\n')
@@ -89,26 +89,6 @@ def test_the_page_its_headline_and_its_tables(planted, capsys):
     assert {file.name for file in (planted[1] / "report" / "figures").iterdir()} == {"drawn.svg", "drawn.pdf"}
     rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
     assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
-
-
-def test_what_was_measured_is_kept_for_the_same_scene_and_program(planted, capsys, monkeypatch):
-    run(planted, capsys)
-    page = (planted[1] / "report.html").read_text()
-    again = run(planted, capsys)
-    assert (planted[1] / "report.html").read_text() == page
-    assert '<img src="data:image/svg+xml;base64,' in page
-    assert "measured before" in again.err
-    assert "remove it to measure again" in again.err
-    assert "measuring" not in again.err
-    file, out = planted
-    file.write_text(file.read_text().replace("n = 5", "n = 6"))
-    assert "measuring 6" in run(planted, capsys).err
-    monkeypatch.setattr(runner, "source_digest", lambda *sources: "changed")
-    assert "measuring 6" in run(planted, capsys).err
-    (out / runner.MEASURED).write_bytes(b"{")
-    damaged = run(planted, capsys).err
-    assert "is not readable, measuring again" in damaged
-    assert "measuring 6" in damaged
 
 
 BAD = {
@@ -153,24 +133,6 @@ def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch
     assert main(["run", name, "--dry-run"]) == 0
     assert extent in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_process_of_its_own_measures_the_same(tmp_path):
-    file = tmp_path / "scene.toml"
-    file.write_text('chart = "paper"\nfigures = [1, 2]\n')
-    there, here = (json.loads(measured(file)) for measured in (runner.in_a_child, runner.measured_here))
-    assert there == here
-
-
-def test_a_process_that_fails_is_an_error(tmp_path):
-    with pytest.raises(charts.ChartError, match="exit code 1"):
-        runner.in_a_child(tmp_path / "missing.toml")
-
-
-def test_no_number_is_lost_on_the_way():
-    measured = Measured([Row(5, 0.1 + 0.2, 3), Row(1, None)], [(1e-300, "entry"), (2.0**-1074, "exit")])
-    crossed = json.loads(json.dumps(asdict(measured), allow_nan=False))
-    assert TypeAdapter(Measured).validate_python(crossed) == measured
 
 
 @pytest.mark.parametrize(

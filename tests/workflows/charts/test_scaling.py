@@ -12,7 +12,7 @@ import scipy.sparse
 
 from stickslip import sim
 from stickslip.pipeline import expand, parse_scene
-from stickslip.workflows.charts import scaling
+from stickslip.workflows.charts import runner, scaling
 from stickslip.workflows.charts.scaling import Cost, Group, Measured, Throughput, cost_against_size, growth
 from stickslip.workflows.commands import main
 
@@ -113,7 +113,7 @@ def test_an_engine_that_cannot_go_on_leaves_a_row_with_its_words(scene, monkeypa
     assert (row.reason, row.seconds) == ("stalled at t = 1", None)
 
 
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     assert "Random systems, exact engine: an event goes as" in capsys.readouterr().out
@@ -185,12 +185,12 @@ def planted_costs(event=1.0, time=2.0):
 
 
 @pytest.fixture
-def line(scene, page, said):
+def line(scene, said):
     def found(words, event=1.0, time=2.0, throughput=("coulomb", "1e-10", 200, 1000.0, 40, 2, 0, 24.0)):
         costs = planted_costs(event, time)
         failed = Cost("chain", "coulomb", 100, reason="it broke")
         smooth = replace(costs[1], engine="sigmoid")
-        report = page(scene, Measured([*costs, failed, smooth], [Throughput(*throughput)]))
+        report = runner.report(scene, Measured([*costs, failed, smooth], [Throughput(*throughput)]))
         (one,) = (line for line in said(report) if words in line)
         return one
 

@@ -11,7 +11,7 @@ import pytest
 
 from stickslip import sim
 from stickslip.pipeline import expand, parse_scene
-from stickslip.workflows.charts import load_chart, peers
+from stickslip.workflows.charts import load_chart, peers, runner
 from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
 from stickslip.workflows.charts.speed_accuracy import (
     Cost,
@@ -132,7 +132,7 @@ def test_a_run_is_given_up_when_patience_ends():
 # ---------------------------------------------------------------------------------------------- measuring
 
 
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra, in_this_process):
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, without_extra):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     assert " comes to an error of 1e-4 with " in capsys.readouterr().out
@@ -270,8 +270,8 @@ def planted():
     return Measured(costs, references)
 
 
-def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, page, said, undrawn):
-    report = page(load_chart(scene_file), planted())
+def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, said, undrawn):
+    report = runner.report(load_chart(scene_file), planted())
     (tolerance,) = said(report)
     for line, error in zip(report.headline[1:], ("1e-4", "1e-6"), strict=True):
         assert f"the sigmoid engine comes to an error of {error} with 1,000 products, 3 times less than" in line

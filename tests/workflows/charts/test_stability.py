@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip.workflows.charts import runner
 from stickslip.workflows.charts.peers import METHODS
 from stickslip.workflows.charts.stability import Cell, Column, Map, Measured, judged, maps_of
 from stickslip.workflows.commands import main
@@ -90,7 +91,7 @@ def test_nothing_is_judged_beyond_what_the_references_agree_to():
 
 
 @pytest.mark.long
-def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys, in_this_process):
+def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(scene_file), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -135,11 +136,11 @@ def planted(outcome, error, reason=None):
     return Measured(cells, [Column(axis="layer", stiffness=10.0, floor=1e-12)], [])
 
 
-def test_words_follow_the_cells(scene, page, said, undrawn):
+def test_words_follow_the_cells(scene, said, undrawn):
     wrong, failed = (
         " ".join([*report.headline, *said(report)])
         for outcome in (("wrong", 0.5), ("failed", None, "stalled"))
-        for report in [page(scene, planted(*outcome))]
+        for report in [runner.report(scene, planted(*outcome))]
     )
     assert "The sigmoid engine is wrong without a word in 1 of its cells" in wrong
     assert "sigmoid engine in 1 of 2 cells (from stiffness 1e+3, tolerance 1e-3; error up to 5e-1)" in wrong
