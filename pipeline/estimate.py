@@ -22,9 +22,7 @@ from stickslip.pipeline.schema import Recording, encode
 from stickslip.pipeline.worker import load_kernels, row
 
 #: Seconds that the members of a pilot may take together, and how many of a kind are run at most.
-PILOT, _ENOUGH = 3.0, 10
-#: Bytes of a row's scalars, most of which are those of the row before.
-_SCALARS = 20.0
+PILOT, _ENOUGH = 3.0, 40
 
 
 @dataclass(frozen=True)
@@ -48,20 +46,25 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     # what is shared between members is known by its formula; the pilot runs them alone
     parts = tuple(part for part in scene.records if part not in ("growth_rate", "separation"))
     recording = replace(Recording.of(scene), parts=parts, separation=None)
-    core_seconds = n_bytes = 0.0
+    core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
     for members in kinds.values():
         rows, share, factor = _pilot(members, PILOT / len(kinds), recording)
         core_seconds += factor * sum(member.cost for member in members)
-        columns = {name: [one[name] for one in rows] for name in recording.schema.names}
-        head = len(encode({name: [] for name in columns}, recording.schema))
-        n_bytes += len(members) * (_SCALARS + (len(encode(columns, recording.schema)) - head) / share)
+        # the first row of a shard takes more than the next ones, which are like it
+        first, whole = (_size(some, recording) for some in (rows[:1], rows))
+        a_row = (whole - first) / (share * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / share
+        head, n_bytes = max(head, first), n_bytes + len(members) * a_row
         failures.update(one["reason"] for one in rows if one["outcome"] == "failed")
     count = max(1, min(workers, len(packed), n_cores()))
     # the last batch may run alone
     tail = packed[-1].cost / sum(batch.cost for batch in packed) * (count > 1)
     seconds = core_seconds * (1.0 / count + 0.5 * tail)
     return Estimate(count, core_seconds, seconds, n_bytes + head * len(packed), dict(failures.most_common()))
+
+
+def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:
+    return len(encode({name: [one[name] for one in rows] for name in recording.schema.names}, recording.schema))
 
 
 def _pilot(
