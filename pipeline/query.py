@@ -62,6 +62,8 @@ _SHARDS_KEPT = 2
 
 _Value = TypeVar("_Value", covariant=True)
 
+_Events: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
 #: What an event series is made of.
 _EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
 
@@ -268,9 +270,9 @@ def series(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]
     return Recorded(path, "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
 
 
-def all_events(path: Where) -> Recorded[sim.EventSeries]:
-    """Events by member_id; empty if they are not recorded."""
-    return Recorded(path, "event_t", _EVENT_COLUMNS, _event_series)
+def all_events(path: Where) -> Recorded[_Events]:
+    """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
+    return Recorded(path, "event_t", _EVENT_COLUMNS[:4], _arrays_of_events)
 
 
 def ends(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -378,8 +380,12 @@ def _joined(column: pa.ChunkedArray) -> pa.Array:
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:
     # nothing happens any more after a collapse: its series is known to the end
     end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
+    return sim.EventSeries(*_arrays_of_events(row), t_start=0.0, t_end=end.as_py())
+
+
+def _arrays_of_events(row: dict[str, pa.Scalar]) -> _Events:
     t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
-    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py())
+    return t, block, mode, initial_mode
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.ensemble import Events
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
@@ -14,7 +13,6 @@ from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.quantity import short
 from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
 from stickslip.pipeline.storage import Directory, Where, place_of
-from stickslip.sim import EventSeries
 from stickslip.version import __version__
 from stickslip.workflows.asking import Asking
 from stickslip.workflows.fresh import made_from, name_of
@@ -24,23 +22,6 @@ from stickslip.workflows.fresh import made_from, name_of
 def study_of(path: str) -> Study:
     """A dataset with what its scene declares; the last one is kept, with its groups filled."""
     return Study(_data(path), _settings(dataset_scene(path)))
-
-
-class _Events(Mapping[str, Events]):
-    """Events as plain arrays."""
-
-    def __init__(self, found: Mapping[str, EventSeries]) -> None:
-        self._found = found
-
-    def __getitem__(self, member_id: str) -> Events:
-        e = self._found[member_id]
-        return e.t, e.block, e.mode, e.initial_mode
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
 
 
 def _data(path: Where) -> Data:
@@ -54,7 +35,7 @@ def _data(path: Where) -> Data:
     return Data(
         table,
         series=series(path),
-        events=_Events(all_events(path)),
+        events=all_events(path),
         separations=separations(path),
         thresholds=by_threshold(path),
         episodes=episodes(path) if scene.record.episodes else None,
