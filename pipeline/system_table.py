@@ -239,17 +239,10 @@ class SystemTable(StrictTable):
         return self.files or {}
 
     def _files_apply(self) -> None:
-        if self.coupling != OF_FILE:
-            if self.path is not None or self.files is not None:
-                raise ValueError(f'path: expected none with coupling = "{self.coupling}"; remove it, or write "file"')
-            return
         if self.path is None:
             raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
-        if "kappa" in self.model_fields_set and self.kappa is not None:
-            raise ValueError('kappa: expected none with coupling = "file", which has K itself; remove it')
-        object.__setattr__(self, "kappa", None)
         for name, file in self.files.items():
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
@@ -271,40 +264,36 @@ class SystemTable(StrictTable):
             )
 
     def _function_applies(self) -> None:
-        if not self.is_own:
-            if self.parameters is not None or self.module is not None:
-                raise ValueError(
-                    f'parameters: expected none with coupling = "{self.coupling}", no module:function; remove it'
-                )
-            return
         if self.module is None:
             raise ValueError(
                 "module: expected what `load_scene` and the command write here, found nothing; use these"
             )
-        for key in ("kappa", "rho"):
-            if key in self.model_fields_set and getattr(self, key) is not None:
-                raise ValueError(
-                    f'{key}: expected none with coupling = "{self.coupling}", which makes the whole system; give it'
-                    f" to the function, by [system.parameters]"
-                )
         for key in self.parameters or ():
             if not key.isidentifier():
                 raise ValueError(f"parameters: expected names of arguments, got {key!r}; choose another")
-        left_to_it = {"friction", "belt_speed"} - self.model_fields_set
-        for key in {"kappa", "rho"} | left_to_it:
+        for key in {"friction", "belt_speed"} - self.model_fields_set:
             object.__setattr__(self, key, None)
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
         """What is not used is refused, and no part of the data."""
-        self._function_applies()
-        for key, has_it in (("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network")):
-            if not has_it:
+        of_file, why = self.coupling == OF_FILE, ""
+        if of_file or self.is_own:
+            why = ", which has K itself" if of_file else ", which makes all of it from [system.parameters]"
+        for key, is_used in (
+            ("path", of_file), ("files", of_file), ("parameters", self.is_own), ("module", self.is_own),
+            ("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network"), ("kappa", not why),
+            ("rho", not self.is_own),
+        ):  # fmt: skip
+            if not is_used:
                 if key in self.model_fields_set and getattr(self, key) is not None:
-                    raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"; remove it')
+                    raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"{why}; remove it')
                 object.__setattr__(self, key, None)
-        self._files_apply()
-        if self.weakening is not None and self.coupling != OF_FILE and not self.is_own:  # which may hold it
+        if of_file:
+            self._files_apply()
+        if self.is_own:
+            self._function_applies()
+        if self.weakening is not None and not why:  # else that may hold static friction
             require_static({"rational": Rational, "stribeck": Stribeck}[self.weakening.law], self.static)
         if not self.back_slip:
             for speed in values(self.belt_speed):
