@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,11 +21,10 @@ import numpy as np
 import scipy.sparse
 from matplotlib.figure import Figure
 from pydantic import Field
-from scipy.stats import linregress, t
 
 from stickslip import sim
 from stickslip.analysis.style import CYCLE, STYLE, legend, subplots
-from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.pipeline import Scene, run_ensemble
 from stickslip.pipeline.cluster import local
 from stickslip.pipeline.design import MATRIX
 from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
@@ -36,8 +35,6 @@ from stickslip.workflows.charts.runner import frame
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
 KAPPA_AT = 200
-#: The level of the intervals.
-CONFIDENCE = 0.95
 
 Tolerance = Annotated[float, Field(gt=1e-16, lt=1e-2)]
 System = Literal["random", "chain"]
@@ -48,14 +45,6 @@ GROUPS: dict[tuple[System, Engine], str] = {
     ("random", "coulomb"): "Random systems, exact engine",
     ("chain", "coulomb"): "Chains, exact engine",
     ("random", "sigmoid"): "Random systems, sigmoid engine",
-}
-#: quantity -> what of a row it is, over what.
-QUANTITIES: dict[str, tuple[str, str | None]] = {
-    "seconds per event": ("seconds", "n_events"),
-    "seconds per unit of time": ("seconds", "t"),
-    "seconds per product": ("product_seconds", None),
-    "events per unit of time": ("n_events", "t"),
-    "products with K per unit of time": ("n_products", "t"),
 }
 
 
@@ -124,16 +113,13 @@ class ScalingScene(ChartScene):
         return Measured(costs, throughput(self, say))
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `costs`, `growth`, `throughput`."""
-        groups = [Group(*which, measured.costs) for which in GROUPS]
-        fits = [fit for group in groups for fit in group.fits.values()]
-        tables = {
-            "costs": frame(measured.costs, Cost),
-            "growth": frame(fits, Growth),
-            "throughput": frame(measured.throughput, Throughput),
+        """Tables: `costs`, `throughput`."""
+        groups = {
+            name: [row for row in measured.costs if (row.system, row.engine) == which]
+            for which, name in GROUPS.items()
         }
-        facts = {"groups": groups, "fits": fits, "quantities": QUANTITIES}
-        return Shown(facts, tables, {"cost_against_size": partial(cost_against_size, groups)})
+        tables = {"costs": frame(measured.costs, Cost), "throughput": frame(measured.throughput, Throughput)}
+        return Shown({"groups": groups}, tables, {"cost_against_size": partial(cost_against_size, groups)})
 
 
 # ---------------------------------------------------------------------------------------------- measuring
@@ -164,11 +150,15 @@ class Cost:
     product_seconds: float | None = None
     n_runs: int = 0
 
-    def of(self, quantity: str) -> float | None:
-        """One of `QUANTITIES`; None where it has none."""
-        part, over = QUANTITIES[quantity]
-        value, whole = getattr(self, part), 1.0 if over is None else getattr(self, over)
-        return value / whole if value is not None and whole else None
+    @property
+    def event(self) -> float | None:
+        """Seconds of an event; None where there was none."""
+        return self.seconds / self.n_events if self.seconds is not None and self.n_events else None
+
+    @property
+    def unit(self) -> float | None:
+        """Seconds of a unit of time."""
+        return self.seconds / self.t if self.seconds is not None and self.t else None
 
     @property
     def rest(self) -> float | None:
@@ -182,12 +172,10 @@ class Cost:
 class Throughput:
     """Members that an engine ran through the pipeline, on workers that have started and loaded.
 
-    A row of the table `throughput`. `tolerance` is a number, or "picked": what a scene that gives none gets, for
-    statistics.
+    A row of the table `throughput`; at the tolerances picked for statistics, which a scene that gives none gets.
     """
 
     engine: Engine
-    tolerance: str
     n: int
     t_end: float
     n_members: int
@@ -224,7 +212,9 @@ def warm() -> None:
 def cost(scene: ScalingScene, system: System, engine: Engine, n: int) -> Cost:
     """Runs over a fixed time, from the exact engine's state at `t_burn`."""
     row, drawn = Cost(system, engine, n), scene.drawn(system, n)
-    settings: dict[str, Any] = {"tol": scene.tol} if engine == "coulomb" else _smooth(scene)
+    settings: dict[str, Any] = {"tol": scene.tol}
+    if engine == "sigmoid":
+        settings = {"eps": scene.eps, "rtol": scene.rtol, "atol": scene.rtol}
     try:
         start = sim.simulate(drawn, Z0, W0, scene.t_burn, tol=scene.tol, stop_early=False)
         run = partial(
@@ -245,126 +235,53 @@ def cost(scene: ScalingScene, system: System, engine: Engine, n: int) -> Cost:
     )  # fmt: skip
 
 
-def _smooth(scene: ScalingScene) -> dict[str, float]:
-    return {"eps": scene.eps, "rtol": scene.rtol, "atol": scene.rtol}
-
-
 def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
-    """The ensemble, engine by engine, at the scene's tolerances and at those picked for statistics."""
-    engines: tuple[tuple[Engine, str, dict[str, float]], ...] = (
-        ("coulomb", f"{scene.tol:g}", {"tol": scene.tol}),
-        ("coulomb", "picked", {}),
-        ("sigmoid", f"{scene.rtol:g}", _smooth(scene)),
-        ("sigmoid", "picked", {"eps": scene.eps}),
-    )
+    """The ensemble, engine by engine."""
     rows, of_scene = [], (scene.ensemble_n, scene.ensemble_t_end, scene.members, scene.workers)
+    engines: dict[Engine, dict[str, float]] = {"coulomb": {}, "sigmoid": {"eps": scene.eps}}
     with local(scene.workers) as client:
         client.run(warm)
-        for engine, tolerance, settings in engines:
-            ensemble = parse_scene(ensemble_source(scene, engine, settings))
+        for engine, settings in engines.items():
             with TemporaryDirectory() as directory:
                 start = time.perf_counter()
-                status = run_ensemble(ensemble, Path(directory) / "ensemble", scheduler=client)
+                out = Path(directory) / "ensemble"
+                status = run_ensemble(ensemble(scene, engine, **settings), out, scheduler=client)
                 seconds = time.perf_counter() - start
-            rows.append(Throughput(engine, tolerance, *of_scene, status.outcomes.get("failed", 0), seconds))
-            say(f"ensemble, {engine} engine, tolerance {tolerance}: {seconds:.3g} s")
+            rows.append(Throughput(engine, *of_scene, status.outcomes.get("failed", 0), seconds))
+            say(f"ensemble, {engine} engine: {seconds:.3g} s")
     return rows
 
 
-def ensemble_source(scene: ScalingScene, engine: Engine, settings: dict[str, float]) -> bytes:
-    """The scene file of the ensemble for one engine, of which nothing is analysed."""
-    return f"""
-[system]
-coupling = "antisymmetric"
-n = {scene.ensemble_n}
-kappa = {scene.kappa_at(scene.ensemble_n)}
-[start]
-z = {Z0}
-w = {W0}
-[run]
-t_end = {scene.ensemble_t_end}
-matrices = {scene.members}
-seed = {scene.seed}
-[analysis]
-t_burn = 0.0
-dt = 1.0
-[[engine]]
-name = "{engine}"
-{"".join(f"{name} = {value}{chr(10)}" for name, value in settings.items())}""".encode()
-
-
-# ---------------------------------------------------------------------------------------------- exponents
-
-
-@dataclass(frozen=True)
-class Growth:
-    """value ~ n^exponent, fitted by least squares of log value on log n: a row of the table `growth`.
-
-    `low` and `high` are the interval at `CONFIDENCE` (Student's t); null, with a reason, where there are too few n.
-    """
-
-    system: str
-    engine: str
-    quantity: str
-    n_points: int
-    exponent: float | None = None
-    low: float | None = None
-    high: float | None = None
-    reason: str | None = None
-
-
-def growth(n: Sequence[int], values: Sequence[float], system: str, engine: str, quantity: str) -> Growth:
-    """Fit an exponent to values > 0 at distinct n."""
-    found = Growth(system, engine, quantity, len(n))
-    if len(n) < 3:
-        return replace(found, reason=f"an exponent with an error takes three n, got {len(n)}")
-    line = linregress(np.log(n), np.log(values))
-    half = float(t.ppf(0.5 * (1 + CONFIDENCE), len(n) - 2) * line.stderr)
-    exponent = float(line.slope)
-    return replace(found, exponent=exponent, low=exponent - half, high=exponent + half)
-
-
-class Group:
-    """The rows of one kind of system and one engine, and their exponents by quantity."""
-
-    def __init__(self, system: System, engine: Engine, costs: Sequence[Cost]) -> None:
-        self.system, self.engine, self.name = system, engine, GROUPS[system, engine]
-        self.rows = [row for row in costs if (row.system, row.engine) == (system, engine)]
-        self.known = {
-            quantity: [(row.n, value) for row in self.rows if (value := row.of(quantity))] for quantity in QUANTITIES
-        }
-        self.fits = {
-            quantity: growth([n for n, _ in points], [value for _, value in points], system, engine, quantity)
-            for quantity, points in self.known.items()
-            if points
-        }
+def ensemble(scene: ScalingScene, engine: Engine, **settings: float) -> Scene:
+    """The scene of the ensemble for one engine, of which nothing is analysed."""
+    n = scene.ensemble_n
+    return Scene(
+        system={"coupling": "antisymmetric", "n": n, "kappa": scene.kappa_at(n)},
+        start={"z": Z0, "w": W0},
+        run={"t_end": scene.ensemble_t_end, "matrices": scene.members, "seed": scene.seed},
+        engine=[{"name": engine, **settings}],
+        analysis={"t_burn": 0.0, "dt": 1.0},
+    )
 
 
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def cost_against_size(groups: Sequence[Group]) -> Figure:
-    """Cost against the number of blocks, log-log, with the fit dashed; and the share that is not products."""
+def cost_against_size(groups: Mapping[str, Sequence[Cost]]) -> Figure:
+    """Cost against the number of blocks, log-log; and the share that is not products."""
     panels = (
-        ("time per event (µs)", "seconds per event", 1e-6),
-        ("time per unit of time (ms)", "seconds per unit of time", 1e-3),
+        ("time per event (µs)", "event", 1e-6),
+        ("time per unit of time (ms)", "unit", 1e-3),
+        ("share that is not products", "rest", 1.0),
     )
     with matplotlib.rc_context(STYLE):
-        figure, axes = subplots(1, len(panels) + 1, 3.1)
-        for k, group in enumerate(groups):
-            look: dict[str, Any] = {"color": CYCLE[k], "marker": "osD"[k], "markersize": 4}
-            for ax, (label, quantity, unit) in zip(axes[0], panels, strict=False):
-                ax.set(title=label, xscale="log", yscale="log", xlabel="number of blocks n")
-                n, values = np.array(group.known[quantity]).reshape(-1, 2).T
-                ax.plot(n, values / unit, linestyle="none", label=group.name, **look)
-                exponent = group.fits[quantity].exponent if quantity in group.fits else None
-                if exponent is not None:
-                    level = np.exp(np.log(values / n**exponent).mean())
-                    ax.plot(n, level * n**exponent / unit, color=CYCLE[k], linestyle="--", linewidth=0.9)
-                    place: dict[str, Any] = {"transform": ax.transAxes, "va": "top"}
-                    ax.text(0.05, 0.97 - 0.08 * k, f"$n^{{{exponent:.2f}}}$", color=CYCLE[k], **place)
-            known = [(row.n, row.rest) for row in group.rows if row.rest is not None]
-            axes[0, -1].plot(*np.array(known).reshape(-1, 2).T, **look)
-        axes[0, -1].set(title="share that is not products", xscale="log", xlabel="number of blocks n", ylim=(0, 1))
+        figure, axes = subplots(1, len(panels), 3.1)
+        for ax, (title, quantity, unit) in zip(axes[0], panels, strict=True):
+            ax.set(title=title, xscale="log", xlabel="number of blocks n")
+            for k, (name, rows) in enumerate(groups.items()):
+                known = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
+                ax.plot(*np.array(known).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
+                        markersize=4, label=name)  # fmt: skip
+            ax.set(**({"ylim": (0, 1)} if quantity == "rest" else {"yscale": "log"}))
         legend(figure, 3)
     return figure
