@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.system_table import QUANTITIES
 
 # the rooms below load Arrow, which a scene without such starts does not need
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ _SAME = (
 
 #: Of several, the one is taken that is like it in these, the first ones first.
 _ALIKE = (
-    *("start_draw", "kappa", "leaf", "degree", "rho", "damping", "friction", "static", "mass", "belt_speed"),
-    *("force_amplitude", "force_frequency", "force_phase", "force_course", "weakening_rate", "weakening_speed"),
+    "start_draw",
+    *QUANTITIES,
     *("back_slip", "parameters", "twin_size", "engine", "settings", "ratio_draw"),
 )
 

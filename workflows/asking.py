@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import gc
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
@@ -29,8 +29,8 @@ class Asking:
         self._stack = ExitStack()
         n_children = min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
-        self._threads: list[threading.Thread] = []
-        self._each(_load)
+        self._pool = ThreadPoolExecutor(max(n_children, 1))
+        self._loading = [(child, self._pool.submit(_load, child)) for child in self._children]
 
     def __enter__(self) -> Asking:
         return self
@@ -38,17 +38,8 @@ class Asking:
     def __exit__(self, *_: object) -> None:
         for child in self._children:
             child.kill()
-        self._join()
+        self._pool.shutdown()
         self._stack.close()
-
-    def _each(self, work: Callable[[Child], None]) -> None:
-        self._threads = [threading.Thread(target=work, args=(child,), daemon=True) for child in self._children]
-        for thread in self._threads:
-            thread.start()
-
-    def _join(self) -> None:
-        for thread in self._threads:
-            thread.join()
 
     def __call__(self, path: str, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
         """The answer to each question, in their order.
@@ -66,10 +57,8 @@ class Asking:
                 while True:
                     yield to_go.popleft()
 
-        loading = dict(zip(self._children, self._threads, strict=True))
-
-        def by_child(child: Child) -> None:
-            loading[child].join()
+        def by_child(child: Child, loading: Future[None]) -> None:
+            loading.result()
             for key in next_ones():
                 try:
                     found[key] = child((path, key))
@@ -83,10 +72,11 @@ class Asking:
                 found[key] = ask(study, key)
                 on_answer(len(found), len(QUESTIONS))
 
-        self._each(by_child)
+        asked = [self._pool.submit(by_child, *one) for one in self._loading]
         prepare()
         here()
-        self._join()
+        for one in asked:
+            one.result()
         here()
         return [found[key] for key in QUESTIONS]
 

@@ -164,8 +164,8 @@ def test_the_answer_has_the_ends_and_the_throughput(scene):
     )
     _, cost, rate = report.headline
     assert cost == (
-        "Random systems, exact engine: an event costs 100 µs at n = 100 and 800 µs at n = 800, a unit of time 10 ms at"
-        " n = 100 and 640 ms at n = 800."
+        "Random systems, exact engine: an event costs 100 µs at n = 100 and 800 µs at n = 800, a unit of time"
+        " 10 ms at n = 100 and 640 ms at n = 800."
     )
     assert rate == "On 2 workers the coulomb engine runs 100 members a minute (n = 200, t_end = 1000)."
     assert "it broke" in report.html
