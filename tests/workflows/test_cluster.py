@@ -55,7 +55,7 @@ def test_what_slurm_is_told(slurm, tmp_path, monkeypatch):
     jobqueue = pytest.importorskip("dask_jobqueue.slurm")
     signal.signal(signal.SIGINT, before)  # it sets one of its own
     asked = ["mine.toml", "--out", "x", "--per-job", "8", "--memory", "3", "--minutes", "90", "--queue", "long"]
-    arguments = slurm.parser().parse_args([*asked, "--account", "blocks", "--cache", "/scratch/kernels"])
+    arguments = slurm.parser().parse_args([*asked, "--account", "blocks"])
     monkeypatch.chdir(tmp_path)
     with jobqueue.SLURMCluster(**slurm.slurm_settings(arguments)) as cluster:
         script = cluster.job_script()
@@ -72,7 +72,6 @@ def test_what_slurm_is_told(slurm, tmp_path, monkeypatch):
         "export OPENBLAS_NUM_THREADS=1",
         "export MKL_NUM_THREADS=1",
         "export NUMBA_NUM_THREADS=1",
-        "export NUMBA_CACHE_DIR=/scratch/kernels",
         "export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)",
     ):
         assert line in script.splitlines()

@@ -50,9 +50,6 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--minutes", type=int, default=120, help="time limit of a job (default: 120)")
     found.add_argument("--queue", metavar="NAME", help="Slurm's partition")
     found.add_argument("--account", metavar="NAME", help="whom Slurm charges")
-    found.add_argument(
-        "--cache", metavar="DIR", help="for compiled kernels, if home is not shared by the nodes or cannot be written"
-    )
     found.add_argument("--local", action="store_true", help="processes of this machine instead, to try the rest")
     return found
 
@@ -62,8 +59,6 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     prologue = [f"export {name}_NUM_THREADS=1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
     # of its own: a worker looks for modules there, and the common one is whoever's came first
     prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
-    if arguments.cache:
-        prologue.append(f"export NUMBA_CACHE_DIR={arguments.cache}")
     hours, minutes = divmod(arguments.minutes, 60)
     lifetime = max(60, 60 * arguments.minutes - MARGIN - STAGGER)
     return {
@@ -109,11 +104,10 @@ def _close(cluster: Cluster) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run; returns the exit code: 0 done, 1 not done or failed members, 2 a wrong scene, 130 or 143 interrupted."""
+    """Run; returns the exit code: 0 done, 1 not done or failed members, 130 or 143 interrupted."""
     arguments = parser().parse_args(argv)
     try:
-        file = find(arguments.scene)
-        scene = load_scene(file)
+        scene = load_scene(find(arguments.scene))
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
         with interruptible(), start(arguments) as client:
@@ -124,12 +118,8 @@ def main(argv: list[str] | None = None) -> int:
     except Interrupted as interrupt:
         print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
         return interrupt.exit_code
-    except SceneError as error:
-        print(f"slurm.py: {error}", file=sys.stderr)
-        return 2
-    except (ScheduleError, StoreError) as error:
-        print(f"slurm.py: {error}", file=sys.stderr)
-        return 1
+    except (SceneError, ScheduleError, StoreError) as error:
+        sys.exit(f"slurm.py: {error}")
     n_failed = sum(status.failures.values())
     print(f"data    {arguments.out}: {status.n_done} of {status.n_members} members, {n_failed} failed")
     return 1 if status.failures else 0
