@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
-from stickslip.pipeline.toml import MAX_VALUES, Count, PositiveNumbers, StrictTable, as_tuple, listed
+from stickslip.pipeline.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once
 from stickslip.sim.couplings import Reading
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
@@ -25,16 +25,10 @@ TOLERANCES: dict[Purpose, dict[str, float]] = {
 }
 
 
-def _once(values: tuple[str, ...]) -> tuple[str, ...]:
-    if len(set(values)) < len(values):
-        raise ValueError(f"expected each value once, got {list(values)!r}; remove the duplicates")
-    return values
-
-
 Readings = Annotated[
     tuple[Reading, ...],
     BeforeValidator(as_tuple, json_schema_input_type=Reading | list[Reading]),
-    AfterValidator(_once),
+    AfterValidator(once),
 ]
 
 
@@ -160,11 +154,10 @@ def _each_of_lists(given: Any, read: Callable[[Any], EngineTable]) -> tuple[Engi
     numbers = [name for name, one in engine.settings().items() if isinstance(one, Number)] if engine else []
     lists = {name: given[name] for name in numbers if isinstance(given.get(name), list | tuple)}
     for name, several in lists.items():
-        if not 1 <= len(several) <= MAX_VALUES:
-            raise ValueError(f"expected 1 to {MAX_VALUES} values of {name}, got {len(several)}; write one, or a list")
-        twice = [value for k, value in enumerate(several) if value in several[:k]]
-        if twice:
-            raise ValueError(f"expected each value of {name} once, got {twice[0]} more than once; remove it")
+        try:
+            once(several)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
     choices = itertools.product(*lists.values())
     return tuple(read({**given, **dict(zip(lists, choice, strict=True))} if lists else given) for choice in choices)
 

@@ -13,7 +13,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from stickslip.pipeline.toml import MAX_VALUES, shown
+from stickslip.pipeline.toml import once, shown
 from stickslip.sim.arguments import Floats, did_you_mean
 
 #: The distributions, by what their two numbers are.
@@ -148,13 +148,7 @@ class _Key:
         """A quantity from what the file holds."""
         if not isinstance(given, list | tuple):
             return self._value(given, given)
-        if not 1 <= len(given) <= MAX_VALUES:
-            raise ValueError(f"expected a list of 1 to {MAX_VALUES} values, got {len(given)}; {self._write}")
-        found = tuple(self._value(value, given) for value in given)
-        twice = [value for k, value in enumerate(found) if value in found[:k]]
-        if twice:
-            raise ValueError(f"expected each value once, got {twice[0]} more than once; remove the duplicates")
-        return found
+        return once([self._value(value, given) for value in given])
 
     def _value(self, given: object, whole: object) -> Value:
         if isinstance(given, Distribution | Course | Named):
@@ -178,31 +172,20 @@ class _Key:
 
     def _distribution(self, given: dict[str, object]) -> Distribution:
         law = next(iter(given), "")
-        if len(given) != 1 or law not in LAWS:
+        if len(given) != 1 or law not in self.laws:
             unknown = next((name for name in given if name not in LAWS), "")
-            meant = did_you_mean(unknown, LAWS) or f"; {self._write}"
+            meant = did_you_mean(unknown, self.laws) or f"; {self._write}"
             raise ValueError(
-                f"expected a distribution with one of the keys {', '.join(LAWS)}, got {shown(given)}{meant}"
+                f"expected a distribution with one of the keys {', '.join(self.laws)}, got {shown(given)}{meant}"
             )
-        if law not in self.laws:
-            raise ValueError(
-                f"expected a distribution of which no draw is below {self.least}, got {law!r}; {self._write}"
-            )
-        numbers: Any = given[law]
-        pair = [one for one in map(_number, numbers) if one is not None] if isinstance(numbers, list | tuple) else []
-        if len(pair) != 2 or len(numbers) != 2:
-            raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers, got {shown(numbers)}")
-        first, second = pair
-        if law == "uniform" and not (self._bears(first) and first < second):
-            least = "" if self.least is None else f"{self.least} {'<' if self.above else '<='} "
-            raise ValueError(f"expected uniform = [low, high] with {least}low < high, got {numbers!r}")
-        if law == "normal" and not second > 0:
-            raise ValueError(
-                f"expected normal = [mean, standard deviation] with a deviation above 0, got {numbers!r}"
-            )
-        if not math.isfinite(second - first):
-            raise ValueError(f"expected {law} = {LAWS[law]} of less than 1.8e308, got {numbers!r}")
-        return Distribution(law, first, second)
+        numbers = given[law]
+        match [_number(one) for one in numbers] if isinstance(numbers, list | tuple) else []:
+            case [float(first), float(second)] if math.isfinite(second - first):
+                if second > 0 if law == "normal" else self._bears(first) and first < second:
+                    return Distribution(law, first, second)
+        least = "" if self.least is None else f"{self.least} {'<' if self.above else '<='} "
+        rule = "a deviation above 0" if law == "normal" else f"{least}low < high"
+        raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers with {rule}, got {shown(numbers)}")
 
     def _bears(self, number: float) -> bool:
         return self.least is None or number > self.least or (number == self.least and not self.above)
@@ -308,12 +291,10 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
     alone = [names for names in together if len(names) < 2]
     if alone:
         raise ValueError(f'expected two keys or more to go together, as [["kappa", "rho"]], got {list(alone[0])!r}')
-    for key in named:
+    for key in once(named, least=0):
         if key not in lists:
             known = f"; lists are there for {', '.join(lists)}" if lists else "; write lists, or remove it"
             raise ValueError(f"expected keys that hold lists, got {key!r}{did_you_mean(key, lists) or known}")
-        if named.count(key) > 1:
-            raise ValueError(f"expected each key once, got {key!r} more than once; remove the duplicates")
     found: list[Axis] = []
     for key in lists:
         keys = next((tuple(sorted(names, key=list(lists).index)) for names in together if key in names), (key,))

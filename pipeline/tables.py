@@ -25,20 +25,16 @@ from stickslip.pipeline.toml import (
     PositiveNumbers,
     StrictTable,
     as_tuple,
-    distinct,
     listed,
+    once,
 )
 from stickslip.sim.engines.contract import Purpose
 
 
 def _seeds(given: Any, read: Callable[[Any], int]) -> int | tuple[int, ...]:
-    if given == []:
-        raise ValueError("expected at least one value, got []; write e.g. `seed = 0`")
     if not isinstance(given, list | tuple):
         return read(given)
-    seeds = tuple(map(read, given))  # in the order of the file, for `zip`
-    distinct(seeds)
-    return seeds
+    return once([read(seed) for seed in given])  # in the order of the file, for `zip`
 
 
 if TYPE_CHECKING:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import codecs
 import contextlib
-import itertools
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -55,15 +54,20 @@ def as_tuple(value: object) -> object:
     return value if isinstance(value, tuple) else (value,)
 
 
+def once(values: Sequence[Any], least: int = 1) -> tuple[Any, ...]:
+    """The values of a key, not too many and none of them twice."""
+    if not least <= len(values) <= MAX_VALUES:
+        between = f"{least} to" if least else "at most"
+        raise ValueError(f"expected {between} {MAX_VALUES} values, got {len(values)}; write some, or fewer")
+    twice = [value for k, value in enumerate(values) if value in values[:k]]
+    if twice:
+        raise ValueError(f"expected each value once, got {twice[0]!r} more than once; remove the duplicates")
+    return tuple(values)
+
+
 def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     """Ascending and without duplicates: the order in the file means nothing."""
-    if len(values) > MAX_VALUES:
-        raise ValueError(f"expected at most {MAX_VALUES} values, got {len(values)}; choose fewer")
-    ordered = sorted(values)
-    for value, following in itertools.pairwise(ordered):
-        if value == following:
-            raise ValueError(f"expected each value once, got {value!r} more than once; remove the duplicates")
-    return tuple(ordered)
+    return tuple(sorted(once(values, least=0)))
 
 
 #: A list of the file; frozen models hold tuples.

@@ -386,10 +386,10 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
 
 FORCES = ["system.force", "amplitude and frequency, or times and values"]
 BAD = {
-    "no values of an engine": ("tol = 1e-6", "tol = []", ["engine[0]", "1 to 1000 values of tol"]),
+    "no values of an engine": ("tol = 1e-6", "tol = []", ["engine[0]", "tol: expected 1 to 1000 values"]),
     "an engine's value twice": ("tol = 1e-6", "tol = [1e-6, 1e-6]", ["engine[0]", "value of tol once"]),
     "a text among tolerances": ("tol = 1e-6", 'tol = [1e-6, "a"]', ["engine[0].tol", "a valid number", "'a'"]),
-    "no seeds": ("seed = 3", "seed = []", ["run.seed", "at least one value"]),
+    "no seeds": ("seed = 3", "seed = []", ["run.seed", "1 to 1000 values"]),
     "a seed twice": ("seed = 3", "seed = [3, 3]", ["run.seed", "each value once"]),
     "a list where none can be": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
     "a list where none makes sense": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
