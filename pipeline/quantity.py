@@ -13,7 +13,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from stickslip.pipeline.toml import once, shown
+from stickslip.pipeline.toml import once, shown, unquoted
 from stickslip.sim.arguments import Floats, did_you_mean
 
 #: The distributions, by what their two numbers are.
@@ -166,9 +166,8 @@ class _Key:
         if isinstance(given, dict) and self.laws:
             return self._distribution(given)
         within = f" in {shown(whole)}" if given is not whole else ""
-        quoted = isinstance(given, str) and _number_in(given)
-        remedy = f"write it without quotes: {given}" if quoted else self._write
-        raise ValueError(f"expected {self._expected}, got {shown(given)}{within}; {remedy}")
+        remedy = unquoted(given) or f"; {self._write}"
+        raise ValueError(f"expected {self._expected}, got {shown(given)}{within}{remedy}")
 
     def _distribution(self, given: dict[str, object]) -> Distribution:
         law = next(iter(given), "")
@@ -244,13 +243,6 @@ def _number(given: object) -> float | None:
         return float(given) if math.isfinite(given) else None
     except OverflowError:  # an integer beyond float64
         return None
-
-
-def _number_in(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 AnyNumber = Annotated[Quantity, _Key()]

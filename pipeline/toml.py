@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import contextlib
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -245,6 +246,15 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def unquoted(value: object) -> str:
+    """What to do about a text that holds a number, as the end of a message; "" if it holds none."""
+    try:
+        is_number = isinstance(value, str) and math.isfinite(float(value))
+    except ValueError:
+        return ""
+    return f"; write it without quotes: {value}" if is_number else ""
+
+
 def _keys(table: type[BaseModel]) -> dict[str, Any]:
     return {field.alias or name: field for name, field in table.model_fields.items()}
 
@@ -324,8 +334,8 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         expected = f"a value {words} {float(bound):g}" if "." in bound else f"a value {expected}"
     got = shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; {f'e.g. {example}' if example else f'`{key}`'} ({field.description})" if field else ""
-    if kind in _NUMBERS:
-        remedy = _number_remedy(kind, value) or remedy
+    if kind in ("int_type", "float_type"):
+        remedy = unquoted(value) or remedy
     if isinstance(value, list) and kind.endswith("_type") and not path.endswith("]"):
         array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
         others = (
@@ -333,13 +343,3 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         )
         remedy = f"; write one value{others}"
     return f"{path}: expected {expected}, got {got}{remedy}"
-
-
-#: Numbers as TOML writes them, by pydantic's name of what is amiss where one is expected.
-_NUMBERS = {"int_type": r"[-+]?\d+", "float_type": r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?"}
-
-
-def _number_remedy(kind: str, value: object) -> str:
-    """What to do about a text that is the number that is expected; "" if it is not."""
-    is_quoted = isinstance(value, str) and re.fullmatch(_NUMBERS[kind], value)
-    return f"; write it without quotes: {value}" if is_quoted else ""
