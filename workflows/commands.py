@@ -213,9 +213,10 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 
 def _write_report(directory: Where, asking: Asking | None = None, watch: Watch | None = None) -> None:
     from stickslip.analysis.report import PAGE
+    from stickslip.pipeline import status
     from stickslip.pipeline.storage import place_of
     from stickslip.workflows.asking import Asking
-    from stickslip.workflows.fresh import is_current, n_to_go
+    from stickslip.workflows.fresh import is_current
 
     if is_current(directory):
         if watch is not None:
@@ -224,9 +225,9 @@ def _write_report(directory: Where, asking: Asking | None = None, watch: Watch |
     else:
         with Asking() if asking is None else nullcontext(asking) as processes:
             _build_report(directory, processes, watch)
-    to_go, n_members = n_to_go(directory)
-    if to_go:
-        print(f"note: {to_go} of {n_members} members are still to run")
+    found = status(directory)
+    if not found.is_complete:
+        print(f"note: {found.n_members - found.n_done} of {found.n_members} members are still to run")
 
 
 def _build_report(directory: Where, asking: Asking, watch: Watch | None) -> None:

@@ -48,9 +48,3 @@ def is_current(path: Where) -> bool:
         return page is not None and made_from(path).encode() in page[:2000]
     except SceneError:  # said in full where the report is made
         return False
-
-
-def n_to_go(path: Where) -> tuple[int, int]:
-    """Members that have no row yet, of how many."""
-    n_members = stored_scene(path).n_members
-    return n_members - sum(shard.rows for shard in read_manifest(path).shards.values()), n_members
