@@ -133,8 +133,8 @@ def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
             law = "law of the r_i: 1, or uniform in (0, 1]"
             draws = "number of draws of the r_i for each system"
             return {
-                "ratio": (Literal["one", "uniform"], Field(default="one", description=law, examples=["one"])),
-                "ratio_draws": (Count, Field(default=1, description=draws, examples=[1])),
+                "ratio": (Literal["one", "uniform"], Field(default="one", description=law)),
+                "ratio_draws": (Count, Field(default=1, description=draws)),
             }
     raise TypeError(f"{name}: expected a setting of a known kind, got {type(one).__name__}")
 

@@ -86,7 +86,7 @@ class ForceTable(StrictTable):
     frequency: BlockScale | None = Field(
         default=None, description="frequency of the force, in radians a unit of time; 0: constant", examples=[1.0]
     )
-    phase: BlockNumber | None = Field(default=0.0, description="phase of the force at t = 0", examples=[0.0])
+    phase: BlockNumber | None = Field(default=0.0, description="phase of the force at t = 0")
     times: Annotated[tuple[float, ...], List] | None = Field(
         default=None,
         description="times between which the force is linear; it is constant before and after",
@@ -159,17 +159,15 @@ class SystemTable(StrictTable):
         examples=["K.npz"],
     )
     kappa: Scale | None = Field(
-        default=0.2, description="scale of the stiffnesses; of a graph the springs between neighbours", examples=[0.2]
+        default=0.2, description="scale of the stiffnesses; of a graph the springs between neighbours"
     )
-    leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph", examples=[0.1])
-    degree: Scale | None = Field(
-        default=4.0, description="mean number of neighbours in the graph `network`", examples=[4.0]
-    )
-    rho: Scale | None = Field(default=3.5, description="scale of the dampings", examples=[3.5])
+    leaf: BlockScale | None = Field(default=0.1, description="leaf spring of every block in a graph")
+    degree: Scale | None = Field(default=4.0, description="mean number of neighbours in the graph `network`")
+    rho: Scale | None = Field(default=3.5, description="scale of the dampings")
     damping: BlockScale | None = Field(
         default=None, description="damping R of every block, in the place of `rho`", examples=[0.0]
     )
-    friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block", examples=[1.0])
+    friction: BlockScale = Field(default=1.0, description="kinetic friction mu of every block")
     static: BlockScale | None = Field(
         default=None,
         description="static friction of every block, at least the kinetic; the kinetic if left out",
@@ -177,9 +175,7 @@ class SystemTable(StrictTable):
     )
     mass: BlockMass | None = Field(default=None, description="mass of every block; 1 if left out", examples=[2.0])
     belt_speed: BeltSpeed = Field(
-        default=-0.2,
-        description="speed v of the belt, linear between times and constant beyond if it has any",
-        examples=[-0.2],
+        default=-0.2, description="speed v of the belt, linear between times and constant beyond if it has any"
     )
     force: ForceTable | None = None
     weakening: WeakeningTable | None = None

@@ -115,7 +115,7 @@ class RunTable(StrictTable):
 
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
     matrices: Count = Field(description="number of random systems for each n", examples=[20])
-    seed: Seeds = Field(default=0, description="seed of all random draws", examples=[0])
+    seed: Seeds = Field(default=0, description="seed of all random draws")
     zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = Field(
         default=None,
         description="keys whose lists go together, value by value, in place of a grid",
@@ -152,7 +152,7 @@ class TwinsTable(StrictTable):
 class RecordTable(StrictTable):
     """[record]: what is kept beside the change points of n_stick, which always are."""
 
-    events: bool = Field(default=False, description="whether to keep every event", examples=[False])
+    events: bool = Field(default=False, description="whether to keep every event")
     end: bool = Field(
         default=False,
         description="whether to keep the state at the end, at which runs of another scene can start",
@@ -172,7 +172,6 @@ class RecordTable(StrictTable):
     growth_rate: bool = Field(
         default=False,
         description="whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run",
-        examples=[False],
     )
     separation: Positive | None = Field(
         default=None,
@@ -187,11 +186,11 @@ class MarginsTable(StrictTable):
     Shares of the original's value.
     """
 
-    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick", examples=[0.1])
-    variance: Positive = Field(default=0.25, description="margin of its variance in time", examples=[0.25])
-    rate: Positive = Field(default=0.1, description="margin of the rate of its changes", examples=[0.1])
-    gamma: Positive = Field(default=0.05, description="margin of gamma by events", examples=[0.05])
-    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time", examples=[0.5])
+    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick")
+    variance: Positive = Field(default=0.25, description="margin of its variance in time")
+    rate: Positive = Field(default=0.1, description="margin of the rate of its changes")
+    gamma: Positive = Field(default=0.05, description="margin of gamma by events")
+    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
 
 
 #: What a report can be asked first: the names of `analysis.questions`.
@@ -220,13 +219,9 @@ class AnalysisTable(StrictTable):
     tau: PositiveNumbers = Field(
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
-    smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to", examples=[1])
-    resamples: int = Field(
-        default=200, ge=2, description="most surrogates of a member for what chance gives", examples=[200]
-    )
-    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.95, description="level of the intervals", examples=[0.95]
-    )
+    smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
+    resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.95, description="level of the intervals")
     margins: MarginsTable = MarginsTable()
     question: Annotated[
         tuple[QuestionName, ...],

@@ -300,7 +300,10 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
     kind, value = detail["type"], detail["input"]
     fields = _keys(table)
     field = fields.get(key) if key is not None else None
-    example = f"`{key} = {json.dumps(field.examples[0])}`" if field and field.examples else ""
+    # an example is the default where nothing else is said
+    examples = (field.examples or [field.default]) if field else []
+    is_plain = bool(examples) and isinstance(examples[0], bool | int | float | str | list | tuple)
+    example = f"`{key} = {json.dumps(examples[0])}`" if is_plain and examples[0] not in ("", ()) else ""
 
     if (
         kind == "value_error"

@@ -56,25 +56,19 @@ class ScalingScene(ChartScene):
     chart: Literal["scaling"] = Field(description="kind of the chart", examples=["scaling"])
     title: str = Field(default="Cost and size", description="one line for the report's head")
     n: BlockNumbers = Field(description="number of blocks of the random systems", examples=[[100, 200, 500]])
-    kappa: Positive = Field(default=0.2, description="scale of the stiffnesses at n = 200", examples=[0.2])
+    kappa: Positive = Field(default=0.2, description="scale of the stiffnesses at n = 200")
     chain_n: BlockNumbers = Field(description="number of blocks of the chains", examples=[[100, 1000, 10000]])
-    chain_kappa: Positive = Field(
-        default=1.5, description="scale of the couplings to the neighbours in a chain", examples=[1.5]
-    )
-    tol: Tolerance = Field(default=1e-10, description="tolerance of the exact engine", examples=[1e-10])
-    eps: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.03, description="width of the sigmoid", examples=[0.03]
-    )
-    rtol: Tolerance = Field(
-        default=1e-6, description="tolerance of the sigmoid engine, relative and absolute alike", examples=[1e-6]
-    )
-    t_burn: Positive = Field(default=5.0, description="time before which nothing is measured", examples=[5.0])
-    t_run: Positive = Field(default=20.0, description="length of each run", examples=[20.0])
-    repeats: Count = Field(default=5, description="number of runs of each", examples=[5])
-    ensemble_n: Blocks = Field(default=200, description="number of blocks of the ensemble", examples=[200])
-    ensemble_t_end: Positive = Field(default=1000.0, description="end of the ensemble's runs", examples=[1000.0])
-    members: Count = Field(default=40, description="number of members of the ensemble", examples=[40])
-    workers: Count = Field(default=2, description="number of local workers", examples=[2])
+    chain_kappa: Positive = Field(default=1.5, description="scale of the couplings to the neighbours in a chain")
+    tol: Tolerance = Field(default=1e-10, description="tolerance of the exact engine")
+    eps: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.03, description="width of the sigmoid")
+    rtol: Tolerance = Field(default=1e-6, description="tolerance of the sigmoid engine, relative and absolute alike")
+    t_burn: Positive = Field(default=5.0, description="time before which nothing is measured")
+    t_run: Positive = Field(default=20.0, description="length of each run")
+    repeats: Count = Field(default=5, description="number of runs of each")
+    ensemble_n: Blocks = Field(default=200, description="number of blocks of the ensemble")
+    ensemble_t_end: Positive = Field(default=1000.0, description="end of the ensemble's runs")
+    members: Count = Field(default=40, description="number of members of the ensemble")
+    workers: Count = Field(default=2, description="number of local workers")
 
     def kappa_at(self, n: int) -> float:
         """The scale of the stiffnesses that couples n blocks as strongly as `kappa` couples `KAPPA_AT`."""

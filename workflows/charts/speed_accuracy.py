@@ -59,9 +59,9 @@ class SpeedScene(ChartScene):
     steps: Several[Positive] = Field(
         default=(), description="steps of the methods of a fixed step; none leaves them out", examples=[[0.1, 0.01]]
     )
-    repeats: Count = Field(default=5, description="number of runs of each", examples=[5])
+    repeats: Count = Field(default=5, description="number of runs of each")
     seconds_a_run: Positive = Field(
-        default=1.0, description="seconds of a run after which no finer tolerance is asked", examples=[1.0]
+        default=1.0, description="seconds of a run after which no finer tolerance is asked"
     )
 
     def problem(self, n: int, ratio: Ratio) -> Problem:

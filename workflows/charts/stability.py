@@ -80,7 +80,7 @@ class StabilityScene(ChartScene):
     steps: Several[Positive] = Field(
         default=(), description="steps of the methods of a fixed step; none leaves them out", examples=[[0.1, 0.01]]
     )
-    patience: Positive = Field(default=0.5, description="seconds after which a run is too slow", examples=[0.5])
+    patience: Positive = Field(default=0.5, description="seconds after which a run is too slow")
 
     def problem(self, axis: Axis, stiffness: float) -> Problem:
         """Matrix 0 of an ensemble with this seed, made stiff."""

@@ -127,17 +127,15 @@ class OneBlockScene(ChartScene):
 
     chart: Literal["one_block"] = Field(description="kind of the chart", examples=["one_block"])
     title: str = Field(default="One block: closed forms", description="one line for the head")
-    periods: Count = Field(
-        default=40, description="number of random periods, and as many with damping", examples=[40]
-    )
-    boundary: Count = Field(default=40, description="number of frequencies of the boundary of sliding", examples=[40])
-    stability: Count = Field(default=150, description="number of blocks whose stability is measured", examples=[150])
-    shifted: Count = Field(default=10, description="number of shifted cycles for each of three n", examples=[10])
-    stops: Count = Field(default=400, description="number of blocks whose stops are counted", examples=[400])
+    periods: Count = Field(default=40, description="number of random periods, and as many with damping")
+    boundary: Count = Field(default=40, description="number of frequencies of the boundary of sliding")
+    stability: Count = Field(default=150, description="number of blocks whose stability is measured")
+    shifted: Count = Field(default=10, description="number of shifted cycles for each of three n")
+    stops: Count = Field(default=400, description="number of blocks whose stops are counted")
     slowest: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.05, description="the least frequency of the force; the largest is 2", examples=[0.05]
+        default=0.05, description="the least frequency of the force; the largest is 2"
     )
-    starts: Count = Field(default=300, description="number of random starts in the basin", examples=[300])
+    starts: Count = Field(default=300, description="number of random starts in the basin")
 
     def extent(self) -> str:
         n = 2 * self.periods + self.boundary + self.stability + 3 * self.shifted + self.stops + self.starts

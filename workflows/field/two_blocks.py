@@ -149,23 +149,24 @@ class TwoBlocksScene(ChartScene):
 
     chart: Literal["two_blocks"] = Field(description="kind of the chart", examples=["two_blocks"])
     title: str = Field(default="Two blocks, static and dynamic friction", description="one line for the head")
-    pairs: Count = Field(default=300, description="number of random pairs, each from a random start", examples=[300])
+    pairs: Count = Field(default=300, description="number of random pairs, each from a random start")
     coupling: PositiveNumbers = Field(
-        min_length=2, max_length=2,
-        default=(0.1, 10.0), description="least and largest coupling spring, uniform in its logarithm",
-        examples=[[0.1, 10.0]],
-    )  # fmt: skip
-    drop: Positive = Field(default=0.3, description="static less kinetic friction", examples=[0.3])
-    belt_speed: Positive = Field(default=1e-4, description="speed of the belt", examples=[1e-4])
+        min_length=2,
+        max_length=2,
+        default=(0.1, 10.0),
+        description="least and largest coupling spring, uniform in its logarithm",
+    )
+    drop: Positive = Field(default=0.3, description="static less kinetic friction")
+    belt_speed: Positive = Field(default=1e-4, description="speed of the belt")
     episodes: Annotated[int, Field(ge=10)] = Field(
-        default=150, description="episodes after which a cycle has to be found", examples=[150]
+        default=150, description="episodes after which a cycle has to be found"
     )
-    asymmetry: Positive = Field(default=0.01, description="share by which one friction is raised", examples=[0.01])
-    tried: Count = Field(default=100, description="number of cycles tried with that asymmetry", examples=[100])
+    asymmetry: Positive = Field(default=0.01, description="share by which one friction is raised")
+    tried: Count = Field(default=100, description="number of cycles tried with that asymmetry")
     unequal: Annotated[float, Field(gt=1)] = Field(
-        default=2.25, description="ratio of the frictions of unequal blocks", examples=[2.25]
+        default=2.25, description="ratio of the frictions of unequal blocks"
     )
-    unequal_pairs: Count = Field(default=30, description="number of unequal pairs", examples=[30])
+    unequal_pairs: Count = Field(default=30, description="number of unequal pairs")
 
     def extent(self) -> str:
         return f"{self.pairs} random pairs of blocks, {self.unequal_pairs} of unequal blocks"

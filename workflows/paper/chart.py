@@ -56,26 +56,24 @@ class PaperScene(ChartScene):
         default=(20, 100, 200), description="numbers of blocks of figure 3; the last is that of figures 4 and 5",
         examples=[[20, 200]],
     )  # fmt: skip
-    draws: Count = Field(default=20, description="number of matrices for each n but the last", examples=[20])
-    beyond: Blocks = Field(default=250, description="number of blocks at which runs escape", examples=[250])
-    matrices: Count = Field(default=40, description="number of matrices for the last n", examples=[40])
-    t_end: Positive = Field(default=1500.0, description="end of these runs", examples=[1500.0])
-    t_burn: Positive = Field(default=600.0, description="time before which nothing is counted", examples=[600.0])
-    t_shown: Positive = Field(default=200.0, description="time to which figures 3 and 4 are drawn", examples=[200.0])
-    eps: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.03, description="width of the sigmoid", examples=[0.03]
-    )
-    few: Count = Field(default=3, description="number of matrices for each change of the system", examples=[3])
-    t_few: Positive = Field(default=1000.0, description="end of changed runs", examples=[1000.0])
-    size: Positive = Field(default=0.01, description="size of the perturbations of kappa and rho", examples=[0.01])
+    draws: Count = Field(default=20, description="number of matrices for each n but the last")
+    beyond: Blocks = Field(default=250, description="number of blocks at which runs escape")
+    matrices: Count = Field(default=40, description="number of matrices for the last n")
+    t_end: Positive = Field(default=1500.0, description="end of these runs")
+    t_burn: Positive = Field(default=600.0, description="time before which nothing is counted")
+    t_shown: Positive = Field(default=200.0, description="time to which figures 3 and 4 are drawn")
+    eps: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.03, description="width of the sigmoid")
+    few: Count = Field(default=3, description="number of matrices for each change of the system")
+    t_few: Positive = Field(default=1000.0, description="end of changed runs")
+    size: Positive = Field(default=0.01, description="size of the perturbations of kappa and rho")
     noise: PositiveNumbers = Field(
         default=(0.01, 0.02, 0.03, 0.05, 0.07, 0.1),
         description="sizes of the noise on all dampings",
         examples=[[0.1]],
     )
-    escapes: Count = Field(default=8, description="number of matrices for each size of the noise", examples=[8])
+    escapes: Count = Field(default=8, description="number of matrices for each size of the noise")
     dt: PositiveNumbers = Field(default=(0.1, 0.3, 1.0), description="sampling steps of cascades", examples=[[0.1]])
-    workers: Count = Field(default=2, description="number of local workers", examples=[2])
+    workers: Count = Field(default=2, description="number of local workers")
 
     @model_validator(mode="after")
     def _in_order(self) -> PaperScene:
