@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
@@ -28,7 +29,7 @@ TOLERANCES: dict[Purpose, dict[str, float]] = {
 Readings = Annotated[
     tuple[Reading, ...],
     BeforeValidator(as_tuple, json_schema_input_type=Reading | list[Reading]),
-    AfterValidator(once),
+    AfterValidator(partial(once, least=0)),
 ]
 
 

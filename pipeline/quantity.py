@@ -174,8 +174,10 @@ class _Key:
         if len(given) != 1 or law not in self.laws:
             unknown = next((name for name in given if name not in LAWS), "")
             meant = did_you_mean(unknown, self.laws) or f"; {self._write}"
+            bound = "" if self.least is None else f", which draw nothing below {self.least}"
             raise ValueError(
-                f"expected a distribution with one of the keys {', '.join(self.laws)}, got {shown(given)}{meant}"
+                f"expected a distribution with one of the keys {', '.join(self.laws)}{bound}, got {shown(given)}"
+                + meant
             )
         numbers = given[law]
         match [_number(one) for one in numbers] if isinstance(numbers, list | tuple) else []:

@@ -246,10 +246,10 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def unquoted(value: object) -> str:
+def unquoted(value: object, kind: type[int] | type[float] = float) -> str:
     """What to do about a text that holds a number, as the end of a message; "" if it holds none."""
     try:
-        is_number = isinstance(value, str) and math.isfinite(float(value))
+        is_number = isinstance(value, str) and math.isfinite(kind(value))
     except ValueError:
         return ""
     return f"; write it without quotes: {value}" if is_number else ""
@@ -338,7 +338,7 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
     got = shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; {f'e.g. {example}' if example else f'`{key}`'} ({field.description})" if field else ""
     if kind in ("int_type", "float_type"):
-        remedy = unquoted(value) or remedy
+        remedy = unquoted(value, int if kind == "int_type" else float) or remedy
     if isinstance(value, list) and kind.endswith("_type") and not path.endswith("]"):
         array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
         others = (

@@ -387,7 +387,7 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
 FORCES = ["system.force", "amplitude and frequency, or times and values"]
 BAD = {
     "no values of an engine": ("tol = 1e-6", "tol = []", ["engine[0]", "tol: expected 1 to 1000 values"]),
-    "an engine's value twice": ("tol = 1e-6", "tol = [1e-6, 1e-6]", ["engine[0]", "value of tol once"]),
+    "an engine's value twice": ("tol = 1e-6", "tol = [1e-6, 1e-6]", ["engine[0]", "tol: expected each value once"]),
     "a text among tolerances": ("tol = 1e-6", 'tol = [1e-6, "a"]', ["engine[0].tol", "a valid number", "'a'"]),
     "no seeds": ("seed = 3", "seed = []", ["run.seed", "1 to 1000 values"]),
     "a seed twice": ("seed = 3", "seed = [3, 3]", ["run.seed", "each value once"]),
