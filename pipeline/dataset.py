@@ -171,9 +171,11 @@ def _nullable() -> dict[pa.DataType, Any]:
     }
 
 
-def frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame: columns that hold nulls have a nullable type (NA, never NaN)."""
-    plain = [field for field in table.schema if not table[field.name].null_count and field.type in _nullable()]
+def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFrame:
+    """A table as a data frame: columns that hold nulls, or those named, have a nullable type (NA, never NaN)."""
+    if nullable is None:
+        nullable = [name for name in table.column_names if table[name].null_count]
+    plain = [field for field in table.schema if field.name not in nullable and field.type in _nullable()]
     kinds = {field.name: str if pa.types.is_string(field.type) else field.type.to_pandas_dtype() for field in plain}
     return table.to_pandas(types_mapper=_nullable().get).astype(kinds)
 

@@ -13,21 +13,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import n_cores
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording, encode
-from stickslip.pipeline.worker import load_kernels, row
+from stickslip.pipeline.worker import columns, load_kernels, run_members
 
 #: Seconds that the members of a pilot may take together, and how many of a kind are run at most.
 PILOT, _ENOUGH = 3.0, 40
+#: The factor by which the truth may lie above or below, nine times in ten.
+WITHIN = 2.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take, as a rule within a factor of two; nothing of failed members follows for the others."""
+    """What a run will take, up to `WITHIN`; of members that fail nothing follows for the others."""
 
     workers: int  #: that have a shard, and a core, of their own
     core_seconds: float
@@ -49,13 +49,10 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
     for members in kinds.values():
-        rows, share, factor = _pilot(members, PILOT / len(kinds), recording)
+        factor, first, a_row, reasons = _pilot(members, PILOT / len(kinds), recording)
         core_seconds += factor * sum(member.cost for member in members)
-        # the first row of a shard takes more than the next ones, which are like it
-        first, whole = (_size(some, recording) for some in (rows[:1], rows))
-        a_row = (whole - first) / (share * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / share
         head, n_bytes = max(head, first), n_bytes + len(members) * a_row
-        failures.update(one["reason"] for one in rows if one["outcome"] == "failed")
+        failures.update(reasons)
     count = max(1, min(workers, len(packed), n_cores()))
     # the last batch may run alone
     tail = packed[-1].cost / sum(batch.cost for batch in packed) * (count > 1)
@@ -63,29 +60,37 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     return Estimate(count, core_seconds, seconds, n_bytes + head * len(packed), dict(failures.most_common()))
 
 
+def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
+    """Of one kind: seconds of a core for a unit of cost, bytes of a first row and of a further one, failures."""
+    # the golden section spreads any number of places evenly over matrices and changes
+    places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
+    some = [replace(members[k], shared_cost=0.0) for k in places]
+    tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
+    # as many as there is time for, together, as a run has them
+    expected = factor * some[0].cost
+    share = min(0.4 * seconds / expected, 1.0)
+    more = some[1 : 1 + max(1, int(seconds / (share * expected)))]
+    if more:
+        further, found, factor = _run(more, share, recording)
+        tried, rows = tried + further, rows + found
+    # the first row of a shard takes more than the next ones, which are like it
+    first, whole = (_size(of, recording) for of in (rows[:1], rows))
+    a_row = (whole - first) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / tried
+    return factor, first, a_row, [one["reason"] for one in rows if one["outcome"] == "failed"]
+
+
+def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
+    """Run a share of members: how many whole ones that is, their rows, seconds of a core for a unit of cost."""
+    parts = [replace(one, t_end=max(share * one.t_end, min(10.0, one.t_end))) for one in members]
+    begun = time.process_time()
+    found = columns(parts, run_members(parts, recording), recording)
+    took = max(time.process_time() - begun, 1e-6)
+    rows = [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
+    # one that ended early would have, whole
+    done = [part.cost / one.cost if row["outcome"] == "finished" else 1.0
+            for part, one, row in zip(parts, members, rows, strict=True)]  # fmt: skip
+    return sum(done), rows, took / sum(a * one.cost for a, one in zip(done, members, strict=True))
+
+
 def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:
     return len(encode({name: [one[name] for one in rows] for name in recording.schema.names}, recording.schema))
-
-
-def _pilot(
-    members: Sequence[Member], seconds: float, recording: Recording
-) -> tuple[list[dict[str, Any]], float, float]:
-    """Rows of members of one kind, how many whole ones they amount to, and seconds of a core for a unit of cost."""
-    rows: list[dict[str, Any]] = []
-    factors: list[float] = []
-    share, left = 0.0, seconds
-    while left > 0 and len(rows) < min(_ENOUGH, len(members)):
-        # the golden section spreads any number of places evenly over matrices and changes
-        member = members[int(len(rows) * 0.6180339887498949 % 1.0 * len(members))]
-        whole = replace(member, shared_cost=0.0)
-        expected = whole.cost * (float(np.mean(factors)) if factors else 1.0)
-        t_end = max(min(0.4 * seconds / expected, 1.0) * whole.t_end, min(10.0, whole.t_end))
-        begun = time.process_time()
-        rows.append(row(replace(whole, t_end=t_end), recording))
-        took = time.process_time() - begun
-        left -= took
-        # one that ended early would have, whole
-        done = replace(whole, t_end=t_end).cost / whole.cost if rows[-1]["outcome"] == "finished" else 1.0
-        share += done
-        factors.append(max(took, 1e-6) / (done * whole.cost))
-    return rows, share, float(np.mean(factors))

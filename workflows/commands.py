@@ -118,7 +118,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline import load_scene
     from stickslip.pipeline.cluster import check_memory
-    from stickslip.pipeline.estimate import estimate
+    from stickslip.pipeline.estimate import WITHIN, estimate
     from stickslip.pipeline.writer import Store
     from stickslip.workflows.progress import clock
 
@@ -141,9 +141,12 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     if found.failures:
         return _UNFINISHED
     workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+    low, high = clock(found.seconds / WITHIN), clock(found.seconds * WITHIN)
+    size, core = found.n_bytes / 1e6, found.core_seconds
     print(
-        f"time    about {clock(found.seconds)} on {workers}, {found.core_seconds:.2g} s of a core, not counting start"
-        f" and report\ndisk    about {found.n_bytes / 1e6:.2g} MB"
+        f"time    {clock(found.seconds)} ({low} to {high}) on {workers}, not counting start and report;"
+        f" {core / WITHIN:.2g} to {core * WITHIN:.2g} s of a core\n"
+        f"disk    {size:.2g} MB ({size / WITHIN:.2g} to {size * WITHIN:.2g})"
     )
     return _DONE
 
