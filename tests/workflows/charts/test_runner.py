@@ -1,6 +1,9 @@
 """What all charts share: a page of what was measured, with tables and figures, and scenes that are refused."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,6 +13,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip.analysis.report import formats
+from stickslip.pipeline.processes import ONE_THREAD
 from stickslip.workflows import charts
 from stickslip.workflows.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.commands import main
@@ -89,6 +93,27 @@ def test_the_page_its_headline_and_its_tables(planted, capsys):
     assert {file.name for file in (planted[1] / "report" / "figures").iterdir()} == {"drawn.svg", "drawn.pdf"}
     rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
     assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
+
+
+ONE_THREADED = """
+import os, sys
+from stickslip.workflows import commands
+
+def count(arguments):
+    import numba
+    import numpy as np
+    np.ones((500, 500)) @ np.ones((500, 500))
+    return numba.config.NUMBA_NUM_THREADS - 1 or len(os.listdir("/proc/self/task")) - 1
+
+commands._COMMANDS["run"] = count
+sys.exit(commands.main(["run", "speed_accuracy"]))
+"""
+
+
+def test_the_command_that_measures_has_one_thread():
+    """Libraries are loaded once it has said so."""
+    free = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    assert subprocess.run([sys.executable, "-c", ONE_THREADED], env=free).returncode == 0
 
 
 BAD = {
