@@ -97,6 +97,9 @@ def test_the_sliding_cycle_is_where_random_starts_end(rng):
 
 def test_it_stops_from_the_boundary_on(rng):
     for frequency in rng.uniform(0.15, 2.0, 5):
+        _, u, h = shape(frequency)
+        if abs(u) > 100 * h:  # so close to 1, 1/3 or 1/5 that there is no cycle either from where it stops on
+            continue
         most = most_friction(frequency)
         counts = []
         for factor in (1 - 1e-5, 1 + 1e-5):
