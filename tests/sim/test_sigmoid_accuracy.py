@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, simulate
+from tests.chance import agrees
 from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
@@ -99,7 +100,10 @@ def test_random_systems_keep_to_the_stated_multiple(kind):
     worst = max(rows, key=lambda row: max(row[3:]))
     print(f"{len(rows)} runs, worst {worst}")
     assert len(rows) > 32  # the others have no reference
-    assert max(worst[3:]) < BOUND
+    multiples_of = np.array([max(row[3:]) for row in rows])
+    assert np.quantile(multiples_of, 0.9) < 0.25 * BOUND
+    beyond = {row[0] for row, multiple in zip(rows, multiples_of, strict=True) if multiple >= BOUND}
+    assert agrees(len(beyond), 16, 0.0, 0.01)  # of systems, of which some are beyond: one in five hundred
     assert np.median([row[3] for row in rows]) < 1
 
 
