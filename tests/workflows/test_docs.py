@@ -243,7 +243,7 @@ def test_the_tolerances_are_those_that_are_picked():
 
 def test_a_coupling_is_one_line(monkeypatch):
     line = blocks(page("extending"), "python")[0]
-    new = eval(f"{{{line}}}", vars(couplings))
+    new = eval(f"{{{line}}}", vars(couplings) | {"scipy": scipy})
     ((name, coupling),) = new.items()
     monkeypatch.setitem(couplings.COUPLINGS, name, coupling)
     k = draw_system(name, 9, 5).stiffness
@@ -276,7 +276,7 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     assert main(["run", str(tmp_path / "width.toml"), "--out", str(tmp_path / "out")]) == 0
     title, thin, wide, *_ = capsys.readouterr().out.splitlines()
     assert title == "What a thin layer costs"
-    assert thin.startswith("A sigmoid of width 0.01 takes ")
+    assert thin.startswith("A sigmoid of width 0.001 takes ")
     costs = pd.read_parquet(tmp_path / "out" / "report" / "costs.parquet")
     assert costs.products[0] > costs.products[1] > 0
     assert f" {costs.products[1]:.0f} products" in wide
