@@ -218,7 +218,7 @@ _values_of_system = attrgetter(*_OF_A_SYSTEM)
 @lru_cache(maxsize=8)
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
     """An engine with a member's settings, whose ratios, if it has such, are one."""
-    return as_engine(name, dict(settings) | ({"ratio": 1.0} if "ratio" in dict(settings) else {}))
+    return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
 
 
 #: The last system that each function made, behind what it depends on.

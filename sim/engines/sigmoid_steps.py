@@ -196,6 +196,16 @@ def _factor(own, lane):  # type: ignore[no-untyped-def]
     return min(max(_SAFETY * (allowed / max(own[ERROR, lane], 1e-300)) ** (1.0 / STAGES), 0.1), _GROW_OWN)
 
 
+@inner
+def _project(own, of, lane, table, to, i):  # type: ignore[no-untyped-def]
+    """At the nodes of the macro step, the polynomial next to what a lane has the moments of in the mean square."""
+    for k in range(STAGES):
+        value = 0.0
+        for p in range(STAGES):
+            value += PROJECT[k, p] * own[of + p, lane]
+        table[to + k, i] = value
+
+
 @inner(counts=True)
 def _apart(  # type: ignore[no-untyped-def]
     table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, begins, old, numbers, law
@@ -299,17 +309,9 @@ def _apart(  # type: ignore[no-untyped-def]
             if own[START, lane] >= 1.0 - 1e-12:
                 ends[0, i], ends[1, i] = own[U0, lane], own[Z0, lane]
                 next_h[i] = own[LENGTH, lane] * macro
-                for k in range(STAGES):
-                    value = 0.0
-                    for p in range(STAGES):
-                        value += PROJECT[k, p] * own[MOMENT + p, lane]
-                    table[Z + k, i] = value
+                _project(own, MOMENT, lane, table, Z, i)
                 if with_u:
-                    for k in range(STAGES):
-                        value = 0.0
-                        for p in range(STAGES):
-                            value += PROJECT[k, p] * own[MOMENT_U + p, lane]
-                        table[MEAN_U + k, i] = value
+                    _project(own, MOMENT_U, lane, table, MEAN_U, i)
                 block[lane], again[lane] = -1, -1
                 active -= 1
                 own[H, lane] = 1.0
