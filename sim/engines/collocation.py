@@ -64,6 +64,8 @@ STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 #: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
 #: the time of leaving errs by delta^(-2/3) times as much, and what F errs by, by 1 / a times.
 NEAR_PEAK = 3.0
+#: What a step that comes near to a peak may err by, over the peak: more, and it may pass the layer unseen.
+_OF_PEAK = 0.05
 #: The share of a step's tolerance that Newton's method may leave.
 _SOLVED = 0.05
 #: The next to last coefficient counts by this: by parity the last may vanish.
@@ -172,7 +174,11 @@ def _probe(rows: Rows, law: Law) -> Lane:
     """The error off the nodes, and whether u may have strayed unseen. Gives who is well.
 
     Off the nodes the friction is not what the nodes make of it: the error is this defect divided by the stiffness
-    there. A polynomial is suspect whose hull goes deeper into the layer than any place that was looked at.
+    there; with a peak by the least stiffness of the step, for what leaves a peak is not taken back.
+
+    A polynomial is suspect whose hull goes deeper into the layer than any place that was looked at; and one that
+    comes to a peak and errs by more than a share of it. Where |F| lies between kinetic and static friction the layer
+    holds a block, but behind it nothing contradicts a step that missed it.
     """
     h, u0, steep, mu, damping = rows[H], rows[U0], rows[STEEP], rows[FRICTION], rows[DAMPING]
     stages = range(STAGES)
@@ -183,20 +189,31 @@ def _probe(rows: Rows, law: Law) -> Lane:
     low, high = u0, u0
     for x in u:
         low, high = less(low, x), greater(high, x)
-    error, friction = rows[ERROR], _friction(rows, law)
+    friction, defects, slopes = _friction(rows, law), [], []
     for m in range(len(PLACES)):
         there = dot(ALL_AT_PLACES[m], values) if m > 0 else u0
         phi, slope = friction(there * steep)
         bent = damping * (there - dot(AT_PLACES[m], u)) + mu * phi
-        defect = absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else _AT_START)
-        error = greater(error, defect / (1.0 + h * (damping + mu * steep * _stiff(slope, law))))
+        defects.append(absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else _AT_START))
+        slopes.append(slope)
         low, high = less(low, there), greater(high, there)
+    if law is not Plain:
+        softest = slopes[0]
+        for slope in slopes:
+            softest = less(softest, slope)
+        slopes = [where(rows[HIDDEN] > 0.0, _stiff(softest, law), _stiff(x, law)) for x in slopes]
+    error = rows[ERROR]
+    for defect, slope in zip(defects, slopes, strict=True):
+        error = greater(error, defect / (1.0 + h * (damping + mu * steep * slope)))
     hull_low, hull_high = _bounds(values)
     rows[ERROR] = error
     reach = rows[REACH]
     under = (low * steep - hull_low * steep > 1.0) & (hull_low * steep < reach) & (low * steep > -reach)
     over = (hull_high * steep - high * steep > 1.0) & (hull_high * steep > -reach) & (high * steep < reach)
     suspect = under | over
+    if law is not Plain:
+        peak = rows[PEAK]
+        suspect = suspect | ((low < peak * NEAR_PEAK) & (high > peak * -NEAR_PEAK) & (error > peak * _OF_PEAK))
     rows[SUSPECT] = where(suspect, h * 0.0 + 1.0, 0.0)
     return (error < _allowed(rows, law)) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
 

@@ -114,6 +114,34 @@ def test_between_the_two_frictions_the_state_says_which_future():
     assert modes == {0.0: (0, 0), 0.5: (0, 0), 3.0: (1, 1), -3.0: (0, 0)}
 
 
+@pytest.mark.parametrize("ratio", [1.05, 1.3, 2.0])
+def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio):
+    """Between kinetic and static friction a step that passes a thin layer finds nothing wrong behind it.
+
+    Blocks by themselves, springs k, forces f, belts at rest: each swings about (f + mu) / k until it comes to rest
+    where F = k z - f lies between -mu and -mu_s; or all of that with the other sign.
+    """
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    rng, n = np.random.default_rng(seed), 8
+    peak = np.arctanh(turning_point(hidden_term(ratio)))
+    for _ in range(40):
+        k, mu, f, side = 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-0.5, 0.5, n), *rng.normal(size=(2, n))
+        force = -mu * (1 + (ratio - 1) * rng.uniform(0.1, 0.9, n))
+        rest, reach, phase = (force + f) / k, (force - mu) / k, rng.uniform(0.1, 0.9, n) * np.pi
+        z, w = rest + reach * (np.cos(phase) - 1), reach * np.sqrt(k) * np.sin(phase)
+        t_end = (phase / np.sqrt(k)).max() + rng.uniform(0.1, 3.0)
+        delta, tol = 10 ** rng.uniform(-6, -3), 10 ** rng.uniform(-6, -3.5) * (ratio - 1)
+        sign = np.sign(side)
+        system = System(np.diag(k), 0.0, mu, 0.0, ratio * mu, force=sign * f)
+        run = simulate(system, sign * z, sign * w, t_end, engine="sigmoid", eps=delta, rtol=tol, atol=tol)
+        allowed = 20 * tol * (1 + np.abs([z, w, rest]).max()) + 10 * delta * (1 + t_end)
+        off = np.abs(run.z - sign * rest)
+        print(delta, tol, off.max() / allowed, np.abs(run.w).max() / delta)
+        assert (np.abs(run.w) < peak * delta + 20 * tol * delta ** (2 / 3)).all()
+        assert (off < allowed).all()
+
+
 @pytest.mark.parametrize("law", [{"tol": 1e-9}, {"engine": "sigmoid", "eps": 0.01, "thresholds": (0.5, 2.0)}])
 def test_a_run_keeps_more_events_than_there_is_room_for_at_once(law):
     """60 blocks that do not feel each other do what one does."""
