@@ -327,7 +327,7 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
         settings = {"tol": float(rng.choice([1e-10, 1e-6, 1e-8, 1e-12, 1e-13], p=[0.75, 0.07, 0.08, 0.05, 0.05]))}
     else:
         tol = float(10.0 ** -rng.integers(3, 9))
-        settings = {"eps": float(10 ** rng.uniform(-3, -1)), "rtol": tol, "atol": tol}
+        settings = {"eps": float(10 ** rng.uniform(-5, -1)), "rtol": tol, "atol": tol}
         if rng.random() < 0.3:
             settings["ratio"] = rng.uniform(0.1, 1, n)
         if rng.random() < 0.5:

@@ -131,6 +131,7 @@ def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio):
         rest, reach, phase = (force + f) / k, (force - mu) / k, rng.uniform(0.1, 0.9, n) * np.pi
         z, w = rest + reach * (np.cos(phase) - 1), reach * np.sqrt(k) * np.sin(phase)
         t_end = (phase / np.sqrt(k)).max() + rng.uniform(0.1, 3.0)
+        # what F may err by lies well below its distance from static friction
         delta, tol = 10 ** rng.uniform(-6, -3), 10 ** rng.uniform(-6, -3.5) * (ratio - 1)
         sign = np.sign(side)
         system = System(np.diag(k), 0.0, mu, 0.0, ratio * mu, force=sign * f)
@@ -138,7 +139,7 @@ def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio):
         allowed = 20 * tol * (1 + np.abs([z, w, rest]).max()) + 10 * delta * (1 + t_end)
         off = np.abs(run.z - sign * rest)
         print(delta, tol, off.max() / allowed, np.abs(run.w).max() / delta)
-        assert (np.abs(run.w) < peak * delta + 20 * tol * delta ** (2 / 3)).all()
+        assert (np.abs(run.w) < peak * delta).all()
         assert (off < allowed).all()
 
 
