@@ -189,22 +189,19 @@ def _probe(rows: Rows, law: Law) -> Lane:
     low, high = u0, u0
     for x in u:
         low, high = less(low, x), greater(high, x)
-    friction, defects, slopes = _friction(rows, law), [], []
+    error, friction = rows[ERROR], _friction(rows, law)
+    most, softest = h * 0.0, h * 0.0 + 1e300
     for m in range(len(PLACES)):
         there = dot(ALL_AT_PLACES[m], values) if m > 0 else u0
         phi, slope = friction(there * steep)
         bent = damping * (there - dot(AT_PLACES[m], u)) + mu * phi
-        defects.append(absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else _AT_START))
-        slopes.append(slope)
+        defect = absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else _AT_START)
+        error = greater(error, defect / (1.0 + h * (damping + mu * steep * _stiff(slope, law))))
+        most, softest = greater(most, defect), less(softest, slope)
         low, high = less(low, there), greater(high, there)
     if law is not Plain:
-        softest = slopes[0]
-        for slope in slopes:
-            softest = less(softest, slope)
-        slopes = [where(rows[HIDDEN] > 0.0, _stiff(softest, law), _stiff(x, law)) for x in slopes]
-    error = rows[ERROR]
-    for defect, slope in zip(defects, slopes, strict=True):
-        error = greater(error, defect / (1.0 + h * (damping + mu * steep * slope)))
+        held = most / (1.0 + h * (damping + mu * steep * _stiff(softest, law)))
+        error = where(rows[HIDDEN] > 0.0, greater(error, held), error)
     hull_low, hull_high = _bounds(values)
     rows[ERROR] = error
     reach = rows[REACH]
