@@ -99,19 +99,23 @@ def answer(study: Study) -> Answer | None:
         least = completeness(next((some for some in every if len(some)), np.zeros(0)))
     except Undefined as why:
         return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack=str(why))
+    of_one_size = len({one.group.key["n"] for one in found}) == 1
     for one in found:
         _fill(one, least, level)
+        one.row["method"] = _method(one.label, of_one_size)
     judged = [one for one in found if one.is_judged]
     tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
     if not judged:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
     lead = judged[0]
-    contrasts = _contrasts(found, level)
-    rates = _rates(found, lead, least, level)
+    systems = _systems(found)
+    contrasts = _contrasts(systems, level)
+    rates = _rates(systems, lead, least, level)
     laws, moments = _laws(study, lead, least)
+    methods = {one.label: str(one.row["method"]) for one in found}
     settings = [
-        summary(told(rows)) | {"setting": rows[0]["setting"], "method": _method(rows[0]["setting"])}
+        summary(told(rows)) | {"setting": rows[0]["setting"], "method": methods[rows[0]["setting"]]}
         for rows in contrasts if told(rows)
     ]  # fmt: skip
     facts = {
@@ -127,14 +131,18 @@ def answer(study: Study) -> Answer | None:
         "episode_laws": frame(_LAWS, laws),
         "episode_rates": frame(_RATES, rates),
     }
-    labels = {one.label: (str(one.group.key["engine"]), one is lead) for one in found}
+    labels = {one.label: (str(one.group.key["engine"]), methods[one.label]) for one in found}
     figures = {"episode_rates": partial(frequencies, rates, labels)}
     if settings:
         figures["episode_rates_over"] = partial(over_reference, rates, labels)
     else:
         run = next(one for one in lead.each() if len(one.start))
         figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
-    return Answer(facts | {"has_pairs": bool(settings), "n_settings": len(found) - 1}, tables=tables, figures=figures)
+    facts |= {
+        "has_pairs": bool(settings), "n_settings": len(contrasts), "is_sweep": len(systems) > 1,
+        "references": {rows[0]["reference"] for rows in contrasts},
+    }  # fmt: skip
+    return Answer(facts, tables=tables, figures=figures)
 
 
 def _order(group: Group) -> tuple[Any, ...]:
@@ -173,7 +181,7 @@ def _fill(one: _Of, least: float, level: float) -> None:
     basis = enough.basis(halves, n_episodes, level, drift)
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
-        "group": one.label, "method": _method(one.label), "n_systems": len(one.runs), "n_episodes": n_episodes,
+        "group": one.label, "n_systems": len(one.runs), "n_episodes": n_episodes,
         "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, "drift": basis.drift.value,
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
@@ -190,14 +198,19 @@ def _regularity(row: Row) -> str:
     return REGULAR if high < 1 else CLUSTERED if low > 1 else AS_POISSON if high - low < 2 * MARGIN else UNKNOWN
 
 
-def _contrasts(found: Sequence[_Of], level: float) -> list[list[Row]]:
-    """Of each setting against the first of the same systems, judged together."""
+def _systems(found: Sequence[_Of]) -> list[list[_Of]]:
+    """Groups of the same systems together, in their order: the first is what the others are held against."""
     systems: dict[tuple[Any, ...], list[_Of]] = {}
     for one in found:
         systems.setdefault(tuple(one.group.key[name] for name in SYSTEM_KEYS), []).append(one)
+    return list(systems.values())
+
+
+def _contrasts(systems: Sequence[Sequence[_Of]], level: float) -> list[list[Row]]:
+    """Of each setting against the first of the same systems, judged together."""
     statistics = [Statistic(name, quantity.of, MARGIN) for name, quantity in QUANTITIES.items()]
     made = []
-    for reference, *others in systems.values():
+    for reference, *others in systems:
         if not reference.is_judged:
             continue
         some = [
@@ -263,23 +276,22 @@ def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
 # ---------------------------------------------------------------------------------------------- how often, how large
 
 
-def _rates(found: Iterable[_Of], lead: _Of, least: float, level: float) -> list[Row]:
-    """Episodes a unit of time from each magnitude on, and over those of the lead on the same systems."""
-    rows = []
+def _rates(systems: Iterable[Sequence[_Of]], lead: _Of, least: float, level: float) -> list[Row]:
+    """Episodes a unit of time from each magnitude on, and over those of the first setting of the same systems."""
+    rows: list[Row] = []
     edges = least + CLASS * np.arange(0, int((lead.magnitudes().max() - least) / CLASS) + _STEP, _STEP)
-    reference = {edge: _exceeding(lead, edge) for edge in edges}
-    for one in found:
+    for first, one in ((some[0], one) for some in systems for one in some):
         for edge in edges:
             sums = _exceeding(one, edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
-            over = Estimate()
-            both = sorted(sums.keys() & reference[edge].keys())
-            if one is not lead and len(both) > 1 and sum(row[0] for row in reference[edge].values()) >= FEWEST:
-                first, second = (np.array([of[unit] for unit in both]) for of in (reference[edge], sums))
-                over = _over(first, second, level)
+            reference, over = _exceeding(first, edge), Estimate()
+            both = sorted(sums.keys() & reference.keys())
+            if one is not first and len(both) > 1 and sum(row[0] for row in reference.values()) >= FEWEST:
+                before, after = (np.array([of[unit] for unit in both]) for of in (reference, sums))
+                over = _over(before, after, level)
             rows.append({
                 "group": one.label, "magnitude": float(edge), "n_episodes": n_episodes, "rate": rate.value,
                 "rate_low": None if rate.low is None else max(rate.low, 0.0), "rate_high": rate.high,
@@ -308,7 +320,7 @@ def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
     return Estimate(1 + value, 1 + value - half, 1 + value + half)
 
 
-def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
+def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
     """A colour an engine, a line a setting."""
     seen: dict[str, int] = {}
     looks = {}
@@ -322,32 +334,43 @@ def _look(labels: Mapping[str, tuple[str, bool]]) -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _method(label: str) -> str:
-    """A group by its method alone: without its number of blocks, which all share."""
-    bare = label.partition(", ")[2].replace("moreau, step", "time steps h").replace(", eps", " \u03b5")
+def _method(label: str, of_one_size: bool) -> str:
+    """A group by its method, and its place in a sweep: without its number of blocks where all share it."""
+    bare = label.partition(", ")[2] if of_one_size else label
+    bare = (
+        bare.replace("moreau, step", "time steps h")
+        .replace("sigmoid, eps", "sigmoid \u03b5")
+        .replace("eps", "\u03b5")
+    )
     return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
 
 
-def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]], key: str) -> None:
-    for label, look in _look(labels).items():
+def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], key: str) -> None:
+    for (label, (_, method)), look in zip(labels.items(), _look(labels).values(), strict=True):
         some = [row for row in rows if row["group"] == label and row[key] is not None]
         if not some:
             continue
         x, y = (np.array([row[name] for row in some]) for name in ("magnitude", key))
-        ax.plot(x, y, label=_method(label), **look)
+        ax.plot(x, y, label=method, **look)
         known = [row for row in some if row[f"{key}_low"] is not None]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
         ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
     if len(labels) > 1:
-        ax.figure.legend(loc="outside upper center", ncols=3, fontsize=6.5, handlelength=2.2)
+        widest = max(len(method) for _, method in labels.values())
+        ax.figure.legend(
+            loc="outside upper center",
+            ncols=3 if widest < 24 else 2 if widest < 38 else 1,
+            fontsize=6.5,
+            handlelength=2.2,
+        )
 
 
 @panel()
-def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> None:
+def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
     """Episodes a unit of time from each magnitude on, a line a group, bands of their intervals.
 
-    Rows are those of the table `episode_rates`; labels are (engine, leads) by group.
+    Rows are those of the table `episode_rates`; labels are (engine, method) by group.
     """
     _lines(ax, rows, labels, "rate")
     ax.set_yscale("log")
@@ -356,7 +379,7 @@ def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, b
 
 
 @panel()
-def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, bool]]) -> None:
+def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
     """The same over the reference's, on the same systems; parameters as of `frequencies`."""
     ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
     ax.axhline(1.0, color=EXACT, linewidth=1)

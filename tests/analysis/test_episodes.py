@@ -187,6 +187,26 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert "No episode at all: sigmoid \u03b5\u00a0=\u00a00.01" in words.html
 
 
+def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_systems(
+    planted_episodes, planted, settings
+):
+    """On a faster belt episodes come half as often again, under either engine."""
+    slow, fast = ({"belt_speed": speed} for speed in (-0.1, -0.2))
+    exact = {"slow": (slow, 1.0), "fast": (fast, 1.5)}
+    smoothed = {f"{name} smoothed": (planted.sigmoid | key, factor) for name, (key, factor) in exact.items()}
+    data = planted_episodes(exact | smoothed, rate=2.0, moments=power_law(1.0, 30.0))
+    answer = episodes.answer(Study(data, settings))
+    rates = [next(row for row in one["rows"] if row["quantity"] == RATE) for one in answer.facts["settings"]]
+    assert [one["relative"] for one in rates] == pytest.approx([0.0, 0.0], abs=0.1)
+    over = answer.tables["episode_rates"].dropna(subset="over").groupby("group")["over"].first()
+    assert over.tolist() == pytest.approx([1.0, 1.0], abs=0.1)
+    html = build(data, replace(settings, question=("episodes",)), "A chain", "", {}).html
+    assert html.count(">reference<") == 2
+    assert "exact events on the same systems" in html
+    alone = planted_episodes(exact, rate=2.0)
+    assert "reference" not in build(alone, replace(settings, question=("episodes",)), "A chain", "", {}).html
+
+
 def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
     few = episodes.answer(Study(planted_episodes(EXACT, n_matrices=3), settings))
     rare = episodes.answer(Study(planted_episodes(EXACT, rate=0.01), settings))
