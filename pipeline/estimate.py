@@ -65,6 +65,9 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     # the golden section spreads any number of places evenly over matrices and changes
     places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
     some = [replace(members[k], shared_cost=0.0) for k in places]
+    # points of a sweep may need kernels that `load_kernels` did not meet: compiling them is no part of the work
+    points = {replace(one, member_id="", matrix=0, perturbation_draw=None, start_draw=None): one for one in some}
+    run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
     # as many as there is time for, together, as a run has them
     expected = factor * some[0].cost

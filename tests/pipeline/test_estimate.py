@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import time
 
 import pytest
 
-from stickslip.pipeline import design, status
+from stickslip.pipeline import design, status, worker
 from stickslip.pipeline.estimate import estimate
 
 
@@ -21,6 +22,27 @@ def test_disk_is_as_the_run_takes_it_and_time_that_of_its_workers(scene, batches
     assert found.failures == {}
     assert found.n_bytes == pytest.approx(status(finished).n_bytes, rel=0.5)
     assert 0 < found.core_seconds == found.seconds < math.inf
+
+
+def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
+    """Each point of a sweep takes half a second when it is first met, as one with the first force or none does."""
+    swept = scene.changed(system={"belt_speed": [-0.1, -0.2, -0.3]})
+    batches = [batch for batch, _ in design.tasks(swept)]
+    plain, met, run = estimate(swept, batches, 1), set(), worker.run_members
+
+    def compiling(members, recording):
+        for member in members:
+            point = member.n, member.engine, member.settings, member.belt_speed
+            if point not in met:
+                met.add(point)
+                until = time.process_time() + 0.5
+                while time.process_time() < until:
+                    pass
+        return run(members, recording)
+
+    monkeypatch.setattr("stickslip.pipeline.estimate.run_members", compiling)
+    assert estimate(swept, batches, 1).core_seconds < 3 * plain.core_seconds
+    assert len(met) > 3
 
 
 def test_members_that_fail_are_told_by_reason(scene, batches, monkeypatch):
