@@ -38,7 +38,7 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
         From 0 and each time of an end on. Where the share is 0 or 1 that interval has no width, and Wilson's stands
         in its place.
     """
-    t = np.concatenate(([0.0], np.unique(times[ended])))
+    t = np.union1d(0.0, times[ended])  # some may end at 0
     # how many are not before each t, and how many of them do not end then
     n_at_risk = (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
     at_end = np.sort(times[ended])
@@ -61,11 +61,12 @@ def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) 
     """
 
     def first(below: np.ndarray) -> float | None:
-        return float(t[1:][np.argmax(below)]) if below.any() else None
+        below = below & (share < 1)  # no end is at 0 otherwise
+        return float(t[np.argmax(below)]) if below.any() else None
 
-    value = first(share[1:] <= 0.5)
+    value = first(share <= 0.5)
     reason = "fewer than half have ended" if value is None else ""
-    return Estimate(value, first(low[1:] <= 0.5), first(high[1:] < 0.5), reason)
+    return Estimate(value, first(low <= 0.5), first(high < 0.5), reason)
 
 
 def fate(outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float) -> str:

@@ -39,6 +39,19 @@ def test_none_or_all_ended_have_an_interval(has_ended):
     assert high[-1] - low[-1] == pytest.approx(0.161, abs=1e-3)  # Wilson's of 0 in 20
 
 
+def test_ends_at_zero_count_once():
+    """Of ten runs three never stick at all, and one ends at 5."""
+    times, ended = np.array([0.0] * 3 + [5.0] + [9.0] * 6), np.arange(10) < 4
+    t, share, low, high = curve = kaplan_meier(times, ended, 0.95)
+    assert t.tolist() == [0, 5]
+    assert share == pytest.approx([0.7, 0.6])
+    assert (low < share).all()
+    assert (share < high).all()
+    assert median(*curve).value is None
+    assert median(*kaplan_meier(times, np.arange(10) < 3, 0.95)).value is None
+    assert median(*kaplan_meier(np.append(np.zeros(6), times[3:7]), np.arange(10) < 7, 0.95)).value == 0.0
+
+
 def test_fates_by_their_last_change():
     silent, sticking = (np.array([0.0, 700.0]), np.array([3, 0])), (np.array([0.0, 700.0]), np.array([3, 1]))
     assert fate("finished", silent, 1000.0) == SILENT
