@@ -20,7 +20,22 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         id; time, in UTC: a unit of time counts as a second since 1970; lat and dep, zero; lon, the block that left
         first, a thousandth of a degree each; mag, log10 of the size of the moment; magtype. Episodes whose moment is
         zero have no magnitude and are left out.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is no frame, or lacks one of the columns.
     """
+    if not isinstance(episodes, pd.DataFrame):
+        raise TypeError(
+            "episodes: expected a DataFrame with the columns start, moment, first_block, got"
+            f" {type(episodes).__name__}; write e.g. pd.DataFrame({{name: getattr(quakes, name) for name in (...)}})"
+        )
+    if lacking := [name for name in ("start", "moment", "first_block") if name not in episodes]:
+        raise ValueError(
+            f"episodes: expected the columns start, moment, first_block, found no {', '.join(lacking)} in"
+            f" {', '.join(map(str, episodes))}; `Dataset(...).episodes` has them"
+        )
     some = episodes[episodes["moment"] != 0]
     member = some["member_id"] if "member_id" in some else pd.Series("run", index=some.index)
     number = some.groupby(member, sort=False).cumcount()

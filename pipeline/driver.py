@@ -116,8 +116,8 @@ def run_ensemble(
     StoreError
         If the directory cannot be used or written.
     SceneError
-        If a worker of this machine cannot hold the scene's largest system, or a file that systems come from is
-        gone or another; nothing was done.
+        If an engine does not take what the scene asks, a worker of this machine cannot hold its largest system, or
+        a file that systems come from is gone or another; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
@@ -133,6 +133,7 @@ def run_ensemble(
     start = time.monotonic()
     if isinstance(scheduler, str):
         check_address(scheduler)
+    scene.check_engines()
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, scene.source, retry_failed, accept_version) as store:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.ends import Ends, check, look_at_dataset, place_beside
 from stickslip.pipeline.engine_table import Engines, EngineTable
@@ -24,6 +24,7 @@ from stickslip.pipeline.quantity import (
     END,
     FILE,
     Axis,
+    Course,
     Distribution,
     Quantity,
     Value,
@@ -243,6 +244,30 @@ class Scene(StrictTable):
                     f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
                     f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
                 )
+
+    def check_engines(self) -> None:
+        """SceneError if an engine is asked for what it does not run; of a file or a function, its runs tell.
+
+        Asked before a scene is run, not when it is read: data of such members as failed are read still.
+        """
+        system, known = self.system, self.system.quantities
+        push = [known[key] for key in ("force_amplitude", "force_course")]
+        belts = [one for one in values(known["belt_speed"]) if isinstance(one, Distribution | Course)]
+        force, weakening = self.system.force, self.system.weakening
+        asked = (
+            ("takes_drive", "force", force if any(size(one) for one in push if one is not None) else None, "none"),
+            ("takes_drive", "belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
+            ("takes_weakening", "weakening", weakening, "none"),
+            ("takes_weakening", "back_slip", None if system.back_slip else "false", "true"),
+        )
+        for engine in self.engines:
+            for what, key, found, expected in asked:
+                if found is not None and not getattr(engine.engine, what):
+                    got = found.model_dump(exclude_none=True) if isinstance(found, BaseModel) else found
+                    raise SceneError(
+                        f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'
+                        f" {got}; change it, or remove that engine"
+                    )
 
     @property
     def quantities(self) -> dict[str, Quantity | None]:

@@ -123,6 +123,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.workflows.progress import clock
 
     scene = load_scene(file)
+    scene.check_engines()
     check_memory(scene, arguments.workers)
     store = Store(out, scene, scene.source, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())

@@ -244,3 +244,12 @@ def test_a_catalogue_has_the_columns_of_catalogues():
     assert found["mag"].tolist() == pytest.approx([1.0, -1.0])
     assert found["time"].dt.strftime("%S.%f").tolist() == ["01.500000", "00.250000"]
     assert as_catalogue(table.drop(columns="member_id"))["id"].tolist() == ["run-0", "run-1"]
+
+
+def test_what_is_no_table_of_episodes_is_refused_as_a_catalogue():
+    with pytest.raises(TypeError, match=r"^episodes: expected a DataFrame with the columns .*, got list; write"):
+        as_catalogue([1.0])
+    with pytest.raises(
+        ValueError, match=r"^episodes: expected the columns .*, found no moment, first_block in start;"
+    ):
+        as_catalogue(pd.DataFrame({"start": [1.0]}))
