@@ -162,7 +162,7 @@ def build(
     filled = environment()
     filled.globals["unit"] = study.unit
     shown = [_Shown(**vars(one), words=filled.get_template(f"{one.key}.html").module) for one in found]
-    answered = [one for one in shown if not one.lack]
+    answered, raised = [one for one in shown if not one.lack], {one.key for one in shown}
     primary = settings.question or _primary(study, answered)
     leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
     others = [one for one in answered if one not in leading]
@@ -179,6 +179,8 @@ def build(
         leading_answers=_safe(said),
         answered=ordered,
         lacking=[one for one in shown if one.lack],
+        asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
+        not_raised=[filled.get_template(f"{key}.html").module for key in settings.question if key not in raised],
         alarms=_safe(alarms),
         alerts=_safe(alerts),
         primary=[one.words.name for one in leading],

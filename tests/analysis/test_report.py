@@ -5,6 +5,7 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -142,6 +143,18 @@ def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name):
     assert_honest(report)
     assert list(report.files())[-1] == "report.html"
     assert len(text_of(report).split()) < 900
+
+
+def test_what_is_asked_and_has_no_answer_is_said_at_the_top(planted, scarce, settings):
+    """Of data without episodes, and of too few matrices for gamma."""
+    said = "Asked, but not answered: "
+    whole = planted.ensemble({"coulomb": LN2}, 8)
+    assert said not in text_of(report_of(whole, replace(settings, question=("cascades",))))
+    text = text_of(report_of(whole, replace(settings, question=("episodes", "cascades"))))
+    assert text.count(said) == 1
+    assert f"{said}How often and how large are episodes? Nothing" in text
+    text = text_of(report_of(scarce["two matrices"], replace(settings, question=("cascades",))))
+    assert f"{said}How do cascade sizes fall off?" in text
 
 
 @pytest.mark.drawn
