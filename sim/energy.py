@@ -29,7 +29,8 @@ from stickslip.sim.system import System
 
 #: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
-#: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it.
+#: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it, to
+#: begin with: see `_finer`.
 _BENDS = 4.0
 #: Samples of displacements that are kept at a time, 16 bytes each with their velocities; and that are worked on at a
 #: time, some hundred bytes each.
@@ -99,11 +100,11 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         raise ValueError(f"run: expected one that does not diverge, got one that does by t = {run.t_end:g}")
     series = run.events
     edges, stored, powers = _edges(system, series), [], []
-    modes = _modes(series, edges)
     longest, at_a_time = (max(room // ((_NODES + 1) * system.n), 1) for room in (_ROOM, _AT_A_TIME))
     transposed = system.stiffness.T
     symmetric, skew = (system.stiffness + transposed) / 2, (system.stiffness - transposed) / 2
-    for first in range(0, max(len(edges) - 1, 1), longest):
+    first = 0
+    while first < max(len(edges) - 1, 1):
         part = edges[first : first + longest + 1]
         again = simulate(system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(part), **settings)
         if any(
@@ -112,6 +113,10 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
             raise ValueError(
                 "run: expected that of this start and these settings, got another; pass those it was made with"
             )
+        if system.weakening is not None and len(finer := _finer(system, part, again.samples)) > len(part):
+            edges = np.concatenate([edges[:first], finer, edges[first + longest + 1 :]])
+            continue
+        modes = _modes(series, part)
         z, w = again.samples.z[:: _NODES + 1], again.samples.w[:: _NODES + 1]
         within = slice(None if first + longest >= len(edges) - 1 else -1)  # else the next part begins with it
         stored.append(
@@ -119,7 +124,8 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         )
         for k in range(0, max(len(part) - 1, 1), at_a_time):
             m = min(at_a_time, len(part) - 1 - k)
-            powers.append(_powers(system, skew, modes[first + k : first + k + m], again.samples, k * (_NODES + 1)))
+            powers.append(_powers(system, skew, modes[k : k + m], again.samples, k * (_NODES + 1)))
+        first += longest
     lengths = np.diff(edges)[:, None] * _GAUSS[1]
     flows = (np.append(0.0, np.cumsum((power * lengths).sum(axis=1))) for power in np.concatenate(powers, axis=1))
     return Energy(edges, *np.concatenate(stored, axis=1), *flows)
@@ -175,10 +181,30 @@ def _edges(system: System, series: EventSeries) -> Floats:
     rate = system.rates.max()
     if system.weakening is not None:
         rate += _BENDS * system.weakening.steepness * (system.static / system.mass).max()
-    parts = np.maximum(np.ceil(np.diff(instants) * (rate / _REACH)), 1).astype(int)
-    start = np.repeat(instants[:-1], parts)
-    share = np.concatenate([np.arange(k) / k for k in parts]) if len(parts) else np.empty(0)
-    return np.append(start + share * np.repeat(np.diff(instants), parts), instants[-1])
+    return _divided(instants, np.ceil(np.diff(instants) * (rate / _REACH)))
+
+
+def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
+    """The edges of a part of the run, with more between them where a block changes its speed so fast that friction
+    falls by more than the nodes resolve: springs may pull by far more than static friction.
+
+    With x = steepness |w - v|, 1 / (1 + x) has its pole at -1, and exp(-x) is nothing where x is large: either is
+    resolved where x changes by at most 1 + x.
+    """
+    assert system.weakening is not None
+    x = system.weakening.steepness * np.abs(samples.w - system.belt_speed_at(samples.t))
+    inside = x[:-1].reshape(len(edges) - 1, _NODES + 1, system.n)
+    within = np.concatenate([inside, x[_NODES + 1 :: _NODES + 1, np.newaxis]], axis=1)
+    low, high = within.min(axis=1), within.max(axis=1)
+    return _divided(edges, np.ceil((high - low) / (1.0 + low)).max(axis=1))
+
+
+def _divided(edges: Floats, parts: Floats) -> Floats:
+    """The edges, with as many equal segments in the place of each, one at least."""
+    counts = np.maximum(parts, 1).astype(int)
+    start = np.repeat(edges[:-1], counts)
+    share = np.concatenate([np.arange(k) / k for k in counts]) if len(counts) else np.empty(0)
+    return np.append(start + share * np.repeat(np.diff(edges), counts), edges[-1])
 
 
 def _modes(series: EventSeries, edges: Floats) -> NDArray[np.int8]:

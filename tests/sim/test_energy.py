@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from stickslip.sim import EventSeries, Harmonic, Piecewise, Rational, Run, Stats, System, draw_system, simulate
+from stickslip.sim import (
+    EventSeries,
+    Harmonic,
+    Piecewise,
+    Rational,
+    Run,
+    Stats,
+    Stribeck,
+    System,
+    draw_system,
+    simulate,
+)
 from stickslip.sim.energy import energy
 from stickslip.sim.episodes import episodes
 from stickslip.sim.run import Stills
@@ -80,6 +91,18 @@ def test_parts_of_a_chaotic_run_give_what_the_whole_does(terms, rng, monkeypatch
     assert np.abs(found.imbalance).max() < 1e-10 * turnover
     for name in ("t", "kinetic", "elastic", "belt", "outside", "damping", "heat", "coupling"):
         assert np.abs(getattr(found, name) - getattr(whole, name)).max() < 1e-12 * turnover, name
+
+
+@pytest.mark.parametrize("law", [Rational(1.0), Stribeck(0.05)])
+def test_the_balance_closes_where_springs_pull_by_far_more_than_friction(law, rng):
+    """Friction falls in less time than static friction would take to bring a block to that speed."""
+    n = int(rng.integers(1, 4))
+    system = System(np.diag(rng.uniform(0.5, 2.0, n)), 0.0, 1.0, -0.1, static=1.2, weakening=law)
+    start = rng.choice([-1.0, 1.0], n) * rng.uniform(30.0, 200.0, n), -0.1
+    run, found = run_with_energy(system, *start, 3.0, tol=1e-13)
+    came_in = found.elastic[0] + np.abs(found.belt).max()
+    print(law, start[0], len(run.events), len(found.t), found.heat[-1], np.abs(found.imbalance).max() / came_in)
+    assert np.abs(found.imbalance).max() < 1e-12 * came_in
 
 
 def test_what_has_no_exact_energy_is_refused():
