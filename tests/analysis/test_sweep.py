@@ -1,5 +1,6 @@
 """What changes along a sweep: planted changes are found, told by key, against the first value and unit by unit."""
 
+import re
 from dataclasses import replace
 from itertools import product
 
@@ -78,6 +79,19 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert "rises from friction = 0.8 to 1.2" in report.headline[1]
     assert list(report.figures)[:2] == ["sweep_map", "sweep_mean"]
     assert "&lt;" not in report.html
+
+
+def test_rows_of_two_settings_are_told_apart(planted, swept, settings):
+    """Of two engines each value has two rows; of one engine the page names none."""
+    exact = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: matrix)
+    rows = exact.members.assign(**planted.sigmoid, member_id=exact.members["member_id"] + "s")
+    both = Data(
+        pd.concat([exact.members, rows], ignore_index=True),
+        dict(exact.series) | {f"{name}s": one for name, one in exact.series.items()},
+    )
+    page = build(both, settings, "Two", "", {}).html
+    assert len(re.findall(r'data-h="setting" class="l">n = 500, sigmoid', page)) == 2
+    assert 'data-h="setting"' not in build(exact, settings, "One", "", {}).html
 
 
 def test_no_change_is_not_told_as_one(swept, settings, rng):
