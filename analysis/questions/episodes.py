@@ -337,11 +337,8 @@ def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
 def _method(label: str, of_one_size: bool) -> str:
     """A group by its method, and its place in a sweep: without its number of blocks where all share it."""
     bare = label.partition(", ")[2] if of_one_size else label
-    bare = (
-        bare.replace("moreau, step", "time steps h")
-        .replace("sigmoid, eps", "sigmoid \u03b5")
-        .replace("eps", "\u03b5")
-    )
+    bare = bare.replace("moreau, step", "time steps h").replace("sigmoid, eps", "sigmoid \u03b5")
+    bare = re.sub(r"\beps\b", "\u03b5", bare)
     return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
 
 

@@ -1,5 +1,6 @@
 """Episodes: planted rates, exponents and regularities are found; methods are told apart within systems."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +206,25 @@ def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_syst
     assert "exact events on the same systems" in html
     alone = planted_episodes(exact, rate=2.0)
     assert "reference" not in build(alone, replace(settings, question=("episodes",)), "A chain", "", {}).html
+
+
+def test_methods_are_named_as_they_are_written(planted_episodes, planted, settings):
+    """With what tells them apart in a sweep, and n where there are several."""
+    moreau = {"engine": "moreau", "step": 0.1, "tol": None}
+    for more, names in (
+        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time steps h = 0.1"}),
+        ({"kappa": [0.2, 0.3]}, {"exact, kappa = 0.2", "sigmoid, kappa = 0.2, \u03b5 = 0.03"}),
+        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time steps h = 0.1"}),
+    ):
+        points = [{key: value} for key, values in more.items() for value in values] or [{}]
+        engines = {
+            f"{name}-{k}": (key | at, 1.0)
+            for k, at in enumerate(points)
+            for name, key in (("exact", {}), ("smoothed", planted.sigmoid), ("stepped", moreau))
+        }
+        table = episodes.answer(Study(planted_episodes(engines, n_matrices=4), settings)).tables["episodes"]
+        found = {re.sub(", (ratio|stick) = [^,]*", "", name.replace("\u00a0", " ")) for name in table["method"]}
+        assert names <= found
 
 
 def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
