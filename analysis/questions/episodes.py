@@ -23,6 +23,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import relative_difference
 from stickslip.analysis.stats.episodes import (
     CLASS,
+    FITTED,
     QUANTITIES,
     RATE,
     RECURRENCE,
@@ -111,7 +112,7 @@ def answer(study: Study) -> Answer | None:
     lead = judged[0]
     systems = _systems(found)
     contrasts = _contrasts(systems, level)
-    rates = _rates(systems, lead, least, level)
+    rates = _rates(systems, lead, least - CLASS, level)  # from the fullest class on: no law is asked of a rate
     laws, moments = _laws(study, lead, least)
     methods = {one.label: str(one.row["method"]) for one in found}
     settings = [
@@ -120,7 +121,7 @@ def answer(study: Study) -> Answer | None:
     ]  # fmt: skip
     facts = {
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
-        "margin": MARGIN,
+        "fitted": FITTED, "margin": MARGIN,
         "settings": settings, "agree": [one for one in settings if len(one["agree"]) == len(one["rows"])],
         "farthest": max((one for one in settings if one["differ"]), key=_rate_off, default=None),
         "t_burn": study.settings.t_burn,
@@ -238,7 +239,9 @@ def _rate_off(one: Row) -> float:
 def _laws(study: Study, lead: _Of, least: float) -> tuple[list[Row], Row]:
     """Each law beside the moments of a group, its gain over the power law; which they follow, and its exponent."""
     level, magnitudes = study.settings.confidence, lead.magnitudes()
-    n_classes = int(np.floor((magnitudes.max() - least) / CLASS + 1e-9)) + 1
+    if magnitudes.max() < least:
+        return [], {"exponent": Estimate(), "law": UNKNOWN}
+    n_classes = int(np.floor((magnitudes.max() - least) / FITTED + 1e-9)) + 1
     by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in lead.runs.values()]
     counts = np.array([in_classes(some, least, n_classes) for some in by_unit], dtype=np.float64)
     classes = np.arange(1, n_classes + 1, dtype=np.float64)
@@ -276,10 +279,10 @@ def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
 # ---------------------------------------------------------------------------------------------- how often, how large
 
 
-def _rates(systems: Iterable[Sequence[_Of]], lead: _Of, least: float, level: float) -> list[Row]:
+def _rates(systems: Iterable[Sequence[_Of]], lead: _Of, first_edge: float, level: float) -> list[Row]:
     """Episodes a unit of time from each magnitude on, and over those of the first setting of the same systems."""
     rows: list[Row] = []
-    edges = least + CLASS * np.arange(0, int((lead.magnitudes().max() - least) / CLASS) + _STEP, _STEP)
+    edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
     for first, one in ((some[0], one) for some in systems for one in some):
         for edge in edges:
             sums = _exceeding(one, edge)

@@ -15,6 +15,10 @@ from stickslip.analysis.stats.estimates import Statistic, Undefined, ratio
 from stickslip.analysis.stats.families import Family
 
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
+#: Width of those that laws are fitted in. The moment of a class is that at its middle, and what this errs by grows
+#: with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, its
+#: standard error 0.03.
+FITTED = 0.02
 _LOG10_E = float(np.log10(np.e))
 
 
@@ -53,9 +57,11 @@ class Catalogue:
 
 
 def completeness(magnitudes: np.ndarray) -> float:
-    """Lower edge of the fullest class of magnitudes: the least one that a law is fitted to (maximum curvature).
+    """Upper edge of the fullest class of magnitudes: the least one that a law is fitted to (maximum curvature).
 
-    S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869.
+    S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869. The fullest class may be full in part, if the
+    least moments lie in it, so that a law begins one class higher: J. Woessner and S. Wiemer, Bull. Seismol. Soc. Am.
+    95 (2005) 684-698, doi:10.1785/0120040007.
 
     Raises
     ------
@@ -65,17 +71,17 @@ def completeness(magnitudes: np.ndarray) -> float:
     if not len(magnitudes):
         raise Undefined("no episode")
     classes, counts = np.unique(np.floor(magnitudes / CLASS), return_counts=True)
-    return float(classes[counts.argmax()] * CLASS)
+    return float((classes[counts.argmax()] + 1) * CLASS)
 
 
 def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
-    """How many there are in each class from `least` on, shape (n_classes,)."""
-    k = np.floor((magnitudes - least) / CLASS + 1e-9).astype(np.int64)
+    """How many there are in each class of width `FITTED` from `least` on, shape (n_classes,)."""
+    k = np.floor((magnitudes - least) / FITTED + 1e-9).astype(np.int64)
     return np.bincount(k[(k >= 0) & (k < n_classes)], minlength=n_classes)
 
 
 def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
-    """Of moments, in classes of magnitude from `least` on: N(M) ~ 10^(-b M), that with a cut-off, and an exponential.
+    """Of moments, in the classes of `in_classes`: N(M) ~ 10^(-b M), that with a cut-off, and an exponential.
 
     The second holds the others. A class is as wide as its moment m, so a density m^(-1 - b) exp(-lambda m / mean) has
     shares m^-b exp(...).
@@ -89,7 +95,7 @@ def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
     """
 
     def moments(k: np.ndarray) -> np.ndarray:
-        return 10.0 ** (least + CLASS * (k - 0.5)) / mean
+        return 10.0 ** (least + FITTED * (k - 0.5)) / mean
 
     def over(p: float) -> float:
         return mean / p if p else np.inf
