@@ -49,14 +49,15 @@ from stickslip.sim.engines.radau import (
 #: row each, then one row a node. H is the step, U0 and Z0 are u and z at its start, TOLERANCE is what it may err by;
 #: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that. It falls
 #: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0. TAKEN is
-#: LENGTH of a step that will do, else 0.
+#: LENGTH of a step that will do, else 0. PASSED is by what the error counts more of a step that has passed the layer,
+#: AT_PEAK what one may err by at the peak, over its u.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
     LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
-    FAR, FALL, CLOSED, TAKEN,
-) = range(32)  # fmt: skip
-F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(32, 32 + 11 * STAGES, STAGES)
-N_ROWS = 32 + 11 * STAGES
+    FAR, FALL, CLOSED, TAKEN, PASSED, AT_PEAK,
+) = range(34)  # fmt: skip
+F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(34, 34 + 11 * STAGES, STAGES)
+N_ROWS = 34 + 11 * STAGES
 #: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
 STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 
@@ -66,6 +67,10 @@ STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 NEAR_PEAK = 3.0
 #: What a step that comes near to a peak may err by, over the peak: more, and it may pass the layer unseen.
 _OF_PEAK = 0.05
+#: And over the distance of u from there, as far beyond which a block is let go; but at least AT_PEAK.
+_OF_DISTANCE = 0.1
+#: A step from within so many delta of the belt's speed, or from the other side, to beyond so many has passed it.
+_IN, _OUT = 2.0, 10.0
 #: The share of a step's tolerance that Newton's method may leave.
 _SOLVED = 0.05
 #: The next to last coefficient counts by this: by parity the last may vanish.
@@ -174,11 +179,12 @@ def _probe(rows: Rows, law: Law) -> Lane:
     """The error off the nodes, and whether u may have strayed unseen. Gives who is well.
 
     Off the nodes the friction is not what the nodes make of it: the error is this defect divided by the stiffness
-    there; with a peak by the least stiffness of the step, for what leaves a peak is not taken back.
+    there; with a peak by the least stiffness of the step, for what leaves a peak is not taken back. What a step that
+    has passed the layer errs by is the same at its end, where otherwise it is far less than between the nodes.
 
     A polynomial is suspect whose hull goes deeper into the layer than any place that was looked at; and one that
-    comes to a peak and errs by more than a share of it. Where |F| lies between kinetic and static friction the layer
-    holds a block, but behind it nothing contradicts a step that missed it.
+    comes to a peak and errs by more than a share of it, or of the distance. Where |F| lies between kinetic and static
+    friction the layer holds a block, but behind it nothing contradicts a step that missed it.
     """
     h, u0, steep, mu, damping = rows[H], rows[U0], rows[STEEP], rows[FRICTION], rows[DAMPING]
     stages = range(STAGES)
@@ -201,7 +207,9 @@ def _probe(rows: Rows, law: Law) -> Lane:
         low, high = less(low, there), greater(high, there)
     if law is not Plain:
         held = most / (1.0 + h * (damping + mu * steep * _stiff(softest, law)))
-        error = where(rows[HIDDEN] > 0.0, greater(error, held), error)
+        error = where(rows[PEAK] < 1e300, greater(error, held), error)
+    behind = where(u[-1] > 0.0, u0, u0 * -1.0)
+    error = where((behind * steep < _IN) & (absolute(u[-1]) * steep > _OUT), error * rows[PASSED], error)
     hull_low, hull_high = _bounds(values)
     rows[ERROR] = error
     reach = rows[REACH]
@@ -210,7 +218,9 @@ def _probe(rows: Rows, law: Law) -> Lane:
     suspect = under | over
     if law is not Plain:
         peak = rows[PEAK]
-        suspect = suspect | ((low < peak * NEAR_PEAK) & (high > peak * -NEAR_PEAK) & (error > peak * _OF_PEAK))
+        away = less(absolute(absolute(u0) - peak), absolute(absolute(u[-1]) - peak))
+        allowed = greater(less(peak * _OF_PEAK, away * _OF_DISTANCE), peak * rows[AT_PEAK])
+        suspect = suspect | ((low < peak * NEAR_PEAK) & (high > peak * -NEAR_PEAK) & (error > allowed))
     rows[SUSPECT] = where(suspect, h * 0.0 + 1.0, 0.0)
     return (error < _allowed(rows, law)) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
 

@@ -50,7 +50,7 @@ class Sigmoid(Engine):
     but for a few runs in a thousand: S the largest |z_i|, |w_i| of the run, the sensitivity how far a displacement
     is carried, at least 1. Where little is damped, errors add up over hundreds of periods: within 1000 times; on
     belts that change their speed again and again, over hundreds of transitions. This is tested on random systems,
-    not proved: springs to 1e3, damping 0 to 50, delta 1e-6 to 0.1, t to 20.
+    not proved: springs to 1e3, damping 0 to 50, delta 1e-9 to 0.1, t to 20.
 
     Raises
     ------

@@ -14,6 +14,7 @@ from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.arithmetic import copy, largest
 from stickslip.sim.engines.collocation import (
+    AT_PEAK,
     BELT,
     CLOSED,
     DAMPING,
@@ -36,6 +37,7 @@ from stickslip.sim.engines.collocation import (
     MOVED,
     N_ROWS,
     NEAR_PEAK,
+    PASSED,
     PEAK,
     PRODUCT,
     REACH,
@@ -108,8 +110,15 @@ _ROUGH_SHARE = 0.05
 #: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
 #: than that of the polynomial.
 _BOOST, _POWER = 3.0, 0.85
+#: But not where a step has passed the layer: its error counts by so many times the boost.
+_PASSED = 3.0
+#: What a step may err by at a peak of friction, over the root of what was asked for: F there is within the square of
+#: static friction.
+_OF_ROOT = 0.5
 #: The share of a step's tolerance that is for leaving a peak of friction, over delta^(2/3): see `NEAR_PEAK`.
 _FINE = 0.1
+#: Slower than at this rate, in units of time, what has left a peak of friction by weakening alone is no matter.
+_STEEP = 10.0
 #: A step changes by these factors at most. A prediction is good for little more than its own length: _GROW_FAST is
 #: for steps far below what is allowed.
 _SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
@@ -122,7 +131,9 @@ _JUMP = 1e-9
 _STEP, _KEPT, _SLOW, _JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 #: Rows that a block keeps in steps of its own.
-_OF_BLOCK = (U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED)
+_OF_BLOCK = (
+    U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED, PASSED, AT_PEAK,
+)  # fmt: skip
 
 _products, _single_products = products(STAGES), products(STAGES, single=True)
 
@@ -571,6 +582,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     boost = max(1.0, _BOOST * (atol + rtol) ** (_POWER - 1.0))
     allowed = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
     law, hidden, peak = _law(system)
+    if system.weakening is not None:
+        peak = _peak(system, delta, hidden)
 
     # from here on by task and block, or by task, definition of sticking and block
     drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
@@ -590,11 +603,12 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     modes = _modes(u, pull, bands, is_manifold, peak * delta, near, static, closed)
     table = _table(z, w, u, delta, damping, near, drag, pull)
     table[:, BELT, :n], table[:, STATIC, :n], table[:, CLOSED, :n] = v, static, closed
+    table[:, PASSED, :n], table[:, AT_PEAK, :n] = _PASSED * boost, _OF_ROOT * np.sqrt(engine.atol + engine.rtol)
     table[:, HIDDEN, :n], table[:, PEAK, :n], table[:, FINE, :n] = hidden, peak * delta, 1.0
     if system.weakening is not None:
         table[:, FALL, :n] = system.weakening.steepness * delta
         table[:, FAR, :n] = np.divide(far, near, out=np.ones_like(near), where=near > 0)
-    if system.is_static_above:
+    if system.is_static_above or system.weakening is not None:
         table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     # how deep in the layer friction differs from kinetic by what counts
     table[:, REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * hidden) / (boost * atol))
@@ -632,6 +646,14 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
         collapse = certificates.Collapse(system, allowed[k], smoothed(system.fastest_belt, widest[k]))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
 
+        def jumped() -> None:
+            """F is not what friction was: blocks in the layer settle there, or leave it, in a time of its own."""
+            state.clock[_JUMPED] = 1.0
+            is_in = np.abs(own[U0, :n]) * own[STEEP, :n] < own[REACH, :n]
+            np.minimum(next_h, 1.0 / np.maximum(own[FRICTION, :n] * own[STEEP, :n], 1.0), out=next_h, where=is_in)
+
+        jumped()
+
         def go_on() -> None:
             """At the start of a piece: u is what it was; F jumps where belts' speeds change by another rate."""
             before = own[FORCE0, :n].copy()
@@ -642,10 +664,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             state.clock[_STEP] = min(state.clock[_STEP], step)
             next_h[:] = np.minimum(next_h, step / 4)
             if (jump > _JUMP * own[FRICTION, :n]).any():
-                # the time in which blocks settle, or leave, within the layer
-                state.clock[_JUMPED] = 1.0
-                is_in = np.abs(own[U0, :n]) * own[STEEP, :n] < own[REACH, :n]
-                np.minimum(next_h, 1.0 / np.maximum(own[FRICTION, :n] * own[STEEP, :n], 1.0), out=next_h, where=is_in)
+                jumped()
 
         return loop.complete(
             task,
@@ -719,6 +738,23 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     hidden = hidden_term(ratio)
     lam = turning_point(hidden)
     return law, hidden, np.arctanh(lam, out=np.full(system.n, np.inf), where=lam < 1)
+
+
+def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
+    """The x at which a law that falls with the speed of slip has its peak; infinite where that counts for nothing."""
+    (near, far), falls = system.slip_friction, system.weakening
+    assert falls is not None
+    share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+    low, high = np.zeros(system.n), np.full(system.n, 20.0)
+    for _ in range(6):  # to some 1e-8
+        x = np.linspace(low, high, 64)
+        lam = np.tanh(x)
+        shape = falls.shape(falls.steepness * delta * x)
+        best = ((lam + hidden * lam * (1.0 - lam * lam)) * (share + (1.0 - share) * shape)).argmax(axis=0)
+        step = (high - low) / 63
+        low, high = low + step * np.maximum(best - 1, 0), low + step * np.minimum(best + 1, 63)
+    is_steep = near * (1.0 - share) * falls.steepness > _STEEP
+    return np.where(is_steep | (hidden > 0.0), 0.5 * (low + high), np.inf)
 
 
 def _modes(

@@ -96,7 +96,7 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
                     if static[i] > friction[i]:
                         zeros[i] = 1
                         expansion.series[2, i] = 0.5 * (static[i] - friction[i]) * side[i]
-                        if k > 1:
+                        if k > 1 and leaves[i] == 0:  # else `settle` found it so far out that rounding decides
                             leaves[i] = side[i]
                             again = True
                 else:

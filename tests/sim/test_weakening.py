@@ -298,6 +298,32 @@ def test_the_smoothed_laws_tend_to_the_exact_ones(law, static, order, back_slip)
     assert order - 0.25 < np.polyfit(np.log(widths), np.log(errors), 1)[0] < order + 0.2
 
 
+@pytest.mark.parametrize("falls", [Rational(5e3), Stribeck(1e-4), Stribeck(1e-2), None], ids=str)
+def test_a_block_that_its_belt_does_not_hold_leaves_a_thin_layer_in_time(falls):
+    """From w = v with |F| beyond friction; or, where it falls fast, held at first by what is left between both."""
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        mu, over, v = 10 ** rng.uniform(-1, 0.5), rng.uniform(1.02, 1.5), -rng.choice([0.0, 0.2, 1.0])
+        k, delta, tol = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-7, -5), 10 ** rng.uniform(-9, -5)
+        top = mu * (1.5 if isinstance(falls, Stribeck) else 1.0)
+        system = System([[k]], 0.0, mu, v, static=top, weakening=falls)
+        z = -over * top / k
+
+        def rates(t, x, system=system, delta=delta, k=k, v=v):
+            u = x[1]
+            return [u + v, -k * x[0] - np.tanh(u / delta) * float(system.kinetic(np.array([u]))[0])]
+
+        t_end = 0.3 / np.sqrt(k)
+        options = {"method": "Radau", "rtol": 1e-11, "atol": 1e-13, "first_step": 1e-3 * delta}
+        expected = solve_ivp(rates, (0.0, t_end), [z, 0.0], **options).y[:, -1] + [0.0, v]
+        run = simulate(system, z, v, t_end, engine="sigmoid", eps=delta, rtol=tol, atol=tol)
+        error = np.abs([run.z[0], run.w[0]] - expected).max() / (tol * (1.0 + np.abs(expected).max()))
+        print(system, delta, tol, error)
+        assert error < 40
+
+
 def test_a_barred_side_holds_in_the_limit():
     """What is pulled ahead of its belt with 30 times its friction creeps there, by 30 eps, and sticks."""
     system = System([[1.0]], 0.0, 1.0, -0.2, back_slip=False)
