@@ -103,7 +103,8 @@ RECORDED = {
     ],
     "energy": [
         _number(
-            "kinetic_energy_start", "sum of m w^2 / 2 at t = 0; null, as all below, if diverged or not the exact law"
+            "kinetic_energy_start",
+            "sum of m w^2 / 2 at t = 0; null, as all below, if diverged, not the exact law, or too long to sum",
         ),
         _number("kinetic_energy_end", "sum of m w^2 / 2 at t_end"),
         _number("elastic_energy_start", "z K z / 2 at t = 0"),
@@ -118,7 +119,7 @@ RECORDED = {
         _of(
             _list(pa.float64(), nullable=True),
             "episode_energy",
-            "what damping and friction took in each episode; null if diverged or not the exact law",
+            "what damping and friction took in each episode; null if diverged, not the exact law, or too long to sum",
         ),
     ],
     "separation": [

@@ -24,7 +24,7 @@ from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Course, Distribution, Named
 from stickslip.pipeline.schema import Recording, encode
-from stickslip.sim.energy import energy
+from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.engines.sources import cache_directory, source_digest
@@ -236,9 +236,13 @@ def _energy(
     member: Member, system: sim.System, run: sim.Run, start: Sequence[float], end: Sequence[float]
 ) -> dict[str, Any]:
     """Energy of a run, and what was lost between these events, the ends of episodes."""
+    unknown = {"episode_energy": [None] * len(start)}
     if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
-        return {"episode_energy": [None] * len(start)}
-    found = energy(system, run, *member.start(), engine=member.engine, **dict(member.settings))
+        return unknown
+    try:
+        found = energy(system, run, *member.start(), engine=member.engine, **dict(member.settings))
+    except TooLongError:  # the run itself is right
+        return unknown
     lost = found.damping + found.heat
     return {
         "kinetic_energy_start": found.kinetic[0],

@@ -29,12 +29,21 @@ from stickslip.sim.system import System
 
 #: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
+#: What decays by heavy damping, at whatever rate, is resolved by segments of this share of the time since it began:
+#: where they are long for its rate, it is gone. Damping is heavy from this many times the root of a row's sum of |K|.
+_SHARE, _HEAVY = 0.5, 4.0
 #: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it, to
 #: begin with: see `_finer`.
 _BENDS = 4.0
 #: Samples of displacements that are kept at a time, 16 bytes each with their velocities; and that are worked on at a
 #: time, some hundred bytes each.
 _ROOM, _AT_A_TIME = 2**23, 2**17
+#: Segments of a run: of five blocks they take a minute and a half, and a gigabyte.
+_MOST = 2**22
+
+
+class TooLongError(ValueError):
+    """A run is too long for the rates of its blocks: its energy takes more segments than time and memory allow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +101,9 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     ------
     ValueError
         If it is the run of another start or of other settings, or it diverged, or its law is not the exact one.
+    TooLongError
+        If it takes more than 4,194,304 segments, from event to event or of 2 / rate, heavy damping left out of the
+        rate. Runs come to so many where they take no steps, as after a collapse.
     """
     engine = settings.get("engine", "coulomb")
     if engine not in ENGINES or not ENGINES[engine].is_exact:
@@ -99,7 +111,7 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     if run.outcome == "diverged":
         raise ValueError(f"run: expected one that does not diverge, got one that does by t = {run.t_end:g}")
     series = run.events
-    edges, stored, powers = _edges(system, series), [], []
+    edges, stored, flows = _edges(system, series), [], []
     longest, at_a_time = (max(room // ((_NODES + 1) * system.n), 1) for room in (_ROOM, _AT_A_TIME))
     transposed = system.stiffness.T
     symmetric, skew = (system.stiffness + transposed) / 2, (system.stiffness - transposed) / 2
@@ -124,11 +136,11 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         )
         for k in range(0, max(len(part) - 1, 1), at_a_time):
             m = min(at_a_time, len(part) - 1 - k)
-            powers.append(_powers(system, skew, modes[k : k + m], again.samples, k * (_NODES + 1)))
+            power = _powers(system, skew, modes[k : k + m], again.samples, k * (_NODES + 1))
+            flows.append((power * (np.diff(part[k : k + m + 1])[:, None] * _GAUSS[1])).sum(axis=2))
         first += longest
-    lengths = np.diff(edges)[:, None] * _GAUSS[1]
-    flows = (np.append(0.0, np.cumsum((power * lengths).sum(axis=1))) for power in np.concatenate(powers, axis=1))
-    return Energy(edges, *np.concatenate(stored, axis=1), *flows)
+    since = (np.append(0.0, np.cumsum(flow)) for flow in np.concatenate(flows, axis=1))
+    return Energy(edges, *np.concatenate(stored, axis=1), *since)
 
 
 def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples, first: int) -> Floats:
@@ -172,16 +184,38 @@ _GAUSS = _gauss()
 
 
 def _edges(system: System, series: EventSeries) -> Floats:
-    """The start, the instants of events and bends, the end, and as many places between as segments must be short."""
+    """The start, the instants of events and bends, the end, and as many places between as segments must be short.
+
+    An eigenvalue x of slipping blocks has |x| |x + R_j| <= k_j, the sum of |K_jk| over k, for one block j at least:
+    the one that moves most in its mode. With R_j > 4 k_j^(1/2) it is below k_j^(1/2), or within as much of -R_j: a
+    transient that begins at an instant, from which segments grow.
+    """
     bends = np.concatenate(
         [np.empty(0), *(x.times for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise))]
     )
     bends = bends[(bends > series.t_start) & (bends < series.t_end)]
     instants = np.unique(np.concatenate(([series.t_start], series.t, bends, [series.t_end])))
-    rate = system.rates.max()
+    unit = system.of_unit_mass
+    is_heavy = unit.damping > _HEAVY * np.sqrt(unit.row_sums)
+    lasting = unit.changed(damping=np.where(is_heavy, 0.0, unit.damping)) if is_heavy.any() else unit
+    fall = 0.0
     if system.weakening is not None:
-        rate += _BENDS * system.weakening.steepness * (system.static / system.mass).max()
-    return _divided(instants, np.ceil(np.diff(instants) * (rate / _REACH)))
+        fall = _BENDS * system.weakening.steepness * (system.static / system.mass).max()
+    slow, fast = lasting.rates.max() + fall, unit.rates.max() + fall
+    if slow < fast:
+        instants = _graded(instants, _REACH / fast, _REACH / max(slow, 1e-300))
+    return _divided(instants, np.ceil(np.diff(instants) * (slow / _REACH)))
+
+
+def _graded(instants: Floats, shortest: float, longest: float) -> Floats:
+    """Instants, and after each, places whose distances grow from the shortest segment to the longest."""
+    top = min(longest / _SHARE, np.diff(instants).max(initial=0.0))
+    steps = np.ceil(np.log(max(top / shortest, 1.0)) / np.log1p(_SHARE)) + 1
+    after = shortest * (1.0 + _SHARE) ** np.arange(steps)
+    counts = np.searchsorted(after, np.diff(instants))
+    _require_few(counts.sum() + len(instants), instants)
+    places = [start + after[:count] for start, count in zip(instants, counts, strict=False)]
+    return np.unique(np.concatenate([instants, *places]))
 
 
 def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
@@ -201,10 +235,21 @@ def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
 
 def _divided(edges: Floats, parts: Floats) -> Floats:
     """The edges, with as many equal segments in the place of each, one at least."""
+    _require_few(np.maximum(parts, 1).sum(), edges)
     counts = np.maximum(parts, 1).astype(int)
     start = np.repeat(edges[:-1], counts)
     share = np.concatenate([np.arange(k) / k for k in counts]) if len(counts) else np.empty(0)
     return np.append(start + share * np.repeat(np.diff(edges), counts), edges[-1])
+
+
+def _require_few(n_segments: float, edges: Floats) -> None:
+    """TooLongError for segments that are more than a run may have."""
+    if n_segments > _MOST:
+        length = edges[-1] - edges[0]
+        raise TooLongError(
+            f"run: expected one of at most {_MOST:,} segments, got {n_segments:.3g} in a time of {length:g}, as its"
+            " blocks can change that fast or have as many events; take its energy up to an earlier t_end"
+        )
 
 
 def _modes(series: EventSeries, edges: Floats) -> NDArray[np.int8]:

@@ -110,6 +110,19 @@ def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_pat
     assert [one.member_id for one in expand(plain)] == [one.member_id for one in expand(ensemble)]
 
 
+def test_a_run_too_long_to_sum_keeps_all_else(tmp_path, monkeypatch):
+    monkeypatch.setattr("stickslip.sim.energy._MOST", 10)
+    run_ensemble(scene("dry"), tmp_path / "out", workers=0)
+    assert verify(tmp_path / "out") == []
+    table = Dataset(tmp_path / "out").members
+    assert (table.outcome != "failed").all()
+    assert (table[table.engine == "coulomb"].n_events > 10).all()
+    assert table[[f"{name}_end" for name in STORED] + [*GIVEN, *TAKEN]].isna().all(axis=None)
+    found = Dataset(tmp_path / "out").episodes
+    assert len(found) > 0
+    assert found.energy.isna().all()
+
+
 def test_without_an_engine_of_the_exact_law_it_is_refused():
     with pytest.raises(
         SceneError, match=r"record.energy: expected an engine of the exact law, got 'moreau' alone; add"

@@ -18,7 +18,7 @@ from stickslip.sim import (
     draw_system,
     simulate,
 )
-from stickslip.sim.energy import energy
+from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.episodes import episodes
 from stickslip.sim.run import Stills
 
@@ -103,6 +103,61 @@ def test_the_balance_closes_where_springs_pull_by_far_more_than_friction(law, rn
     came_in = found.elastic[0] + np.abs(found.belt).max()
     print(law, start[0], len(run.events), len(found.t), found.heat[-1], np.abs(found.imbalance).max() / came_in)
     assert np.abs(found.imbalance).max() < 1e-12 * came_in
+
+
+@pytest.mark.parametrize("damping", [5.0, 1e3, 1e8])
+def test_a_heavily_damped_block_loses_what_its_two_modes_do(damping, rng):
+    """It slips for ever, R |v| being above friction: w = a exp(p t) + b exp(q t), p from R and q from K / R."""
+    v, z, t_end, pull = -1.0, rng.uniform(-1.0, 1.0), rng.uniform(20.0, 50.0), rng.uniform(0.2, 1.0)
+    system = System([[pull]], damping, 1.0, v)
+    run, found = run_with_energy(system, z, v, t_end, tol=1e-13)
+    assert len(run.events) <= 1  # the start is one
+    p = -(damping + np.sqrt(damping**2 - 4.0 * pull)) / 2
+    q = pull / p
+    off = z + 1.0 / pull  # from where it comes to rest, which is at K z = -mu
+    a = (v - q * off) / (1.0 - q / p)
+    b = v - a
+    lost = sum(
+        damping * one * other * np.expm1((x + y) * t_end) / (x + y)
+        for one, x in ((a, p), (b, q))
+        for other, y in ((a, p), (b, q))
+    )
+    slip = a / p * np.expm1(p * t_end) + b / q * np.expm1(q * t_end) - v * t_end
+    print(z, t_end, pull, len(found.t), found.damping[-1] / lost - 1, found.heat[-1] / slip - 1)
+    assert found.damping[-1] == pytest.approx(lost, rel=1e-11)
+    assert found.heat[-1] == pytest.approx(slip, rel=1e-11)
+    assert np.abs(found.imbalance).max() < 1e-12 * (lost + slip)
+
+
+@pytest.mark.parametrize("terms", ["dry", "driven", "weakening", "massive"])
+def test_the_balance_closes_where_damping_has_all_scales(terms, rng):
+    """Transients of all rates after each event; segments as short as the fastest would be 1e8 and more."""
+    n, t_end = 8, 60.0
+    scales = [1e3] if terms == "weakening" else [20.0, 1e4, 1e7]  # with weakening the run itself takes short steps
+    damping = rng.permutation([*scales, *np.full(n - len(scales), 0.05)])
+    more = {
+        "dry": {},
+        "driven": {"force": [Harmonic(0.3, 0.7), Piecewise([0.0, 30.0, 31.0], [0.0, 0.2, 0.1])]},
+        "weakening": {"weakening": Rational(2.0)},
+        "massive": {"mass": rng.uniform(0.5, 2.0, n)},
+    }[terms]
+    seed = int(rng.integers(2**32))
+    system = draw_system("chain", n, seed, kappa=10.0, leaf=1.0, rho=0.0, static=1.3, belt_speed=-0.05)
+    system = system.changed(damping=damping, **more)
+    run, found = run_with_energy(system, rng.normal(0.0, 0.3, n), -0.05, t_end, tol=1e-13)
+    turnover = np.abs(found.belt).max() + np.abs(found.outside).max() + found.damping[-1] + found.heat[-1]
+    print(damping, len(run.events), len(found.t), np.abs(found.imbalance).max() / turnover)
+    assert np.abs(found.imbalance).max() < 1e-11 * turnover
+    assert len(found.t) < 100 * len(run.events) + system.changed(damping=0.05).rates.max() * t_end + 1000
+
+
+def test_a_run_of_too_many_segments_is_refused():
+    """It collapses, and goes on without steps: 5e7 units of time take it a millisecond."""
+    system = draw_system("antisymmetric", 5, 0)
+    run = simulate(system, -0.7, -0.4, 5e7)
+    assert run.outcome == "collapsed"
+    with pytest.raises(TooLongError, match=r"run: expected one of at most 4,194,304 segments, got .* earlier t_end"):
+        energy(system, run, -0.7, -0.4)
 
 
 def test_what_has_no_exact_energy_is_refused():
