@@ -33,6 +33,8 @@ def step_of(law, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
         new = v + math.copysign(max(abs(free) - b, 0.0), free) / a
         if w[i] == v and abs(free) <= h * static[i]:
             new = v
+        if (w[i] - v) * (new - v) < 0.0 and abs(damping[i] * v + pull[i]) <= static[i]:  # it passes the belt's speed
+            new = v
         z[i] += 0.5 * h * (w[i] + new)
         w[i] = new
     return max(largest(z), largest(w)) <= BEYOND
@@ -78,7 +80,9 @@ def _advance(law, state, grid, samples, events, counters):  # type: ignore[no-un
             _note_still(0, step, z_before, stills, counters)
         elif n_stick == n and not counters[_IS_STILL]:
             _note_still(1, step + 1, z, stills, counters)
-        while counters[_SAMPLED] < len(times) and times[counters[_SAMPLED]] <= t_start + (step + 1) * h:
+        while counters[_SAMPLED] < len(times) and (
+            step + 1 == n_steps or times[counters[_SAMPLED]] <= t_start + (step + 1) * h
+        ):
             k = counters[_SAMPLED]
             past = min(max(times[k] - (t_start + step * h), 0.0), h)
             for i in range(n):

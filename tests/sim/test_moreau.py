@@ -98,6 +98,21 @@ def test_static_friction_holds_a_block_and_moments_tend_to_the_exact_ones():
     assert found.size.tolist() == [1] * len(found)
 
 
+def test_static_friction_holds_a_block_that_comes_to_the_belt_with_more_than_kinetic_friction_pulls(rng):
+    """K = 1, mu = 1, static 2, a belt at rest: from z = 3.5 it slips to -1.5, and stays, by steps of any length."""
+    system = System([[1.0]], 0.0, static=2.0, belt_speed=0.0)
+    steps = 10.0 ** rng.uniform(-3.0, -1.0, 200)
+    ends = np.array([moreau(system, 3.5, 0.0, 10.0, step).z[0] for step in steps])
+    assert np.abs(ends + 1.5).max() < 0.2
+
+
+def test_a_sample_at_the_end_is_kept_wherever_the_last_step_rounds_to(rng):
+    system = System([[1.0]], 0.0, static=1.3)
+    for t_end in rng.integers(1, 50, 200) / 10:  # 39 steps of 0.1 end before 3.9
+        run = moreau(system, 0.0, -0.2, t_end, 0.1, t_eval=[t_end])
+        np.testing.assert_allclose(run.samples.z, [run.z], rtol=0, atol=1e-13)
+
+
 def moment(system, t_end):
     return episodes(simulate(system, 0.0, -0.05, t_end), -0.05).moment.mean()
 
