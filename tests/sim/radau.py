@@ -27,15 +27,15 @@ def _tables():
     radau = legendre.legsub([0.0] * STAGES + [1.0], [0.0] * (STAGES - 1) + [1.0])
     c = (np.sort(legendre.legroots(radau).real) + 1.0) / 2.0
     c[-1] = 1.0
-    powers = np.arange(STAGES)
-    inverse = np.linalg.inv(np.vander(c, increasing=True))  # values at the nodes to coefficients
-    a = (c[:, None] ** (powers + 1) / (powers + 1)) @ inverse
-    fine = (np.arange(_FINE) + 0.5) / _FINE
-    rates = np.vander(fine, STAGES, increasing=True) @ inverse
-    with_start = np.concatenate(([0.0], c))
-    values = np.vander(fine, STAGES + 1, increasing=True) @ np.linalg.inv(np.vander(with_start, increasing=True))
-    tails = np.linalg.inv(legendre.legvander(2.0 * c - 1.0, STAGES - 1))[-2:]
-    return a, np.linalg.inv(a), values, rates, np.ascontiguousarray(tails)
+    x = 2.0 * c - 1.0
+    inverse = np.linalg.inv(legendre.legvander(x, STAGES - 1))  # to Legendre's coefficients: powers lose six digits
+    integrals = legendre.legint(np.eye(STAGES), lbnd=-1.0, scl=0.5)
+    a = legendre.legval(x, integrals).T @ inverse
+    fine = 2.0 * (np.arange(_FINE) + 0.5) / _FINE - 1.0
+    rates = legendre.legvander(fine, STAGES - 1) @ inverse
+    with_start = np.concatenate(([-1.0], x))
+    values = legendre.legvander(fine, STAGES) @ np.linalg.inv(legendre.legvander(with_start, STAGES))
+    return a, np.linalg.inv(a), values, rates, np.ascontiguousarray(inverse[-2:])
 
 
 TABLES = _tables()
