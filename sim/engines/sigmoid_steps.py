@@ -604,12 +604,11 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     table = _table(z, w, u, delta, damping, near, drag, pull)
     table[:, BELT, :n], table[:, STATIC, :n], table[:, CLOSED, :n] = v, static, closed
     table[:, PASSED, :n], table[:, AT_PEAK, :n] = _PASSED * boost, _OF_ROOT * np.sqrt(engine.atol + engine.rtol)
-    table[:, HIDDEN, :n], table[:, PEAK, :n], table[:, FINE, :n] = hidden, peak * delta, 1.0
+    table[:, HIDDEN, :n], table[:, PEAK, :n] = hidden, peak * delta
+    table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     if system.weakening is not None:
         table[:, FALL, :n] = system.weakening.steepness * delta
         table[:, FAR, :n] = np.divide(far, near, out=np.ones_like(near), where=near > 0)
-    if system.is_static_above or system.weakening is not None:
-        table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     # how deep in the layer friction differs from kinetic by what counts
     table[:, REACH, :n] = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * hidden) / (boost * atol))
     fastest = np.abs(np.array([w, damping * u + pull, friction])).max(axis=(0, 2)).tolist()
@@ -742,18 +741,16 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
 
 def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
     """The x at which a law that falls with the speed of slip has its peak; infinite where that counts for nothing."""
-    (near, far), falls = system.slip_friction, system.weakening
-    assert falls is not None
-    share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+    assert system.weakening is not None
+    near, far = system.slip_friction
     low, high = np.zeros(system.n), np.full(system.n, 20.0)
     for _ in range(6):  # to some 1e-8
         x = np.linspace(low, high, 64)
         lam = np.tanh(x)
-        shape = falls.shape(falls.steepness * delta * x)
-        best = ((lam + hidden * lam * (1.0 - lam * lam)) * (share + (1.0 - share) * shape)).argmax(axis=0)
+        best = ((lam + hidden * lam * (1.0 - lam * lam)) * system.kinetic(delta * x)).argmax(axis=0)
         step = (high - low) / 63
         low, high = low + step * np.maximum(best - 1, 0), low + step * np.minimum(best + 1, 63)
-    is_steep = near * (1.0 - share) * falls.steepness > _STEEP
+    is_steep = (near - far) * system.weakening.steepness > _STEEP
     return np.where(is_steep | (hidden > 0.0), 0.5 * (low + high), np.inf)
 
 
