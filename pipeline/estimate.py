@@ -17,7 +17,7 @@ from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import n_cores
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import Recording, encode
-from stickslip.pipeline.worker import columns, load_kernels, run_members
+from stickslip.pipeline.worker import columns, run_members
 
 #: Seconds that the members of a pilot may take together, and how many of a kind are run at most.
 PILOT, _ENOUGH = 3.0, 40
@@ -42,7 +42,6 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     for member in (member for batch in packed for member in batch.members):
         is_coupled = member.perturbation_reading == "damping matrix"
         kinds.setdefault((member.n, member.engine, member.settings, is_coupled), []).append(member)
-    load_kernels(members[0] for members in kinds.values())
     # what is shared between members is known by its formula; the pilot runs them alone
     parts = tuple(part for part in scene.records if part not in ("growth_rate", "separation"))
     recording = replace(Recording.of(scene), parts=parts, separation=None)
@@ -65,7 +64,7 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     # the golden section spreads any number of places evenly over matrices and changes
     places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
     some = [replace(members[k], shared_cost=0.0) for k in places]
-    # points of a sweep may need kernels that `load_kernels` did not meet: compiling them is no part of the work
+    # each point of a sweep may need kernels of its own: compiling, or loading, them is no part of the work
     points = {replace(one, member_id="", matrix=0, perturbation_draw=None, start_draw=None): one for one in some}
     run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
