@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+#: Columns that a catalogue is made from.
+_NEEDED = ("start", "moment", "first_block")
+
 
 def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     """Episodes with the columns of a catalogue, as ObsPy reads and writes them in CSV.
@@ -28,12 +31,12 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     """
     if not isinstance(episodes, pd.DataFrame):
         raise TypeError(
-            "episodes: expected a DataFrame with the columns start, moment, first_block, got"
+            f"episodes: expected a DataFrame with the columns {', '.join(_NEEDED)}, got"
             f" {type(episodes).__name__}; write e.g. pd.DataFrame({{name: getattr(quakes, name) for name in (...)}})"
         )
-    if lacking := [name for name in ("start", "moment", "first_block") if name not in episodes]:
+    if lacking := [name for name in _NEEDED if name not in episodes]:
         raise ValueError(
-            f"episodes: expected the columns start, moment, first_block, found no {', '.join(lacking)} in"
+            f"episodes: expected the columns {', '.join(_NEEDED)}, found no {', '.join(lacking)} in"
             f" {', '.join(map(str, episodes))}; `Dataset(...).episodes` has them"
         )
     some = episodes[episodes["moment"] != 0]

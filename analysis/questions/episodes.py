@@ -6,6 +6,7 @@ is held against exact events on the same systems.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -283,18 +284,20 @@ def _rates(systems: Iterable[Sequence[_Of]], lead: _Of, first_edge: float, level
     """Episodes a unit of time from each magnitude on, and over those of the first setting of the same systems."""
     rows: list[Row] = []
     edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
-    for first, one in ((some[0], one) for some in systems for one in some):
-        for edge in edges:
-            sums = _exceeding(one, edge)
+    for first, *others in systems:
+        reference = {edge: _exceeding(first, edge) for edge in edges}
+        for one, edge in itertools.product((first, *others), edges):
+            before = reference[edge]
+            sums = before if one is first else _exceeding(one, edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
-            reference, over = _exceeding(first, edge), Estimate()
-            both = sorted(sums.keys() & reference.keys())
-            if one is not first and len(both) > 1 and sum(row[0] for row in reference.values()) >= FEWEST:
-                before, after = (np.array([of[unit] for unit in both]) for of in (reference, sums))
-                over = _over(before, after, level)
+            over = Estimate()
+            both = sorted(sums.keys() & before.keys())
+            if one is not first and len(both) > 1 and sum(row[0] for row in before.values()) >= FEWEST:
+                known, found = (np.array([of[unit] for unit in both]) for of in (before, sums))
+                over = _over(known, found, level)
             rows.append({
                 "group": one.label, "magnitude": float(edge), "n_episodes": n_episodes, "rate": rate.value,
                 "rate_low": None if rate.low is None else max(rate.low, 0.0), "rate_high": rate.high,
