@@ -195,6 +195,20 @@ def test_regularity(planted_episodes, settings, rng):
     assert found == {"clock": episodes.REGULAR, "clusters": episodes.CLUSTERED}
 
 
+def test_recurrence_of_a_few_is_their_coefficient_of_variation(rng):
+    """Of the sample, with n - 1 for the mean that it is measured from; over runs it is squares that are averaged."""
+    quantity = QUANTITIES[RECURRENCE]
+    sums = []
+    for n in range(3, 9):
+        gaps = rng.exponential(1.0, n)
+        start = np.concatenate([[0.5], 0.5 + np.cumsum(gaps)])
+        one = np.ones(n + 1)
+        sums.append(quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0), 0.0))
+        np.testing.assert_allclose(quantity.of(np.array(sums[-1:])), np.std(gaps, ddof=1) / gaps.mean())
+    two = one[:2]
+    assert quantity.sums(Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0), 0.0) == (0.0, 0.0)
+
+
 def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
     """One keeps the rate, one has a third more, one has none at all."""
     engines = EXACT | {
