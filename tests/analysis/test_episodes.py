@@ -278,6 +278,18 @@ def test_methods_are_named_as_they_are_written(planted_episodes, planted, settin
         assert names <= found
 
 
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_where_none_can_be_judged_the_one_with_the_most_episodes_is_told_of(
+    planted_episodes, planted, settings, factor
+):
+    few = episodes.answer(
+        Study(planted_episodes(EXACT | {"smoothed": (planted.sigmoid, factor)}, n_matrices=3), settings)
+    )
+    counts = few.tables["episodes"].set_index("method")["n_episodes"]
+    assert counts.idxmax() == few.facts["best"]["method"]
+    assert len(counts) == 2
+
+
 def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, settings, rng):
     few = episodes.answer(Study(planted_episodes(EXACT, n_matrices=3), settings))
     rare = episodes.answer(Study(planted_episodes(EXACT, rate=0.01), settings))

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -159,3 +160,32 @@ def test_every_figure_is_drawn(swept, settings):
     data.members.loc[data.members["kappa"] == 0.3, ["outcome", "t_stop"]] = "diverged", 50.0
     report = build(data, settings, "Drawn", "", {})
     assert {"sweep_map", "sweep_fates", "sweep_mean", "sweep_gamma"} <= set(report.figures)
+
+
+@pytest.mark.drawn
+@pytest.mark.parametrize("key", ["belt_speed", "friction"])
+def test_figures_draw_what_the_table_says(swept, settings, key):
+    """Where values are numbers they stand to scale, where they are distributions they are named."""
+    speeds = [-0.4, -0.3, -0.1]
+    data = swept(
+        {"belt_speed": speeds, "kappa": [0.2, 0.3]},
+        lambda at, _: 100 * (at["kappa"] + speeds.index(at["belt_speed"])),
+    )
+    places = np.array(speeds)
+    if key == "friction":
+        laws = {speed: f"uniform(0.{k}, 1)" for k, speed in enumerate(speeds)}
+        drawn = data.members["belt_speed"].map({speed: f"friction = {law}" for speed, law in laws.items()})
+        data = Data(data.members.assign(belt_speed=-0.1, drawn=drawn), data.series)
+        places = np.arange(3)
+    answer = sweep.answer(Study(data, settings))
+    table = answer.tables["sweep"]
+    means = [table[table["kappa"].astype(float) == kappa]["mean"].astype(float) for kappa in (0.2, 0.3)]
+    assert all((np.diff(some) > 0).all() for some in means)
+    axes = answer.figures["sweep_mean"]().axes[0]
+    assert [str(line.get_label()) for line in axes.containers] == ["kappa = 0.2", "kappa = 0.3"]
+    for line, mean in zip(axes.containers, means, strict=True):
+        np.testing.assert_allclose(line.lines[0].get_ydata(), mean)
+        np.testing.assert_allclose(np.asarray(line.lines[0].get_xdata(), float), places, atol=0.01 * np.ptp(places))
+    if key == "friction":
+        assert [label.get_text() for label in axes.get_xticklabels()] == list(laws.values())
+    np.testing.assert_allclose(answer.figures["sweep_map"]().axes[0].images[0].get_array(), means)
