@@ -25,7 +25,7 @@ from stickslip.pipeline.quantity import (
     values,
 )
 from stickslip.pipeline.systems import OF_BLOCKS
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable, shown
+from stickslip.pipeline.toml import BlockNumbers, Blocks, List, Natural, StrictTable, shown
 from stickslip.sim.arguments import did_you_mean
 from stickslip.sim.couplings import COUPLINGS
 from stickslip.sim.drive import direction
@@ -71,7 +71,7 @@ class FileTable(StrictTable):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     n: Blocks
     scale: Natural
-    entries: Count
+    entries: Annotated[int, Field(ge=0)]
     is_sparse: bool
     arrays: Annotated[tuple[str, ...], List]
 

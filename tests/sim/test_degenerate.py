@@ -551,3 +551,15 @@ def test_arguments_are_left_alone():
     assert (z0[0], w0[0]) == (0.5, 0.1)
     stiffness[0, 0] = 7.0
     assert system.stiffness[0, 0] == 1.0
+
+
+@pytest.mark.parametrize("index", [-5, 9])
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo"])
+def test_a_sparse_matrix_with_an_index_out_of_range_is_refused(form, index):
+    matrix = scipy.sparse.coo_array(np.diag([1.0, 2.0, 3.0, 4.0]) + np.eye(4, k=-3)).asformat(form)
+    if form == "coo":
+        matrix.coords[0][1] = index
+    else:
+        matrix.indices[1] = index
+    with pytest.raises(ValueError, match=r"stiffness: expected a sparse matrix with its indices in range, got"):
+        System(matrix, 0.0)
