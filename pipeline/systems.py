@@ -11,7 +11,7 @@ import stat
 import sys
 import types
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -43,6 +43,7 @@ class SystemFile:
     entries: int
     is_sparse: bool
     arrays: tuple[str, ...]
+    version: int
 
     @property
     def word(self) -> str:
@@ -50,8 +51,12 @@ class SystemFile:
         return f"K{self.sha256[:12]}"
 
     def matrix(self, draw: int) -> int:
-        """The number of a draw of what the file leaves open: of its content, so that other files move nothing."""
-        return int(hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()[:7], 16)
+        """The number of a draw of what the file leaves open: of its content, so that other files move nothing.
+
+        Below 2^63; in version 1 below 2^28, where two of some 20,000 files are likely to share one.
+        """
+        digest = hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()
+        return int(digest[:7], 16) if self.version == 1 else int(digest[:16], 16) >> 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +78,15 @@ class SystemFunction:
         return draw
 
 
-def located(name: str, folder: Path) -> Path:
-    """Where a file lies that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+def located(names: Iterable[str], folder: Path) -> dict[str, str]:
+    """Where the files lie that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
-    # from the root: a worker may have been started in another directory
-    found = next((place / name for place in places if os.path.isfile(place / name)), folder / name)
-    return Path(os.path.realpath(found))  # `resolve` raises where links go in a circle
+    at = {}
+    for name in names:
+        paths = [os.path.join(place, name) for place in places]
+        # absolute: a worker may have been started in another directory; `resolve` raises where links are a circle
+        at[name] = os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
+    return at
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:
@@ -175,6 +183,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         "entries": system.stiffness.size,
         "is_sparse": not isinstance(system.stiffness, np.ndarray),
         "arrays": [key for key in BY_BLOCK if key in arrays],
+        "version": 2,
     }
 
 

@@ -17,6 +17,8 @@ import scipy.sparse
 
 from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
+from stickslip.pipeline.scene import parse_scene
+from stickslip.pipeline.system_table import FileTable
 from stickslip.workflows.commands import main
 from tests.scenes import ENDING
 
@@ -123,7 +125,9 @@ def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, conte
     run_ensemble(scene, tmp_path / "out", workers=0)
     before = content(tmp_path / "out")
     written(tmp_path, arrays | {"friction": arrays["friction"] * 1.5})
-    with pytest.raises(StoreError, match=r"system\.files\.K\.npz: sha256 [0-9a-f]{12} here, sha256 .* there"):
+    with pytest.raises(
+        StoreError, match=r"system\.files\.K\.npz: sha256 [0-9a-f]{12}, version 2 here, sha256 .* there"
+    ):
         run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == before
     systems._read.cache_clear()
@@ -234,6 +238,66 @@ def test_copies_of_a_file_are_refused(tmp_path, arrays):
     np.savez(tmp_path / "K-copy.npz", **arrays)
     with pytest.raises(SceneError, match=r"system\.path: expected files that differ, got K-copy\.npz and K\.npz"):
         load_scene(written(tmp_path, arrays, SCENE.replace("K.npz", "K*.npz")))
+
+
+def known(rng, n_files):
+    """A scene that is read with what is known of its files, which need not be there."""
+    table = '[system.files."K{:05d}.npz"]\nsha256 = "{}"\nn = 4\nscale = 1.0\nentries = 16\nis_sparse = false\n'
+    files = [table.format(k, rng.bytes(32).hex()) + "arrays = []\nversion = 2\n" for k in range(n_files)]
+    text = SCENE.replace("K.npz", "K*.npz").replace('"file"\nw', "0.0\nw").replace("draws = 2\n", "")
+    return text.replace("matrices = 2", "matrices = 1") + "".join(files)
+
+
+def test_files_are_not_compared_two_by_two(rng, monkeypatch):
+    n_asked = 0
+
+    class Counted(str):
+        def __eq__(self, other):
+            nonlocal n_asked
+            n_asked += 1
+            return str.__eq__(self, other)
+
+        __hash__ = str.__hash__
+
+    get = FileTable.__getattribute__
+
+    def counting(table, key):
+        value = get(table, key)
+        return Counted(value) if key == "sha256" else value
+
+    monkeypatch.setattr(FileTable, "__getattribute__", counting)
+    text = known(rng, 300)
+    members = expand(parse_scene(text.encode()))
+    assert n_asked < 10 * 300
+    matrices = [member.matrix for member in members]
+    assert len(set(matrices)) == 300
+    assert max(matrices) > 2**62  # all of 300 are below it once in 10^90 times
+    assert max(matrices) < 2**63
+
+
+def test_a_dataset_of_before_is_read_with_its_own_numbers(tmp_path, arrays):
+    file = written(tmp_path, arrays)
+    new = load_scene(file)
+    text = new.source.decode()
+    assert text.count(", version = 2") == 1
+    (tmp_path / "old.toml").write_text(text.replace(", version = 2", ""))  # as it was written then
+    old = load_scene(tmp_path / "old.toml")
+    sha256 = hashlib.sha256((tmp_path / "K.npz").read_bytes()).hexdigest()
+    for scene, kind in ((old, np.int32), (new, np.int64)):
+        out = tmp_path / kind.__name__
+        run_ensemble(scene, out, workers=0)
+        assert verify(out) == []
+        found = query.members(out).matrix
+        assert found.dtype == kind
+        digests = [hashlib.sha256(f"{sha256} {draw}".encode()).hexdigest() for draw in (0, 1)]
+        expected = {int(one[:7], 16) if scene is old else int(one[:16], 16) // 2 for one in digests}
+        assert set(found) == expected
+    with pytest.raises(StoreError, match=r"K\.npz: sha256 \w{12}, version 2 here, sha256 \w{12} there"):
+        run_ensemble(new, tmp_path / "int32", workers=0)
+    more = text.replace(", version = 2", "").replace("matrices = 2", "matrices = 3")
+    (tmp_path / "old.toml").write_text(more)
+    run_ensemble(load_scene(tmp_path / "old.toml"), tmp_path / "int32", workers=0)  # it grows as it began
+    assert query.members(tmp_path / "int32").matrix.nunique() == 3
 
 
 @pytest.mark.parametrize("case", BAD_SCENES)
