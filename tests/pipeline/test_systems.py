@@ -104,6 +104,19 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
         assert np.array_equal(dense, k), name
 
 
+def test_entries_of_a_sparse_file_may_be_in_any_order_and_add_up(tmp_path, rng):
+    rows, values = np.concatenate([rng.permutation(4), rng.permutation(4)]), rng.uniform(1.0, 2.0, 8)
+    rows[1] = rows[0]
+    indices, indptr = rows.astype(np.int32), np.array([0, 4, 4, 8, 8], np.int32)
+    np.savez(tmp_path / "K.npz", data=values, indices=indices, indptr=indptr, shape=(4, 4), format=b"csc")
+    scene = SCENE.replace('"file"\nw', "0.0\nw")
+    (tmp_path / "mine.toml").write_text(scene)
+    expected = np.zeros((4, 4))
+    np.add.at(expected, (rows, [0, 0, 0, 0, 2, 2, 2, 2]), values)
+    for member in expand(load_scene(tmp_path / "mine.toml")):
+        np.testing.assert_allclose(member.system().stiffness.toarray(), expected, rtol=1e-15)
+
+
 def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)
