@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import warnings
 import zipfile
 from collections.abc import Sequence
 from typing import IO, Any
@@ -65,7 +66,8 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in readers:  # the third is for names of fields
         raise ValueError(f"{name}: expected version 1 or 2 of the format .npy, got {version[0]}.{version[1]}")
-    shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
+    with warnings.catch_warnings(action="error"):  # of a header that NumPy would guess at
+        shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
     if kind.kind not in kinds:
         raise ValueError(f"{name}: expected an array of {'text' if kinds == 'S' else 'real numbers'}, got one of type"
                          f" {kind}; pickles are not read")  # fmt: skip
@@ -165,10 +167,13 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
         entries = n * n if sign is None else (n - below) * (n + 1 - below) // 2
     columns = ("row", "column") if layout == "coordinate" else ()
     kind = np.dtype([*((name, "i8") for name in columns), ("value", _FIELDS[field])])
-    body = lines.read()  # NumPy warns of none
+    body = lines.read()
     if not content.endswith(b"\n"):  # a number that is cut short is a number
         raise ValueError("expected its last line to be whole, got one without an end")
-    table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1) if body.strip() else np.empty(0, kind)
+    table = np.empty(0, kind)
+    if body.strip():
+        with warnings.catch_warnings(action="error"):  # of a number that NumPy would round
+            table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
     if table.size != entries:
         raise ValueError(f"expected {entries} entries, of which its line of sizes tells, got {table.size}")
     values = table["value"].astype(np.float64)

@@ -10,7 +10,6 @@ import os
 import stat
 import sys
 import types
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -152,8 +151,7 @@ def _content(path: Path) -> bytes:
 
 def _arrays(name: str, content: bytes) -> dict[str, Any]:
     try:
-        with warnings.catch_warnings(action="error"):
-            return arrays_of(content, BY_BLOCK)
+        return arrays_of(content, BY_BLOCK)
     except Exception as error:  # of what is damaged readers tell by a dozen kinds of errors, which no list names
         raise SceneError(
             f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
