@@ -492,7 +492,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
         rest, recording = iter(new), Recording.of(stage)
         for size in sizes:
-            batch = as_batch(len(planned), tuple(islice(rest, size)), stage.hash)
+            batch = as_batch(len(planned), tuple(islice(rest, size)), recording.scene_hash)
             planned.append((batch, recording))
         known.update(member.member_id for member in new)
     return planned

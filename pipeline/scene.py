@@ -166,6 +166,7 @@ class Scene(StrictTable):
         in_files = any(file.arrays for file in self.system.known_files.values())
         asked = {
             "file": self.system.coupling == OF_FILE,
+            "long_matrix": any(file.version > 1 for file in self.system.known_files.values()),
             "function": self.system.is_own,
             "graph": self.system.coupling in GRAPHS,
             "damping": self.system.damping is not None or in_files,
@@ -357,7 +358,7 @@ class Scene(StrictTable):
         starts = math.prod(len(axis.rows) for axis in self.axes)
         if starts <= MAX_MEMBERS:
             starts = sum(len(self.start_draws(at)) for _, at in self.points())
-        return len(self.sources) * self.run.matrices * starts * runs
+        return len(self.system.files or self.system.n) * self.run.matrices * starts * runs
 
     @property
     def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:
@@ -366,7 +367,7 @@ class Scene(StrictTable):
         if system.coupling == OF_FILE:
             files = system.known_files
             named = sorted(files, key=lambda name: (files[name].n, name))
-            at = {name: str(located(name, self._folder)) for name in named}
+            at = located(named, self._folder)
             facts = {name: files[name].model_dump(exclude={"n"}) for name in named}
             return [(files[name].n, SystemFile(name=name, at=at[name], **facts[name])) for name in named]
         return [(n, self._function) for n in system.n]
@@ -411,7 +412,10 @@ class Scene(StrictTable):
             if engine.picked_for is not None:
                 table["picked_for"] = engine.picked_for
         if self.system.files is not None:
-            keys["system"]["files"] = {name: file.sha256 for name, file in self.system.files.items()}
+            keys["system"]["files"] = {
+                name: file.sha256 if file.version == 1 else f"{file.sha256}, version {file.version}"
+                for name, file in self.system.files.items()
+            }
             del keys["system"]["path"]
         if self.system.module is not None:
             keys["system"]["module"] = self.system.module.sha256

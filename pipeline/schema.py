@@ -53,6 +53,7 @@ def _of_engines() -> Iterator[pa.Field]:
 #: What a scene may ask for beside n_stick; the first ones by its keys in [system] and [start].
 RECORDED = {
     "file": [_text("file", "file that K is read from, as named beside the scene", False)],
+    "long_matrix": [],  # numbers of 64 bits in the column `matrix`
     "function": [],  # its parameters, which each scene names itself
     "graph": [
         _number("leaf", "stiffness of every block's leaf spring; null if drawn"),
@@ -250,6 +251,8 @@ class Recording:
         """The schema of the dataset's shards: `SCHEMA` and the parts."""
         null = set().union(*(_MAY_BE_NULL.get(name, set()) for name in self.parts))
         fixed = [field.with_nullable(True) if field.name in null else field for field in SCHEMA]
+        if "long_matrix" in self.parts:
+            fixed = [field.with_type(pa.int64()) if field.name == "matrix" else field for field in fixed]
         own = [_number(name, "parameter of the function that makes the systems", False)
                for name in self.parameters]  # fmt: skip
         schema = pa.schema([*fixed, *own, *(column for name in self.parts for column in RECORDED[name])])

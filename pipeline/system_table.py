@@ -25,7 +25,7 @@ from stickslip.pipeline.quantity import (
     values,
 )
 from stickslip.pipeline.systems import OF_BLOCKS
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, List, Natural, StrictTable, shown
+from stickslip.pipeline.toml import BlockNumbers, Blocks, List, Natural, StrictTable, shown
 from stickslip.sim.arguments import did_you_mean
 from stickslip.sim.couplings import COUPLINGS
 from stickslip.sim.drive import direction
@@ -71,9 +71,10 @@ class FileTable(StrictTable):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     n: Blocks
     scale: Natural
-    entries: Count
+    entries: Annotated[int, Field(ge=0)]
     is_sparse: bool
     arrays: Annotated[tuple[str, ...], List]
+    version: Literal[1, 2] = 1  # of how draws are numbered; datasets of before do not say it
 
 
 class ForceTable(StrictTable):
@@ -239,6 +240,7 @@ class SystemTable(StrictTable):
             raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
+        first: dict[str, str] = {}
         for name, file in self.files.items():
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
@@ -248,10 +250,10 @@ class SystemTable(StrictTable):
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
-            same = [other for other in self.files if self.files[other].sha256 == file.sha256 and other != name]
-            if same:
+            other = first.setdefault(file.sha256, name)
+            if other != name:
                 raise ValueError(
-                    f"path: expected files that differ, got {name} and {same[0]}, which are equal; remove one"
+                    f"path: expected files that differ, got {other} and {name}, which are equal; remove one"
                 )
         alone = set(self.n) - {file.n for file in self.files.values()}
         if alone:

@@ -6,11 +6,11 @@ import contextlib
 import glob
 import hashlib
 import importlib.util
-import io
+import os
+import stat
 import sys
 import types
-import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.errors import SceneError, printable
+from stickslip.pipeline.system_files import arrays_of
 from stickslip.sim.arguments import did_you_mean, per_block
 from stickslip.sim.system import System
 
@@ -26,13 +27,8 @@ from stickslip.sim.system import System
 OF_BLOCKS = ("damping", "friction", "static", "mass", "belt_speed")
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
-#: What NumPy's files begin with: an .npz is a zip file.
-_MAGIC = (b"PK", b"\x93NUMPY")
-
-#: The parts of a sparse matrix as `scipy.sparse.save_npz` names them.
-_SPARSE = {"data", "indices", "indptr", "shape", "format"}
-
-_EXPECTED = "an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of " + ", ".join(BY_BLOCK)
+#: Of a file that is opened: not to wait. Windows knows neither pipes in folders nor this.
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +42,7 @@ class SystemFile:
     entries: int
     is_sparse: bool
     arrays: tuple[str, ...]
+    version: int
 
     @property
     def word(self) -> str:
@@ -53,8 +50,12 @@ class SystemFile:
         return f"K{self.sha256[:12]}"
 
     def matrix(self, draw: int) -> int:
-        """The number of a draw of what the file leaves open: of its content, so that other files move nothing."""
-        return int(hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()[:7], 16)
+        """The number of a draw of what the file leaves open: of its content, so that other files move nothing.
+
+        Below 2^63; in version 1 below 2^28, where two of some 20,000 files are likely to share one.
+        """
+        digest = hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()
+        return int(digest[:7], 16) if self.version == 1 else int(digest[:16], 16) >> 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +77,15 @@ class SystemFunction:
         return draw
 
 
-def located(name: str, folder: Path) -> Path:
-    """Where a file lies that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+def located(names: Iterable[str], folder: Path) -> dict[str, str]:
+    """Where the files lie that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
-    # from the root: a worker may have been started in another directory
-    return next((place / name for place in places if (place / name).is_file()), folder / name).resolve()
+    at = {}
+    for name in names:
+        paths = [os.path.join(place, name) for place in places]
+        # absolute: a worker may have been started in another directory; `resolve` raises where links are a circle
+        at[name] = os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
+    return at
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:
@@ -126,44 +131,38 @@ def _digest(content: bytes) -> str:
 
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        # a pipe that nobody writes to would be waited for
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _AT_ONCE)) as file:
+            facts = os.fstat(file.fileno())
+            if not stat.S_ISREG(facts.st_mode):
+                raise SceneError(f"system.path: expected a file, got {path}, which is none; correct the path")
+            content = file.read(facts.st_size + 1)
     except OSError as error:
         raise SceneError(
             f"system.path: {path} cannot be read ({error.strerror}); restore it, or correct the path"
         ) from None
+    if len(content) != facts.st_size:
+        raise SceneError(
+            f"system.path: expected {facts.st_size} bytes in {path}, got {'others' if content else 'none'}; write the"
+            " file before it is read"
+        )
+    return content
 
 
 def _arrays(name: str, content: bytes) -> dict[str, Any]:
-    stream = io.BytesIO(content)
     try:
-        if name.endswith((".mtx", ".mtx.gz")):
-            from scipy.io import mmread  # takes a tenth of a second to load
+        return arrays_of(content, BY_BLOCK)
+    except Exception as error:  # of what is damaged readers tell by a dozen kinds of errors, which no list names
+        raise SceneError(
+            f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
+            f"write it again, or correct the path"
+        ) from error
 
-            return {"stiffness": mmread(stream)}
-        if not content.startswith(_MAGIC):
-            raise ValueError("something else")  # of which NumPy says that it is a pickle
-        found = np.load(stream, allow_pickle=False)
-        if isinstance(found, np.ndarray):
-            return {"stiffness": found}
-        arrays = {key: found[key] for key in found.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        why = " ".join(str(error).split())
-        raise SceneError(f"system.path: {name}: expected an .npz, .npy or Matrix Market file, got: {why}") from None
-    if arrays.keys() >= _SPARSE:
-        from scipy import sparse  # as above
 
-        parts = {key: arrays.pop(key) for key in _SPARSE}
-        arrays.pop("_is_array", None)
-        kind = {b"csc": sparse.csc_array, b"csr": sparse.csr_array}.get(bytes(parts["format"].item()))
-        if kind is None:
-            raise SceneError(f"system.path: {name}: expected the format csc or csr, got {parts['format'].item()!r}")
-        arrays["stiffness"] = kind((parts["data"], parts["indices"], parts["indptr"]), parts["shape"])
-    elif "stiffness" not in arrays and len(arrays) == 1:
-        arrays = {"stiffness": next(iter(arrays.values()))}
-    unknown = sorted(arrays.keys() - {"stiffness", *BY_BLOCK})
-    if unknown or "stiffness" not in arrays:
-        raise SceneError(f"system.path: {name}: expected {_EXPECTED}, got {', '.join(sorted(arrays)) or 'nothing'}")
-    return arrays
+def _line(error: Exception) -> str:
+    """What an error says, in a line."""
+    why = printable(" ".join(str(error).split())) or type(error).__name__
+    return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
 def _checked(name: str, content: bytes) -> dict[str, Any]:
@@ -173,9 +172,8 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
         for key in ("z0", "w0"):
             per_block(key, arrays.get(key, 0.0), system.n)
-    except (TypeError, ValueError) as error:
-        why = " ".join(str(error).split())  # it may show an array
-        raise SceneError(f"system.path: {name}: {why if len(why) < 300 else f'{why[:297]}...'}") from None
+    except (TypeError, ValueError, MemoryError) as error:
+        raise SceneError(f"system.path: {name}: {_line(error)}") from None
     return {
         "sha256": _digest(content),
         "n": system.n,
@@ -183,6 +181,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         "entries": system.stiffness.size,
         "is_sparse": not isinstance(system.stiffness, np.ndarray),
         "arrays": [key for key in BY_BLOCK if key in arrays],
+        "version": 2,
     }
 
 
@@ -196,18 +195,21 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
     SceneError
         If there is no such file, or it holds no system.
     """
-    found = [folder / pattern] if (folder / pattern).is_file() else _glob(folder, pattern)
+    found = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
     if not found:
         raise SceneError(f"system.path: expected a file, or several by a pattern such as K*.npz, got {pattern!r}, "
                          f"which names none in {folder.resolve()}; correct the path")  # fmt: skip
     is_beside = not Path(pattern).is_absolute()
     names = [file.relative_to(folder).as_posix() if is_beside else file.as_posix() for file in found]
+    odd = next((name for name in names if not name.isprintable()), None)
+    if odd is not None:  # what is no UTF-8 a scene could not name
+        raise SceneError(f"system.path: expected files with printable names, got {odd!a}; rename it")
     return {name: _checked(str(file), _content(file)) for name, file in zip(names, found, strict=True)}
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:
     found = (folder / name for name in glob.glob(pattern, root_dir=folder, recursive=True))
-    return sorted(file for file in found if file.is_file())
+    return sorted(file for file in found if os.path.isfile(file))
 
 
 # ---------------------------------------------------------------------------------------------- functions

@@ -62,6 +62,7 @@ _ROOMS = (
     "quantity",
     "scene",
     "schema",
+    "system_files",
     "system_table",
     "systems",
     "tables",

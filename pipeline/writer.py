@@ -325,8 +325,8 @@ class Store:
 
 def _told(value: object) -> str:
     """A value of a scene for an error: of what it names, the beginning of the sha256."""
-    if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value):
-        return f"sha256 {value[:12]}"
+    if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}(, version [0-9]+)?", value):
+        return f"sha256 {value[:12]}{value[64:]}"
     return repr(value)
 
 

@@ -115,7 +115,7 @@ class System:
         if _is_sparse(stiffness):
             from scipy.sparse import csc_array
 
-            matrix = csc_array(stiffness)
+            matrix = csc_array(_checked(stiffness), copy=True)  # its entries are sorted in place
             matrix = csc_array(
                 (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
             )
@@ -491,6 +491,22 @@ def _is_sparse(matrix: object) -> bool:
     """As `scipy.sparse.issparse`, without loading that: who has a sparse matrix has done so."""
     sparse = sys.modules.get("scipy.sparse")
     return sparse is not None and bool(sparse.issparse(matrix))
+
+
+def _checked(matrix: Any) -> Any:
+    """A sparse matrix whose indices are in range, as SciPy's compiled code takes for granted."""
+    from scipy.sparse import coo_array
+
+    try:
+        if matrix.format in ("csc", "csr", "bsr"):
+            matrix.check_format(full_check=True)
+            return matrix
+        entries = matrix.tocoo()
+        return coo_array((entries.data, entries.coords), entries.shape)  # which checks them
+    except ValueError as error:
+        raise ValueError(
+            f"stiffness: expected a sparse matrix with its indices in range, got one with {error}"
+        ) from None
 
 
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:

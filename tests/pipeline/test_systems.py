@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
+import hashlib
+import io
+import os
+import tracemalloc
 from pathlib import Path
 
+import distributed.system
 import numpy as np
 import pytest
 import scipy.io
@@ -11,6 +17,9 @@ import scipy.sparse
 
 from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
+from stickslip.pipeline.design import tasks
+from stickslip.pipeline.scene import parse_scene
+from stickslip.pipeline.system_table import FileTable
 from stickslip.workflows.commands import main
 from tests.scenes import ENDING
 
@@ -95,6 +104,19 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
         assert np.array_equal(dense, k), name
 
 
+def test_entries_of_a_sparse_file_may_be_in_any_order_and_add_up(tmp_path, rng):
+    rows, values = np.concatenate([rng.permutation(4), rng.permutation(4)]), rng.uniform(1.0, 2.0, 8)
+    rows[1] = rows[0]
+    indices, indptr = rows.astype(np.int32), np.array([0, 4, 4, 8, 8], np.int32)
+    np.savez(tmp_path / "K.npz", data=values, indices=indices, indptr=indptr, shape=(4, 4), format=b"csc")
+    scene = SCENE.replace('"file"\nw', "0.0\nw")
+    (tmp_path / "mine.toml").write_text(scene)
+    expected = np.zeros((4, 4))
+    np.add.at(expected, (rows, [0, 0, 0, 0, 2, 2, 2, 2]), values)
+    for member in expand(load_scene(tmp_path / "mine.toml")):
+        np.testing.assert_allclose(member.system().stiffness.toarray(), expected, rtol=1e-15)
+
+
 def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)
@@ -117,12 +139,60 @@ def test_a_file_that_changed_is_said_and_nothing_is_done(tmp_path, arrays, conte
     run_ensemble(scene, tmp_path / "out", workers=0)
     before = content(tmp_path / "out")
     written(tmp_path, arrays | {"friction": arrays["friction"] * 1.5})
-    with pytest.raises(StoreError, match=r"system\.files\.K\.npz: sha256 [0-9a-f]{12} here, sha256 .* there"):
+    with pytest.raises(
+        StoreError, match=r"system\.files\.K\.npz: sha256 [0-9a-f]{12}, version 2 here, sha256 .* there"
+    ):
         run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == before
     systems._read.cache_clear()
     with pytest.raises(SceneError, match=r"K\.npz as it was when the scene was read .* got another"):
         run_ensemble(scene, tmp_path / "new", workers=0)  # changed between the reading and the run
+
+
+def test_the_digest_is_of_all_bytes_of_a_file(tmp_path, rng):
+    stiffness = np.diag(rng.uniform(1.0, 2.0, 40))
+    text = SCENE.replace("K.npz", "K.npy").replace("n = 4", "n = 40").replace('"file"\nw', "0.0\nw")
+    (tmp_path / "mine.toml").write_text(text)
+    np.save(tmp_path / "K.npy", stiffness)
+    content = bytearray((tmp_path / "K.npy").read_bytes())
+    assert len(content) > 3 * 4096
+    scene = load_scene(tmp_path / "mine.toml")
+    assert scene.system.files["K.npy"].sha256 == hashlib.sha256(content).hexdigest()
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    for at in (-1, int(rng.integers(4096, len(content))), 4096):
+        changed = content.copy()
+        changed[at] ^= 1
+        (tmp_path / "K.npy").write_bytes(changed)
+        systems._read.cache_clear()
+        with pytest.raises(SceneError, match=r"K\.npy as it was when the scene was read .* got another"):
+            systems.read(expand(scene)[0].origin)
+        with pytest.raises(StoreError, match=r"system\.files\.K\.npy: sha256"):
+            run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
+
+
+def test_what_a_file_claims_is_held_against_memory_before_it_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(distributed.system, "MEMORY_LIMIT", 10**8)
+    n = 2500
+    np.savez_compressed(tmp_path / "K.npz", stiffness=np.zeros((n, n)))
+    (tmp_path / "mine.toml").write_text(SCENE.replace("n = 4", f"n = {n}"))
+    tracemalloc.start()
+    with pytest.raises(SceneError, match=r"expected what this machine can hold, 0\.1 GB, got .* takes 0\.15 GB"):
+        load_scene(tmp_path / "mine.toml")
+    assert tracemalloc.get_traced_memory()[1] < 8 * n**2 / 4
+    tracemalloc.stop()
+
+
+def test_a_packed_text_and_a_name_that_no_scene_can_hold_are_refused(tmp_path, arrays):
+    stream = io.BytesIO()
+    scipy.io.mmwrite(stream, arrays["stiffness"])
+    (tmp_path / "K.mtx.gz").write_bytes(gzip.compress(stream.getvalue()))
+    (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "K.mtx.gz"))
+    with pytest.raises(SceneError, match=r"K\.mtx\.gz: expected a whole \.npz, \.npy or Matrix Market file"):
+        load_scene(tmp_path / "mine.toml")
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/K\xff.npz")).write_bytes(b"PK")
+    (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "K?.npz"))
+    with pytest.raises(SceneError, match=r"printable names, got 'K\\udcff\.npz'"):
+        load_scene(tmp_path / "mine.toml")
 
 
 def test_a_file_is_found_from_another_directory_than_the_scene_was_read_in(tmp_path, arrays, monkeypatch):
@@ -141,7 +211,7 @@ BAD = {
         {"stiffness": np.eye(5), "friction": np.ones(5), "z0": np.ones(5)},
         ["system.n", "that of K.npz, 5", "write `n = 5`"],
     ),
-    "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz: stiffness", "square matrix of numbers"]),
+    "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz", "stiffness: expected an array of real numbers", "<U1"]),
     "objects": ({"stiffness": np.full((4, 4), None)}, ["K.npz", "pickle"]),
     "friction of others": ({"friction": np.ones(3)}, ["K.npz: friction", "shape (4,)"]),
     "negative friction": ({"friction": -np.ones(4)}, ["K.npz: friction", "mu >= 0"]),
@@ -167,7 +237,7 @@ BAD_SCENES = {
     "another kind of file": (
         '"K.npz"',
         '"mine.toml"',
-        ["system.path", "mine.toml: expected an .npz", "got: something else"],
+        ["system.path", "mine.toml: expected a whole .npz", "something else"],
     ),
     "no path": ('path = "K.npz"\n', "", ["system.path", 'add `path = "K.npz"`']),
     "a path of an ensemble": ('"file"\npath', '"full"\npath', ["system.path", 'coupling = "full"']),
@@ -182,6 +252,60 @@ def test_copies_of_a_file_are_refused(tmp_path, arrays):
     np.savez(tmp_path / "K-copy.npz", **arrays)
     with pytest.raises(SceneError, match=r"system\.path: expected files that differ, got K-copy\.npz and K\.npz"):
         load_scene(written(tmp_path, arrays, SCENE.replace("K.npz", "K*.npz")))
+
+
+def known(rng, n_files):
+    """A scene that is read with what is known of its files, which need not be there."""
+    table = '[system.files."K{:05d}.npz"]\nsha256 = "{}"\nn = 4\nscale = 1.0\nentries = 16\nis_sparse = false\n'
+    files = [table.format(k, rng.bytes(32).hex()) + "arrays = []\nversion = 2\n" for k in range(n_files)]
+    text = SCENE.replace("K.npz", "K*.npz").replace('"file"\nw', "0.0\nw").replace("draws = 2\n", "")
+    return text.replace("matrices = 2", "matrices = 1") + "".join(files)
+
+
+def test_files_are_not_compared_two_by_two(rng, monkeypatch):
+    n_asked = 0
+
+    get = FileTable.__getattribute__
+
+    def counting(table, key):
+        nonlocal n_asked
+        n_asked += key == "sha256"
+        return get(table, key)
+
+    monkeypatch.setattr(FileTable, "__getattribute__", counting)
+    n_files = 300
+    scene = parse_scene(known(rng, n_files).replace("t_end = 5.0", "t_end = 1e5").encode())
+    assert len(tasks(scene)) > n_files / 2
+    assert n_files <= n_asked < 10 * n_files
+    matrices = [member.matrix for member in expand(scene)]
+    assert len(set(matrices)) == n_files
+    assert max(matrices) > 2**62  # all of 300 are below it once in 10^90 times
+    assert max(matrices) < 2**63
+
+
+def test_a_dataset_of_before_is_read_with_its_own_numbers(tmp_path, arrays):
+    file = written(tmp_path, arrays)
+    new = load_scene(file)
+    text = new.source.decode()
+    assert text.count(", version = 2") == 1
+    (tmp_path / "old.toml").write_text(text.replace(", version = 2", ""))  # as it was written then
+    old = load_scene(tmp_path / "old.toml")
+    sha256 = hashlib.sha256((tmp_path / "K.npz").read_bytes()).hexdigest()
+    for scene, kind in ((old, np.int32), (new, np.int64)):
+        out = tmp_path / kind.__name__
+        run_ensemble(scene, out, workers=0)
+        assert verify(out) == []
+        found = query.members(out).matrix
+        assert found.dtype == kind
+        digests = [hashlib.sha256(f"{sha256} {draw}".encode()).hexdigest() for draw in (0, 1)]
+        expected = {int(one[:7], 16) if scene is old else int(one[:16], 16) // 2 for one in digests}
+        assert set(found) == expected
+    with pytest.raises(StoreError, match=r"K\.npz: sha256 \w{12}, version 2 here, sha256 \w{12} there"):
+        run_ensemble(new, tmp_path / "int32", workers=0)
+    more = text.replace(", version = 2", "").replace("matrices = 2", "matrices = 3")
+    (tmp_path / "old.toml").write_text(more)
+    run_ensemble(load_scene(tmp_path / "old.toml"), tmp_path / "int32", workers=0)  # it grows as it began
+    assert query.members(tmp_path / "int32").matrix.nunique() == 3
 
 
 @pytest.mark.parametrize("case", BAD_SCENES)

@@ -551,3 +551,33 @@ def test_arguments_are_left_alone():
     assert (z0[0], w0[0]) == (0.5, 0.1)
     stiffness[0, 0] = 7.0
     assert system.stiffness[0, 0] == 1.0
+
+
+@pytest.mark.parametrize("index", [-5, 9])
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo"])
+def test_a_sparse_matrix_with_an_index_out_of_range_is_refused(form, index):
+    matrix = scipy.sparse.coo_array(np.diag([1.0, 2.0, 3.0, 4.0]) + np.eye(4, k=-3)).asformat(form)
+    if form == "coo":
+        matrix.coords[0][1] = index
+    else:
+        matrix.indices[1] = index
+    with pytest.raises(ValueError, match=r"stiffness: expected a sparse matrix with its indices in range, got"):
+        System(matrix, 0.0)
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo"])
+def test_a_sparse_matrix_whose_entries_are_in_any_order_is_left_alone(form, rng):
+    entries, (rows, columns) = rng.uniform(1.0, 2.0, 6), np.array([[3, 0, 2, 0, 1, 3], [0, 0, 0, 0, 1, 1]])
+    dense = np.zeros((4, 4))
+    np.add.at(dense, (rows, columns), entries)
+    order = np.lexsort((-columns, rows))  # of compressed rows, each from its end
+    indptr = np.searchsorted(rows[order], np.arange(5))
+    matrix = scipy.sparse.csr_array((entries[order], columns[order], indptr), (4, 4))
+    if form == "csc":
+        matrix = scipy.sparse.csc_array((matrix.data, matrix.indices, matrix.indptr), (4, 4)).copy()
+        dense = dense.T
+    elif form != "csr":
+        matrix = matrix.asformat(form)
+    for _ in range(2):
+        np.testing.assert_allclose(System(matrix, 0.0).stiffness.toarray(), dense, rtol=1e-15)
+    np.testing.assert_allclose(matrix.toarray(), dense, rtol=1e-15)
