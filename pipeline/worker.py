@@ -27,7 +27,8 @@ from stickslip.pipeline.schema import Recording, encode
 from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.engines.sources import cache_directory, source_digest
+from stickslip.sim.engines.kept import CacheError, has_kernel
+from stickslip.sim.engines.sources import source_digest
 from stickslip.sim.episodes import episodes
 from stickslip.sim.series import summaries
 from stickslip.sim.system import work_out
@@ -185,6 +186,8 @@ def _result(
         ran = run()
         assert system is not None  # else that has raised
         return _kept(member, system, ran, recording)
+    except CacheError:  # no member of this machine can be run
+        raise
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
         message = " ".join(str(error).split())
         return None, failed(member, f"{type(error).__name__}: {message}")
@@ -345,7 +348,7 @@ def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
 def is_cold(engine: str) -> bool:
     """Whether an engine has kernels that are still to be compiled here: some ten seconds, once a version of `sim`."""
     kernels = ENGINES[engine].kernels
-    return bool(kernels) and not any(cache_directory().glob(f"{kernels}.*.nbc"))
+    return bool(kernels) and not has_kernel(kernels)
 
 
 def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:

@@ -394,3 +394,6 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
+    except import_module("stickslip.sim.engines.kept").CacheError as error:  # loaded only if it is none of the above
+        print(f"stickslip: {error}", file=sys.stderr)
+        return _WRONG

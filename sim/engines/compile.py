@@ -17,125 +17,67 @@ Decisions, and why:
   a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
   index, raise or crash when truncated, run what a flipped bit made of them, and mix up two kernels that two
-  processes compile at once. What does not match is compiled anew; what cannot be written is used without.
+  processes compile at once. What does not match is compiled anew; what cannot be written is used without; what others
+  could have written is refused (`stickslip.sim.engines.kept`).
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import hashlib
-import os
-import pickle
-import time
-import uuid
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numba
 from numba._dynfunc import make_function
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
 from numba.core.targetconfig import ConfigStack
 from numba.core.types import Type, unliteral
 from numba.core.types.functions import BaseFunction
 
-from stickslip.sim.engines.sources import cache_directory
+from stickslip.sim.engines.kept import KernelFiles, cache_directory
 
-_config: Any = numba.config
-
-
-def _usable_cache() -> Path | None:
-    directory = cache_directory()
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        _warn_uncached(error)
-        return None
-    return directory
-
-
-#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
-_PATIENCE = 180.0
-_DIGEST_SIZE = hashlib.sha256().digest_size
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
-class _KernelFiles:
-    """Compiled kernels on disk, each in a file named by its key; what numba asks of the files of its caches."""
+class _Locator(_CacheLocator):
+    """What a kernel's files are called after; where they lie is decided by `KernelFiles` alone."""
 
-    def __init__(self, directory: Path, name: str) -> None:
-        self._directory, self._name = directory, name
-        self._locks: dict[str, contextlib.ExitStack] = {}
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._py_file, self._lineno = file, function.__code__.co_firstlineno
 
-    def _file(self, key: object) -> Path:
-        return self._directory / f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> _Locator:
+        return cls(function, file)
 
-    def load(self, key: object) -> Any:
-        """What was saved under a key; None if nothing, or if a byte of it has changed: compile it then.
+    def ensure_cache_path(self) -> None:
+        pass
 
-        If another process does so now, wait and load its own.
-        """
-        kept = self._read(key)
-        if kept is None and repr(key) not in self._locks:
-            self._locks[repr(key)] = self._alone(key)
-            kept = self._read(key)
-            if kept is not None:
-                self._locks.pop(repr(key)).close()
-        return kept
+    def get_cache_path(self) -> str:
+        return str(cache_directory())
 
-    def _alone(self, key: object) -> contextlib.ExitStack:
-        """Until this is closed no other process compiles it, unless nothing can be locked, or it takes too long."""
-        held = contextlib.ExitStack()
-        with contextlib.suppress(OSError):
-            lock = os.open(self._file(key).with_suffix(".lock"), os.O_RDONLY | os.O_CREAT, 0o644)
-            held.callback(os.close, lock)
-            end = time.monotonic() + _PATIENCE
-            while time.monotonic() < end:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                except BlockingIOError:
-                    time.sleep(0.05)
-        return held
+    def get_source_stamp(self) -> str:
+        return ""  # the directory is named by the sources
 
-    def _read(self, key: object) -> Any:
-        try:
-            content = self._file(key).read_bytes()
-        except OSError:
-            return None
-        data, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
-        return pickle.loads(data) if hashlib.sha256(data).digest() == digest else None
+    def get_disambiguator(self) -> str:
+        return str(self._lineno)
 
-    def save(self, key: object, kernel: object) -> None:
-        data = dumps(kernel)
-        temporary = self._directory / f"{self._name}.{uuid.uuid4().hex}.tmp"
-        try:
-            temporary.write_bytes(data + hashlib.sha256(data).digest())
-            os.replace(temporary, self._file(key))
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
-        finally:
-            self._locks.pop(repr(key), contextlib.ExitStack()).close()
 
-    def flush(self) -> None:
-        for file in self._directory.glob(f"{self._name}.*.nbc"):
-            file.unlink(missing_ok=True)
+class _Kept(CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012  as numba has it
 
 
 class _KernelCache(FunctionCache):
-    def __init__(self, function: Callable[..., Any], directory: Path) -> None:
+    _impl_class = _Kept
+
+    def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file: Any = _KernelFiles(directory, self._impl.filename_base)
+        self._cache_file: Any = KernelFiles(cache_directory(), self._impl.filename_base)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """What is kept; before, numba would load all that it may need to compile, which takes half a second."""
@@ -202,16 +144,12 @@ class _PartCompiler(Compiler):
         return result._replace(entry_point=entry)
 
 
-def _warn_uncached(error: Exception) -> None:
-    why = error.strerror if isinstance(error, OSError) else error
+def _warn_uncached(error: OSError) -> None:
     warnings.warn(
         f"kernels are compiled anew in every process: the cache directory {cache_directory()} cannot be written"
-        f" ({why}); make room there, or set NUMBA_CACHE_DIR to another directory",
+        f" ({error.strerror}); make room there, or set NUMBA_CACHE_DIR to another directory",
         stacklevel=3,
     )
-
-
-_CACHE = _usable_cache()
 
 
 def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
@@ -234,15 +172,6 @@ def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) 
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep the result."""
     if function is None:
         return partial(kernel, counts=counts)
-    # numba reads the directory when a function is decorated, so other users of numba keep their own
-    previous = _config.CACHE_DIR
-    _config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
-    try:
-        compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)
-        if _CACHE is not None:
-            compiled._cache = _KernelCache(function, _CACHE)
-    except RuntimeError as error:  # numba found no directory that it may write
-        _warn_uncached(error)
-    finally:
-        _config.CACHE_DIR = previous
+    compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)
+    compiled._cache = _KernelCache(function)
     return compiled

@@ -1,9 +1,8 @@
-"""The sources of `sim`, and where the kernels compiled from them are kept: known without loading numba."""
+"""The sources of `sim`, by which the kernels compiled from them are known, without loading numba."""
 
 from __future__ import annotations
 
 import hashlib
-import os
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -22,12 +21,6 @@ def source_digest(*others: Path) -> str:
 
 
 @cache
-def _digest() -> str:
+def kernel_digest() -> str:
     """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
     return hashlib.sha256(f"{version('numba')} {source_digest()}".encode()).hexdigest()[:16]
-
-
-def cache_directory() -> Path:
-    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``."""
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "stickslip" / _digest()

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, status, verify
+from stickslip.pipeline import (
+    SceneError,
+    StoreError,
+    expand,
+    load_scene,
+    query,
+    run_ensemble,
+    status,
+    systems,
+    verify,
+)
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.scenes import ENDING
@@ -116,8 +126,6 @@ def test_a_module_that_changes_while_it_runs_is_said_by_who_needs_it(tmp_path):
     scene = load_scene(written(tmp_path))
     written(tmp_path, own=OWN.replace("-0.3", "-0.2"))
     run = expand(scene)[0]
-    from stickslip.pipeline import systems
-
     systems._function.cache_clear()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another; on a cluster"):
         run.system()
@@ -184,6 +192,23 @@ def test_what_is_no_function_of_systems_is_refused_in_a_line_and_nothing_is_writ
     assert all(word in line for word in words), line
     print(line)
     assert sorted(one.name for one in tmp_path.iterdir() if one.name != "__pycache__") == before
+
+
+def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
+    """As the README says: whatever `run` does runs the module; reading what came of it does not."""
+    file, mark = written(tmp_path, own=f"{OWN}\nopen(__file__ + '.run', 'a').close()\n"), tmp_path / "own.py.run"
+    member = expand(load_scene(file))[0].member_id
+    monkeypatch.chdir(tmp_path)
+    for more in (["--dry-run"], ["--only", member], ["--workers", "1", "--no-report"]):
+        mark.unlink()
+        systems._function.cache_clear()
+        assert main(["run", "mine.toml", *more]) == 0
+        assert mark.exists(), more
+    mark.unlink()
+    systems._function.cache_clear()
+    for read in (["status"], ["verify"], ["report"], ["query"]):
+        assert main([*read, "runs/mine", *["SELECT n FROM members"][: read == ["query"]]]) == 0
+    assert not mark.exists()
 
 
 def test_a_function_of_an_installed_package(tmp_path):

@@ -6,23 +6,23 @@ import os
 
 import pytest
 
-from stickslip.sim.engines.compile import _KernelFiles, kernel
-from stickslip.sim.engines.sources import cache_directory
+from stickslip.sim.engines.compile import kernel
+from stickslip.sim.engines.kept import KernelFiles, cache_directory
 
 
 @pytest.fixture
 def files(tmp_path):
-    return _KernelFiles(tmp_path, "a")
+    return KernelFiles(tmp_path, "a")
 
 
 def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):
     files.save(("float64", "x86"), {"code": b"1"})
     files.save(("int64", "x86"), {"code": b"2"})
-    again = _KernelFiles(tmp_path, "a")
+    again = KernelFiles(tmp_path, "a")
     assert again.load(("float64", "x86")) == {"code": b"1"}
     assert again.load(("int64", "x86")) == {"code": b"2"}
     assert again.load(("int64", "arm")) is None
-    assert _KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
+    assert KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
     files.flush()
     assert again.load(("int64", "x86")) is None
 
@@ -42,7 +42,7 @@ def test_whatever_is_damaged_is_not_loaded(files, tmp_path):
 
 
 def test_nothing_half_written_stays(files, tmp_path, monkeypatch):
-    def full(*args):
+    def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
@@ -55,7 +55,7 @@ def test_a_kernel_that_cannot_be_kept_is_used_without(monkeypatch):
     def full(self, key, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(_KernelFiles, "save", full)
+    monkeypatch.setattr(KernelFiles, "save", full)
 
     @kernel
     def double(x):
