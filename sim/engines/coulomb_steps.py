@@ -87,7 +87,7 @@ EXPOSURE, CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 class _Goal(NamedTuple):
     """How far to go, whether the run ends there, how closely, and the fastest rate there is."""
 
-    t_end: float
+    t_end: float  #: from the start of the piece
     is_last: bool
     tol: float
     rate: float
@@ -355,7 +355,7 @@ def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  
             clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(1.0, abs(t)), unseen)):
+        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(min(1.0, t_end), t), unseen)):
             return loop.STALLED, n_recorded
         if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
@@ -379,13 +379,12 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
         for rows in zip(*((one.rates, one.static, one.slip_friction[0]) for one in systems), strict=True)
     )
     # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
-    is_touch = (rates > 0) & (static == near)
-    shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
-    of_runs = zip(tasks, Pairs.of(systems), rates.max(axis=1).tolist(), shortest, strict=True)
+    touch = np.where((rates > 0) & (static == near), _TOUCH * math.sqrt(tol), 0.0)
+    of_runs = zip(tasks, Pairs.of(systems), rates.max(axis=1).tolist(), rates, touch, strict=True)
     return [partial(_integrate, tol, *of_run) for of_run in of_runs]
 
 
-def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
+def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, rates: Floats, touch: Floats) -> Run:
     """Run a task. `rate` bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself."""
     system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
@@ -410,7 +409,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
-        goal = _Goal(drive.t_end, drive.is_last, tol, rate)
+        goal = _Goal(drive.length, drive.is_last, tol, rate)
         if is_local:
             found = nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
         else:
@@ -418,6 +417,10 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         if task.modes is not None:
             _require_modes(task.modes, search.initial_mode)
         return found
+
+    def shortest(block: NDArray[np.int32], turns: Floats) -> Floats:
+        size = touch[block]
+        return np.divide(size, np.hypot(rates[block], turns), out=np.zeros_like(size), where=size > 0)
 
     if is_local:
         from stickslip.sim.engines import nearby  # it builds on this module
@@ -433,8 +436,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        # what drives a block may turn it round in less time than its own motion takes
-        shortest=shortest if law.outside is None else np.zeros(system.n),
+        touch=shortest,
     )
 
 

@@ -81,6 +81,7 @@ from stickslip.sim.engines.layer import (
     PIECE_NEXT,
     PIECE_U,
     PIECE_Z,
+    jump_events,
     note_stills,
     sample,
     step_events,
@@ -488,6 +489,8 @@ def _advance(  # type: ignore[no-untyped-def]
         n_left -= 1
         t = clock[loop.TIME]
         remaining = t_end - t
+        if t == 0.0 and clock[_JUMPED] > 0.0 and counters[loop.N_STEPS] > 0:
+            n_recorded = jump_events(table, n, definitions, z, events, n_recorded, counters)
         if remaining <= 0.0:  # a run of no length may want its samples
             sample(table, n, flags, pieces, piece_block, np.int64(0), (t, 1.0, t), samples, counters)
             return loop.DONE, n_recorded
@@ -527,7 +530,7 @@ def _advance(  # type: ignore[no-untyped-def]
             factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK) if tail > _TAIL else 0.5
             clock[_STEP], clock[_SLOW] = macro * factor, 0.0
             grown = False
-            if clock[_STEP] <= 1e-14 * max(1.0, abs(t)):
+            if clock[_STEP] <= 1e-14 * max(min(1.0, t_end), t):
                 return loop.STALLED, n_recorded
             copy(before, next_h)
             continue
@@ -626,7 +629,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     def run(k: int) -> Run:
         task, system, drive, own = tasks[k], systems[k], drives[k], table[k]
         z, w, next_h = task.z0.copy(), task.w0.copy(), np.empty(n)
-        step = min(task.t_end - task.t_start, 0.1, first_step(fastest[k]))
+        step = min(drive.length, 0.1, first_step(fastest[k]))
         next_h[:] = step / 4
         state = loop.State.at_start(task, z, w, modes[k, 0], step, 1.0, 0.0, 0.0)
         state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
@@ -671,7 +674,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             drive,
             lambda events, bound: _advance(
                 *arguments,
-                drive.t_end,
+                drive.length,
                 longest,
                 drive.outside,
                 pushes,
