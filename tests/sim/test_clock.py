@@ -1,0 +1,136 @@
+"""Late starts and short ramps lose no digits; what happens at a bend of belts and forces happens in every run to it."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from stickslip import Harmonic, Piecewise, Stribeck, System, draw_system, simulate
+from stickslip.sim.theory.laws import hidden_term
+
+N = 200
+BEFORE, AFTER = 0.04, 0.05
+EPS = 0.03
+EXACT = {"tol": 1e-8}
+SMOOTHED = {"engine": "sigmoid", "eps": EPS, "rtol": 1e-8, "atol": 1e-8}
+LAWS = {"plain": {}, "static": {"static": 1.4}, "weakening": {"static": 1.4, "weakening": Stribeck(0.3)}}
+
+
+def ramp(rng, low, high):
+    """The times of a random ramp, and the start and end of a run across it, in floats."""
+    start = 10.0 ** rng.uniform(-1, 4)
+    end = start + 10.0 ** rng.uniform(low, high)
+    while not end > start:
+        end = np.nextafter(end, np.inf)
+    return start - BEFORE, start, end, end + AFTER
+
+
+def independent(rng, **drive):
+    return System(np.diag(rng.uniform(0.5, 2.0, N)), rng.uniform(0.1, 1.0, N), 1.0, **drive)
+
+
+def slid(system, z, w, s, pushes):
+    """z and w of blocks apart after a slip of length s, by power series; `pushes` are on each block, as powers of s."""
+    k, r = np.diag(system.stiffness), system.damping
+    terms = [z, w]
+    for j in range(30):
+        push = pushes[j] if j < len(pushes) else 0.0
+        terms.append((push - r * (j + 1) * terms[j + 1] - k * terms[j]) / ((j + 1) * (j + 2)))
+    return sum(c * s**j for j, c in enumerate(terms)), sum(j * c * s ** (j - 1) for j, c in enumerate(terms) if j)
+
+
+def errors(run, z, w, tolerance):
+    return max(np.abs(run.z - z).max(), np.abs(run.w - w).max()) / tolerance
+
+
+def passed(rng, low, high):
+    """A belt that goes from 0.5 to -0.5 or so, and passes every block; the worst error of the state, and of events."""
+    t = ramp(rng, low, high)
+    v = rng.uniform(0.45, 0.6), rng.uniform(-0.6, -0.45)
+    system = independent(rng, belt_speed=Piecewise(t[1:3], v))
+    z0, w0 = rng.uniform(-0.2, 0.2, N), rng.uniform(-0.2, 0.2, N)
+    run = simulate(system, z0, w0, t[3], t_start=t[0], **EXACT)
+    length, mu = t[2] - t[1], system.friction
+    slope = (v[1] - v[0]) / length
+    z, w = slid(system, z0, w0, t[1] - t[0], [mu])
+    early, late = np.zeros(N), np.full(N, length)
+    for _ in range(80):  # where w = v
+        middle = 0.5 * (early + late)
+        is_below = slid(system, z, w, middle, [mu])[1] < v[0] + slope * middle
+        early, late = np.where(is_below, middle, early), np.where(is_below, late, middle)
+    z, w = slid(system, z, w, early, [mu])
+    z, w = slid(system, z, w, length - early + (t[3] - t[2]), [-mu])
+    events = run.events
+    assert (events.mode == 1).all()
+    assert np.array_equal(np.sort(events.block), np.arange(N))
+    assert ((events.t >= t[1]) & (events.t <= t[2])).all()
+    off = np.abs(events.t - (t[1] + early[events.block])).max()
+    return errors(run, z, w, EXACT["tol"]), off / (np.spacing(t[2]) + EXACT["tol"] * length)
+
+
+def pushed(rng, low, high):
+    """A force that grows to 3 or so and tears every block off its belt at a time of its own."""
+    t, v = ramp(rng, low, high), 0.1
+    mu = rng.uniform(0.3, 1.0, N)
+    force = np.array([np.zeros(N), rng.uniform(2.0, 3.0, N)])
+    system = independent(rng, belt_speed=v, force=Piecewise(t[1:3], force)).changed(friction=mu, static=mu)
+    z0 = rng.uniform(-0.05, 0.05, N)
+    run = simulate(system, z0, v, t[3], t_start=t[0], **EXACT)
+    k, r = np.diag(system.stiffness), system.damping
+    length, before = t[2] - t[1], t[1] - t[0]
+    slope = force[1] / length
+    leaves = (mu + r * v + k * (z0 + v * before)) / (slope - k * v)
+    push, rest = -mu + slope * leaves, length - leaves
+    z, w = slid(system, z0 + v * (before + leaves), np.full(N, v), rest, [push, slope])
+    z, w = slid(system, z, w, t[3] - t[2], [force[1] - mu])
+    events = run.events
+    assert (events.mode == 1).all()
+    assert np.array_equal(np.sort(events.block), np.arange(N))
+    off = np.abs(events.t - (t[1] + leaves[events.block])).max()
+    return errors(run, z, w, EXACT["tol"]), off / (np.spacing(t[2]) + EXACT["tol"] * length)
+
+
+def smoothed(rng, law, of_belt, low, high):
+    """The same in the smoothed law, against an integrator of another kind that has each piece as [0, 1]."""
+    t = ramp(rng, low, high)
+    if of_belt:
+        drive, start = {"belt_speed": Piecewise(t[1:3], [0.5, -0.5])}, rng.uniform(-0.2, 0.2, N)
+    else:
+        drive = {"belt_speed": 0.1, "force": Piecewise(t[1:3], [np.zeros(N), rng.uniform(2.0, 3.0, N)])}
+        start = np.full(N, 0.1)
+    system = independent(rng, **drive, **LAWS[law])
+    z0 = rng.uniform(-0.05, 0.05, N)
+    run = simulate(system, z0, start, t[3], t_start=t[0], **SMOOTHED)
+    k, r = np.diag(system.stiffness), system.damping
+    ratio = system.static / system.slip_friction[0]
+    hidden = hidden_term(ratio) if law != "plain" else np.zeros(N)
+    x = np.concatenate([z0, start])
+    for first, last in zip(t[:-1], t[1:], strict=True):
+        length = last - first
+        v0, v1 = (system.belt_speed_at(at) for at in (first, last))
+        f0, f1 = (system.force_at(at) for at in (first, last))
+
+        def motion(share, x, length=length, v=(v0, v1), f=(f0, f1)):
+            z, w = x[:N], x[N:]
+            gap = w - (v[0] + share * (v[1] - v[0]))
+            lam = np.tanh(gap / EPS)
+            friction = system.kinetic(gap) * (lam + hidden * lam * (1.0 - lam**2))
+            return length * np.concatenate([w, f[0] + share * (f[1] - f[0]) - r * w - k * z - friction])
+
+        x = solve_ivp(motion, (0.0, 1.0), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return errors(run, x[:N], x[N:], 1e-8)
+
+
+def worst(found):
+    print(*(np.array2string(np.asarray(one), precision=2) for one in found))
+    return np.max(found)
+
+
+@pytest.mark.parametrize("case", [passed, pushed])
+def test_exact_events_on_ramps_of_any_length_at_any_time(rng, case):
+    assert worst([case(rng, low, low + 1) for low in range(-11, -1, 3)]) < 100
+
+
+@pytest.mark.parametrize("of_belt", [True, False])
+@pytest.mark.parametrize("law", LAWS)
+def test_smoothed_runs_across_ramps_of_any_length_at_any_time(rng, law, of_belt):
+    assert worst([smoothed(rng, law, of_belt, low, low + 2) for low in (-11, -5)]) < 100
