@@ -323,6 +323,8 @@ def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  
             continue
 
         step, block = _first_event(law, expansion, search, order, h)
+        if not goal.is_last and remaining - step <= ROUNDING * t_end:
+            step = remaining  # what rounding cannot tell from the end, the next piece decides
         counters[loop.N_STEPS] += 1
         if block >= 0:
             counters[loop.LAST_BLOCK] = block

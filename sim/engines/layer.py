@@ -233,29 +233,6 @@ def step_events(table, n, flags, pieces, piece_block, n_pieces, definitions, spa
     return n_recorded
 
 
-@inner
-def jump_events(table, n, definitions, z, events, n_recorded, counters):  # type: ignore[no-untyped-def]
-    """Record the changes of mode that a jump of F makes at the start of a piece; returns how many are recorded.
-
-    Only where sticking is a matter of F, which is so by the first definition if by any.
-    """
-    bands, _, by_force, modes = definitions
-    at, block, to, _ = events
-    mode, band, count = modes[0], bands[0], 0
-    for i in range(n):
-        force, gap = table[FORCE0, i], table[U0, i]
-        gap, force = _to_open(table[CLOSED, i], gap if gap != 0.0 else -1e-300 * force, force)
-        new = mode_of(mode[i], gap, force, (table[FRICTION, i], table[STATIC, i], table[PEAK, i]), band[i], True)
-        leaves = mode[i] == 0 and abs(force) >= table[STATIC, i]
-        if by_force[0] and new != mode[i] and (leaves or mode[i] != 0):
-            at[n_recorded], block[n_recorded], to[n_recorded] = 0.0, i, new
-            mode[i] = new
-            n_recorded += 1
-        count += mode[i] == 0
-    loop.note_still(count == n, 0.0, z, events, counters)
-    return n_recorded
-
-
 @inner(counts=True)
 def note_stills(  # type: ignore[no-untyped-def]
     table, n, flags, pieces, piece_block, n_pieces, span, mode, first, n_recorded, events, counters

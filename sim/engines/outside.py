@@ -127,7 +127,10 @@ class Drive:
         None if there is no force from outside, and no belt changes its speed.
     start, end, length : float
         Of the present piece.
-    is_last : bool
+    is_last, is_instant : bool
+        An instant is the last piece of a run that ends at a bend; what happens there depends on what comes after.
+    ahead, instant : float
+        How long what drives the blocks from there keeps its law, and what the end is rounded to.
     fastest : float
         The largest frequency of a force.
     """
@@ -140,7 +143,7 @@ class Drive:
         self._gains, self._is_carried = np.zeros(n), False
         self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
         self.outside: Any = None
-        self.fastest = 0.0
+        self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
             self._next = iter([(t_end, True)])
             self._enter(t_start)
@@ -158,7 +161,7 @@ class Drive:
         self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in self._waves), default=0.0)
         changing = [term for term in self._bends if not term.is_constant]
         knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
-        inside = np.unique(np.concatenate(knots)) if knots else np.empty(0)
+        inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
         self._next = self._cut(t_start, [*inside[(inside > t_start) & (inside <= t_end)].tolist(), t_end])
         self._enter(t_start)
 
@@ -213,6 +216,9 @@ class Drive:
         self.start = t
         self.end, self.is_last = next(self._next)
         self.length = self.end - t
+        if self._ends and t == self.end:
+            self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
+            self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
         turn = 0.0
         if outside is not None:
             outside.poly[:] = 0.0

@@ -81,7 +81,6 @@ from stickslip.sim.engines.layer import (
     PIECE_NEXT,
     PIECE_U,
     PIECE_Z,
-    jump_events,
     note_stills,
     sample,
     step_events,
@@ -473,12 +472,28 @@ def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-unty
         copy(table[U + k], table[KEPT_U + k])
 
 
+@inner
+def _first_instant(events, first, n_recorded, instant):  # type: ignore[no-untyped-def]
+    """Of events from the first on, keep those up to an instant; returns how many are recorded then."""
+    at, block, to, _ = events
+    n_kept = first
+    for k in range(first, n_recorded):
+        if at[k] <= instant:
+            at[n_kept], block[n_kept], to[n_kept] = at[k], block[k], to[k]
+            n_kept += 1
+    return n_kept
+
+
 @kernel(counts=True)
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    begins, old, z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,
+    begins, old, z, w, clock, counters, samples, t_end, instant, longest, outside, pushes, atol, boost, events, bound,
+    watch,
 ):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
+
+    With an `instant` >= 0, one step to see what happens by then, and the state stays as it is.
+    """
     n = len(z)
     mode = definitions[3][0]
     ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
@@ -489,8 +504,6 @@ def _advance(  # type: ignore[no-untyped-def]
         n_left -= 1
         t = clock[loop.TIME]
         remaining = t_end - t
-        if t == 0.0 and clock[_JUMPED] > 0.0 and counters[loop.N_STEPS] > 0:
-            n_recorded = jump_events(table, n, definitions, z, events, n_recorded, counters)
         if remaining <= 0.0:  # a run of no length may want its samples
             sample(table, n, flags, pieces, piece_block, np.int64(0), (t, 1.0, t), samples, counters)
             return loop.DONE, n_recorded
@@ -544,10 +557,14 @@ def _advance(  # type: ignore[no-untyped-def]
         n_recorded = step_events(
             table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
         )
+        if instant >= 0.0:
+            n_recorded = _first_instant(events, first_event, n_recorded, instant)
         note_stills(
             table, n, flags, pieces, piece_block, n_pieces, span, mode_before, first_event, n_recorded, events,
             counters,
         )  # fmt: skip
+        if instant >= 0.0:
+            return loop.DONE, n_recorded
         sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counters)
         _accept(table, n, flags, macro, next_h, ends, z, w)
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
@@ -674,7 +691,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             drive,
             lambda events, bound: _advance(
                 *arguments,
-                drive.length,
+                drive.ahead if drive.is_instant else drive.length,
+                drive.instant if drive.is_instant else -1.0,
                 longest,
                 drive.outside,
                 pushes,

@@ -1,5 +1,6 @@
 """Late starts and short ramps lose no digits; what happens at a bend of belts and forces happens in every run to it."""
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -134,3 +135,70 @@ def test_exact_events_on_ramps_of_any_length_at_any_time(rng, case):
 @pytest.mark.parametrize("law", LAWS)
 def test_smoothed_runs_across_ramps_of_any_length_at_any_time(rng, law, of_belt):
     assert worst([smoothed(rng, law, of_belt, low, low + 2) for low in (-11, -5)]) < 100
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", [passed, pushed])
+def test_exact_events_on_many_ramps(rng, case):
+    assert worst([case(rng, -11, -1) for _ in range(100)]) < 100
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("of_belt", [True, False])
+@pytest.mark.parametrize("law", LAWS)
+def test_smoothed_runs_across_many_ramps(rng, law, of_belt):
+    assert worst([smoothed(rng, law, of_belt, -11, -1) for _ in range(40)]) < 100
+
+
+@pytest.mark.parametrize("settings", [{}, SMOOTHED, {"engine": "moreau"}])
+@pytest.mark.parametrize("kind", ["antisymmetric", "chain"])
+def test_the_time_of_a_start_does_not_matter(rng, settings, kind):
+    late, n = 1e9, 20
+    system = draw_system(kind, n, int(rng.integers(2**32)))
+    z, w = rng.normal(size=n), rng.normal(size=n)
+    t = np.linspace(0.0, 15.0, 16)
+    early, other = (simulate(system, z, w, at + 15.0, t_start=at, t_eval=at + t, **settings) for at in (0.0, late))
+    assert len(early.events) > 10
+    assert np.array_equal(early.events.block, other.events.block)
+    assert np.array_equal(early.events.mode, other.events.mode)
+    np.testing.assert_allclose(other.events.t - late, early.events.t, atol=np.spacing(late))
+    for one, same in ((early, other), (early.samples, other.samples)):
+        np.testing.assert_allclose(same.z, one.z, atol=1e-8)
+        np.testing.assert_allclose(same.w, one.w, atol=1e-8)
+
+
+@pytest.mark.parametrize("settings", [EXACT, SMOOTHED])
+def test_the_phase_of_a_force_is_known_at_late_times(rng, settings):
+    """cos(omega t + phase) at t = 1e9, by the exact value of the product omega t, in fractions and digits of pi."""
+    late, omega, phase = 1e9, rng.uniform(0.5, 3.0), rng.uniform(0.0, 6.0)
+    with mpmath.workdps(50):
+        there = float(mpmath.fmod(mpmath.mpf(omega) * mpmath.mpf(late) + mpmath.mpf(phase), 2 * mpmath.pi))
+    runs = [
+        simulate(System([[1.0]], 0.2, 0.3, force=Harmonic(2.0, omega, at)), 0.0, 0.0, t + 10.0, t_start=t, **settings)
+        for at, t in ((phase, late), (there, 0.0))
+    ]
+    np.testing.assert_allclose(runs[0].z, runs[1].z, atol=1e-8)
+    np.testing.assert_allclose(runs[0].w, runs[1].w, atol=1e-8)
+    np.testing.assert_allclose(runs[0].events.t - late, runs[1].events.t, atol=2 * np.spacing(late))
+
+
+# a constant force
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-8, 1e-10])
+def test_a_constant_force_is_a_shift(rng, tol):
+    """z by K^-1 f: also where blocks without damping only touch the belt's speed, again and again."""
+    for n, damping in ((1, 0.0), (1, 0.05), (8, 0.1)):
+        system = System(np.eye(n) if n == 1 else draw_system("chain", n, int(rng.integers(2**32))).stiffness, damping)
+        system = system.changed(friction=0.5, belt_speed=-0.3)
+        force = rng.uniform(-0.5, 0.5, n)
+        z = np.zeros(n) if n == 1 else rng.normal(size=n)
+        dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else system.stiffness.toarray()
+        shift = np.linalg.solve(dense, force)
+        plain = simulate(system, z, 0.0, 30.0, tol=tol)
+        pulled = simulate(system.changed(force=force), z + shift, 0.0, 30.0, tol=tol)
+        assert np.array_equal(pulled.events.block, plain.events.block)
+        assert np.array_equal(pulled.events.mode, plain.events.mode)
+        # where a block leaves or enters by a tangency the instant is known to the root of the tolerance
+        np.testing.assert_allclose(pulled.events.t, plain.events.t, atol=10 * np.sqrt(tol))
+        np.testing.assert_allclose(pulled.z - shift, plain.z, atol=1e3 * tol)
