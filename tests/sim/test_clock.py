@@ -202,3 +202,68 @@ def test_a_constant_force_is_a_shift(rng, tol):
         # where a block leaves or enters by a tangency the instant is known to the root of the tolerance
         np.testing.assert_allclose(pulled.events.t, plain.events.t, atol=10 * np.sqrt(tol))
         np.testing.assert_allclose(pulled.z - shift, plain.z, atol=1e3 * tol)
+
+
+# ends at bends
+
+
+def carried(rng, n=6, start=0.0):
+    """Blocks on belts that brake and speed up by jerks, some of which throw them off; and their start on the belts."""
+    knots = start + np.array([-1.0, 1.0, 1.5, 3.0, 3.2, 4.0, 6.0])
+    belt = Piecewise(knots, np.cumsum(rng.choice([-0.6, 0.0, 0.6], (7, n)) * rng.uniform(0.2, 1.0, (7, n)), axis=0))
+    force = Piecewise(knots[[0, 2, 4]], rng.uniform(-0.5, 0.5, (3, n)))
+    system = draw_system("chain", n, int(rng.integers(2**32)), kappa=0.5, leaf=0.5, rho=0.1)
+    system = system.changed(belt_speed=belt, force=force, static=system.friction * rng.choice([1.0, 1.4]))
+    return system, 0.3 * rng.normal(size=n), system.belt_speed_at(start), knots[1:-1]
+
+
+@pytest.mark.parametrize("settings", [{"tol": 1e-12}, {"engine": "sigmoid", "eps": 0.01, "thresholds": (1.0,)}])
+def test_a_run_to_a_bend_has_all_that_one_through_it_has(rng, settings):
+    n_there = 0
+    for start in (0.0, rng.uniform(0.0, 1e5)):
+        system, z, w, knots = carried(rng, start=start)
+        whole = simulate(system, z, w, start + 7.0, t_start=start, **settings)
+        for knot in knots:
+            part = simulate(system, z, w, knot, t_start=start, **settings)
+            for one, all_of in zip(
+                (part.events, *part.by_threshold.values()), (whole.events, *whole.by_threshold.values()), strict=True
+            ):
+                upto = all_of.t <= knot
+                n_there += (all_of.t == knot).sum()
+                assert one.t.tobytes() == all_of.t[upto].tobytes()
+                assert one.block.tobytes() == all_of.block[upto].tobytes()
+                assert one.mode.tobytes() == all_of.mode[upto].tobytes()
+                assert one.n_stick(knot) == all_of.n_stick(knot)
+    assert n_there > 0
+
+
+def test_a_run_to_a_bend_goes_on_from_there(rng):
+    for start in (0.0, rng.uniform(0.0, 1e5)):
+        system, z, w, knots = carried(rng, start=start)
+        end = start + 7.0
+        whole = simulate(system, z, w, end, t_start=start, tol=1e-12)
+        for knot in knots:
+            part = simulate(system, z, w, knot, t_start=start, tol=1e-12)
+            for modes in (None, part.events.mode_at(knot)):
+                rest = simulate(system, part.z, part.w, end, t_start=knot, modes=modes, tol=1e-12)
+                after = whole.events.t > knot
+                assert np.array_equal(rest.events.initial_mode, whole.events.mode_at(knot))
+                assert np.array_equal(rest.events.mode, whole.events.mode[after])
+                np.testing.assert_allclose(rest.events.t, whole.events.t[after], atol=1e-8 + 4 * np.spacing(end))
+                np.testing.assert_allclose(rest.z, whole.z, atol=1e-8)
+                np.testing.assert_allclose(rest.w, whole.w, atol=1e-8)
+
+
+@pytest.mark.parametrize("settings", [{}, {"tol": 1e-6}])
+@pytest.mark.parametrize("v", [0.0, -0.3])
+def test_a_force_that_turns_at_static_friction_moves_nothing(rng, settings, v):
+    """F touches -mu at a bend, up to rounding: a belt at rest, or one without springs. To the bend and through it."""
+    for start in (0.0, rng.uniform(0.0, 1e4)):
+        mu, damping, bend = rng.uniform(0.5, 1.5), rng.uniform(0.0, 1.0), start + rng.uniform(0.5, 8.0)
+        top, end = mu + damping * v, bend + 0.7 * (bend - start)
+        force = Piecewise([start, bend, 2 * bend - start], [0.0, top, -top])
+        system = System([[0.0]], damping, mu, v, force=force)
+        for t_end in (bend, end):
+            run = simulate(system, 0.0, v, t_end, t_start=start, **settings)
+            assert len(run.events) == 0
+            assert run.n_stick(t_end) == 1
