@@ -381,12 +381,13 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
         for rows in zip(*((one.rates, one.static, one.slip_friction[0]) for one in systems), strict=True)
     )
     # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
-    touch = np.where((rates > 0) & (static == near), _TOUCH * math.sqrt(tol), 0.0)
-    of_runs = zip(tasks, Pairs.of(systems), rates.max(axis=1).tolist(), rates, touch, strict=True)
+    is_touch = (rates > 0) & (static == near)
+    shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
+    of_runs = zip(tasks, Pairs.of(systems), rates.max(axis=1).tolist(), shortest, strict=True)
     return [partial(_integrate, tol, *of_run) for of_run in of_runs]
 
 
-def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, rates: Floats, touch: Floats) -> Run:
+def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
     """Run a task. `rate` bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself."""
     system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
@@ -420,10 +421,6 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, rates: Floats,
             _require_modes(task.modes, search.initial_mode)
         return found
 
-    def shortest(block: NDArray[np.int32], turns: Floats) -> Floats:
-        size = touch[block]
-        return np.divide(size, np.hypot(rates[block], turns), out=np.zeros_like(size), where=size > 0)
-
     if is_local:
         from stickslip.sim.engines import nearby  # it builds on this module
 
@@ -438,7 +435,8 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, rates: Floats,
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        touch=shortest,
+        shortest=shortest,
+        touch=_TOUCH * math.sqrt(tol),
     )
 
 

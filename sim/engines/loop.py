@@ -161,7 +161,8 @@ def complete(
     events_a_step: int,
     initial_modes: NDArray[np.int8],
     thresholds: tuple[float, ...] = (),
-    touch: Callable[[NDArray[np.int32], Floats], Floats] | None = None,
+    shortest: Floats | None = None,
+    touch: float = 0.0,
     go_on: Callable[[], None] = lambda: None,
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
@@ -184,9 +185,11 @@ def complete(
     initial_modes : int8, shape (1 + m, n)
         The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
         definition d carry block + d n.
-    touch : callable, optional
-        How long changes of mode must last to be events, shape (m,), from their blocks, and the rates at which what
-        drives those turns them round: see `without_returns`.
+    shortest : ndarray, shape (n,), optional
+        How long a change of each block's mode must last to be an event, where nothing drives the blocks but belts of
+        constant speeds: see `without_returns`.
+    touch : float
+        The same, in units of the time that a block takes to turn round.
     go_on : callable
         Prepares the engine for the next piece, `state` and `drive` being there already.
     """
@@ -263,9 +266,11 @@ def complete(
         series.append(
             EventSeries(event_t[of], event_block[of] - d * system.n, event_mode[of], modes, task.t_start, t)
         )
-    if touch is not None:
-        piece = piece[order]
-        series[0] = without_returns(series[0], piece, event_s[order], touch(event_block, drive.turns(piece)))
+    if shortest is not None:
+        piece, lasting = piece[order], shortest[event_block]
+        if drive.outside is not None:  # it may turn a block round in less time than its own motion takes
+            lasting /= np.hypot(1.0, drive.turns(piece) * lasting / touch)
+        series[0] = without_returns(series[0], piece, event_s[order], lasting)
     counts = counters.tolist()
     return Run(
         z=z,

@@ -189,9 +189,11 @@ class Drive:
 
     def place_stills(self, stills: Floats) -> None:
         """Put sums of z, the second row, at the times of the first, both of the present piece, into the user's."""
+        if not stills.size:
+            return
         if self._is_carried:
             stills[1] += 0.5 * stills[0] ** 2 * self._gains.sum()
-        stills[0] = self.times(np.full(stills.shape[1], len(self._ends) - 1), stills[0])
+        stills[0] = _times(self.start, self.end, stills[0])
 
     def time(self, s: float) -> float:
         """The time at s of the present piece."""
@@ -199,11 +201,14 @@ class Drive:
 
     def times(self, piece: NDArray[np.intp], s: Floats) -> Floats:
         """The times at s of pieces up to the present one, by their numbers: as `time`."""
-        start, end = np.array(self._starts)[piece], np.array(self._ends)[piece]
-        return np.where(s >= end - start, end, np.minimum(start + s, end))
+        if len(self._starts) == 1:
+            return _times(self.start, self.end, s)
+        return _times(np.array(self._starts)[piece], np.array(self._ends)[piece], s)
 
     def turns(self, piece: NDArray[np.intp]) -> Floats:
         """The rates at which ramps of forces and belts turn blocks round, by pieces as `times` has them.
+
+        Those of harmonics are among `System.rates`.
 
         What changes a block's acceleration by G a unit of time makes of its speed v another one at the rate
         (G / v)^(1/2), and by its end at the latest.
@@ -258,3 +263,9 @@ class Drive:
                 yield start + (end - start) * (part / parts), False
             yield end, k == len(ends) - 1
             start = end
+
+
+def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
+    """The times at s of pieces with these bounds, which are the user's to the last bit."""
+    t = np.minimum(start + s, end)
+    return np.where(s >= end - start, end, t)
