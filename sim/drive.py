@@ -49,6 +49,16 @@ class Harmonic:
         t = t.reshape(t.shape + (1,) * differ)
         return np.asarray(self.amplitude * np.cos(self.frequency * t + self.phase))
 
+    def phase_at(self, t: float) -> Floats:
+        """frequency t + phase, less whole turns of the former, in shape as the two: to rounding, however late."""
+        (share, power), (of_t, power_of_t) = np.frexp(self.frequency), np.frexp(t)
+        high, high_of_t = np.float64(np.float32(share)), np.float64(np.float32(of_t))
+        low, low_of_t = share - high, of_t - high_of_t
+        product = share * of_t
+        rest = ((high * high_of_t - product) + high * low_of_t + low * high_of_t) + low * low_of_t
+        turned, left = (np.ldexp(x, power + power_of_t) for x in (product, rest))
+        return np.asarray(np.arctan2(np.sin(turned), np.cos(turned)) + (left + self.phase))
+
     def scaled(self, factor: Floats) -> Harmonic:
         """The same, times a factor a block."""
         return Harmonic(self.amplitude * factor, self.frequency, self.phase)

@@ -184,26 +184,35 @@ def _differs(values: NDArray[Any]) -> NDArray[np.bool_]:
     return found
 
 
-def without_returns(series: EventSeries, shortest: Floats) -> EventSeries:
-    """The series without changes of mode that the same block takes back within `shortest`, shape (n,).
+def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, shortest: Floats) -> EventSeries:
+    """The series without changes of mode that the same block takes back within `shortest`.
 
     A block that only touches the belt's speed, or the force that friction can hold, has one instant of contact:
     whether that is two events or none is decided by rounding. So two events of a block that undo each other count
-    only if more than `shortest` lies between them.
+    only if more than `shortest` lies between them, or what drives the block has a bend there.
+
+    Parameters
+    ----------
+    series : EventSeries
+    piece, s : intp and float64, shape (m,)
+        Of each event: the number of its piece between such bends, and the time since its start.
+    shortest : float64, shape (m,)
+        How long what the event takes back must last.
     """
-    while (series.t[1:] - series.t[:-1] <= shortest.max()).any():  # else no two are that close, whose ever they are
+    while (s[1:] - s[:-1] <= shortest.max(initial=0.0)).any():  # else no two are that close, whose ever they are
         order = series.by_block
-        t, block, mode = series.t[order], series.block[order], series.mode[order]
-        undone = (block[1:] == block[:-1]) & (t[1:] - t[:-1] <= shortest[block[1:]])
+        block, mode, at, of = series.block[order], series.mode[order], s[order], piece[order]
+        undone = (block[1:] == block[:-1]) & (of[1:] == of[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])
         if not undone.any():
             break
         undone &= mode[1:] == series.previous_mode[order][:-1]
         if not undone.any():
             break
-        kept = np.ones(len(t), dtype=bool)
+        kept = np.ones(len(s), dtype=bool)
         for first in np.flatnonzero(undone):
             if kept[first]:  # not itself an undoing
                 kept[first : first + 2] = False
-        kept = np.isin(np.arange(len(t)), order[kept])
+        kept = np.isin(np.arange(len(s)), order[kept])
         series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])
+        piece, s, shortest = piece[kept], s[kept], shortest[kept]
     return series

@@ -65,6 +65,8 @@ STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
 #: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
 #: the time of leaving errs by delta^(-2/3) times as much, and what F errs by, by 1 / a times.
 NEAR_PEAK = 3.0
+#: But a force beyond static friction by this much, or more, takes it past the peak in no more than this over the force.
+_SWIFT = 1e3
 #: What a step that comes near to a peak may err by, over the peak: more, and it may pass the layer unseen.
 _OF_PEAK = 0.05
 #: And over the distance of u from there, as far beyond which a block is let go; but at least AT_PEAK.
@@ -239,7 +241,11 @@ def _force(is_change: bool) -> Callable[[Rows, Law], None]:
             rows[F + k] = after[k]
         scale = rows[H] / rows[TOLERANCE]
         if law is not Plain:
-            scale = scale * where(_is_near_peak(rows) & (rows[FINE] < 1.0), greater(1.0 / rows[H], 1.0), 1.0)
+            least = absolute(after[0])
+            for k in range(1, STAGES):
+                least = less(least, absolute(after[k]))
+            stays = _SWIFT / greater(least - rows[STATIC], _SWIFT)
+            scale = scale * where(_is_near_peak(rows) & (rows[FINE] < 1.0), greater(stays / rows[H], 1.0), 1.0)
         rows[MOVED], rows[TAIL] = most * scale, _error(after) * scale
 
     return formula

@@ -87,7 +87,7 @@ EXPOSURE, CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
 class _Goal(NamedTuple):
     """How far to go, whether the run ends there, how closely, and the fastest rate there is."""
 
-    t_end: float
+    t_end: float  #: from the start of the piece
     is_last: bool
     tol: float
     rate: float
@@ -323,6 +323,8 @@ def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  
             continue
 
         step, block = _first_event(law, expansion, search, order, h)
+        if not goal.is_last and remaining - step <= ROUNDING * t_end:
+            step = remaining  # what rounding cannot tell from the end, the next piece decides
         counters[loop.N_STEPS] += 1
         if block >= 0:
             counters[loop.LAST_BLOCK] = block
@@ -355,7 +357,7 @@ def _advance(law, goal, state, expansion, search, slow, events, bound, watch):  
             clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(1.0, abs(t)), unseen)):
+        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(min(1.0, t_end), t), unseen)):
             return loop.STALLED, n_recorded
         if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
@@ -410,7 +412,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
-        goal = _Goal(drive.t_end, drive.is_last, tol, rate)
+        goal = _Goal(drive.length, drive.is_last, tol, rate)
         if is_local:
             found = nearby.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
         else:
@@ -433,8 +435,8 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
-        # what drives a block may turn it round in less time than its own motion takes
-        shortest=shortest if law.outside is None else np.zeros(system.n),
+        shortest=shortest,
+        touch=_TOUCH * math.sqrt(tol),
     )
 
 

@@ -30,7 +30,7 @@ STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
 N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_STILL, N_STILLS, N_COUNTERS = range(9)
-#: Clocks that every engine keeps, float64: the time, and after when a collapse may be certified next, with all blocks
+#: Clocks that every engine keeps, float64, from the start of the present piece: the time, and after when a collapse may be certified next, with all blocks
 #: slipping left and (the next clock) right. An engine may keep more behind them. After, not at: a run that was just
 #: asked takes a step before it is asked again, or it would be asked for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
@@ -85,7 +85,7 @@ class Law(NamedTuple):
 class Events(NamedTuple):
     """Room for events; those of one block come in order. And for its `Stills`, t and total."""
 
-    t: Floats
+    t: Floats  #: from the start of the piece
     block: NDArray[np.int32]
     mode: NDArray[np.int8]
     stills: Floats
@@ -113,7 +113,7 @@ class Events(NamedTuple):
 class Room(NamedTuple):
     """The times of samples, shape (m,), and room for them, shape (m, n)."""
 
-    t: Floats
+    t: Floats  #: from the start of the piece; infinite beyond its end
     z: Floats
     w: Floats
 
@@ -133,8 +133,8 @@ class State(NamedTuple):
         """The state at the start of a task, in arrays of its own; `clocks` are the engine's."""
         may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
         check = -np.inf if may_collapse else np.inf
-        clock = np.array([task.t_start, check, check, *clocks])
-        samples = Room(task.samples.t, task.samples.z, task.samples.w)
+        clock = np.array([0.0, check, check, *clocks])
+        samples = Room(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
 
@@ -162,6 +162,7 @@ def complete(
     initial_modes: NDArray[np.int8],
     thresholds: tuple[float, ...] = (),
     shortest: Floats | None = None,
+    touch: float = 0.0,
     go_on: Callable[[], None] = lambda: None,
 ) -> Run:
     """Call `advance` until the run ends, gather its events, and say how it ended.
@@ -172,7 +173,7 @@ def complete(
     state : State
         What `advance` works on.
     drive : Drive
-        To whose `t_end` it goes on.
+        To the end of whose piece it goes on.
     advance : callable
         Runs a slice, writing events into the room that it is given, until the state passes a bound.
     collapse : Collapse
@@ -185,7 +186,10 @@ def complete(
         The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
         definition d carry block + d n.
     shortest : ndarray, shape (n,), optional
-        How long a change of each block's mode must last to be an event: see `without_returns`.
+        How long a change of each block's mode must last to be an event, where nothing drives the blocks but belts of
+        constant speeds: see `without_returns`.
+    touch : float
+        The same, in units of the time that a block takes to turn round.
     go_on : callable
         Prepares the engine for the next piece, `state` and `drive` being there already.
     """
@@ -196,6 +200,8 @@ def complete(
     bound, diverged_beyond = certificates.escape_bounds(system, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
+    of_piece = [0]  # events
+    _hand_over(drive, task, state)
     while True:
         if n_events > capacity:
             full.append(events.first(n_events, n_stills))
@@ -203,14 +209,19 @@ def complete(
             counters[N_STILLS] = 0
         status, n_recorded = advance(events.part(n_events, n_events + capacity), bound)
         n_events += n_recorded
+        of_piece[-1] += n_recorded
         drive.place_stills(events.stills[:, n_stills : counters[N_STILLS]])
         n_stills = int(counters[N_STILLS])
-        t = float(clock[TIME])
+        s = float(clock[TIME])
+        t = drive.time(s)
         if status == DONE:
             if drive.is_last:
                 break
-            n_placed = _to_user(drive, state, n_placed)
+            n_placed = _to_user(drive, task, state, n_placed)
             drive.go_on(z, w)
+            clock[TIME] = 0.0
+            of_piece.append(0)
+            _hand_over(drive, task, state)
             go_on()
             counters[N_STALLED] = 0
         if status == ALL_SLIP:
@@ -218,10 +229,10 @@ def complete(
             if certificate.is_certain and t_collapse is None:
                 outcome, reason, t_collapse = "collapsed", certificate.reason, t
             if certificate.flow is not None:
-                _follow(certificate.flow, t, task, state)
+                _follow(certificate.flow, drive.length - s, s, state)
                 t = task.t_end
                 break
-            clock[CHECK + int(mode[0] > 0)] = t + certificate.ask_again_after
+            clock[CHECK + int(mode[0] > 0)] = s + certificate.ask_again_after
         elif status == DIVERGED:
             z_there, w_there = drive.of_user(t, z, w)
             speed = float(np.abs(w_there).max())
@@ -243,8 +254,10 @@ def complete(
         elif status == STALLED:
             raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
     z, w = drive.of_user(t, z, w)
-    _to_user(drive, state, n_placed)
-    event_t, event_block, event_mode, stills = Events.joined([*full, events.first(n_events, n_stills)])
+    _to_user(drive, task, state, n_placed)
+    event_s, event_block, event_mode, stills = Events.joined([*full, events.first(n_events, n_stills)])
+    piece = np.arange(len(of_piece)).repeat(of_piece)
+    event_t = drive.times(piece, event_s)
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     series = []
@@ -254,7 +267,10 @@ def complete(
             EventSeries(event_t[of], event_block[of] - d * system.n, event_mode[of], modes, task.t_start, t)
         )
     if shortest is not None:
-        series[0] = without_returns(series[0], shortest)
+        piece, lasting = piece[order], shortest[event_block]
+        if drive.outside is not None:  # it may turn a block round in less time than its own motion takes
+            lasting /= np.hypot(1.0, drive.turns(piece) * lasting / touch)
+        series[0] = without_returns(series[0], piece, event_s[order], lasting)
     counts = counters.tolist()
     return Run(
         z=z,
@@ -271,9 +287,16 @@ def complete(
     )
 
 
-def _to_user(drive: Drive, state: State, first: int) -> int:
+def _hand_over(drive: Drive, task: Task, state: State) -> None:
+    """The times of the samples of the present piece, as its clock has them."""
+    times, first = task.samples.t, int(state.counters[N_SAMPLED])
+    last = len(times) if drive.is_last else int(np.searchsorted(times, drive.end, side="right"))
+    state.samples.t[first:last] = times[first:last] - drive.start
+
+
+def _to_user(drive: Drive, task: Task, state: State, first: int) -> int:
     """Put the samples of the present piece, from this one on, into the user's frame; returns how many there are."""
-    samples, last = state.samples, int(state.counters[N_SAMPLED])
+    samples, last = task.samples, int(state.counters[N_SAMPLED])
     if last > first:
         of_piece = slice(first, last)
         samples.z[of_piece], samples.w[of_piece] = drive.of_user(
@@ -282,11 +305,11 @@ def _to_user(drive: Drive, state: State, first: int) -> int:
     return last
 
 
-def _follow(flow: certificates.Flow, t: float, task: Task, state: State) -> None:
-    """Put the state at the end, and the samples that are still wanted at time t, in their places."""
+def _follow(flow: certificates.Flow, rest: float, s: float, state: State) -> None:
+    """Put the state at the end, a time from now, and the samples that are still wanted at s, in their places."""
     z, w, _, _, counters, samples = state
     first = int(counters[N_SAMPLED])
-    at_end, sampled = (flow.at(times - t) for times in (np.array([task.t_end]), samples.t[first:]))
+    at_end, sampled = (flow.at(times) for times in (np.array([rest]), samples.t[first:] - s))
     z[:], w[:] = at_end[0][0], at_end[1][0]  # apart: a product of other shape rounds otherwise
     samples.z[first:], samples.w[first:] = sampled
     counters[N_SAMPLED] = len(samples.t)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def _note_still(is_still, step, z, stills, counters):  # type: ignore[no-untyped
 def _advance(law, state, grid, samples, events, counters):  # type: ignore[no-untyped-def]
     """Steps until the end, until the state passes `BEYOND`, or until one more might not fit what is recorded."""
     z, w, mode = state
-    t_start, h, n_steps = grid
+    h, n_steps = grid
     times, sampled_z, sampled_w = samples
     at, block, to, stills = events
     v, n = law[4], len(z)
@@ -81,10 +82,10 @@ def _advance(law, state, grid, samples, events, counters):  # type: ignore[no-un
         elif n_stick == n and not counters[_IS_STILL]:
             _note_still(1, step + 1, z, stills, counters)
         while counters[_SAMPLED] < len(times) and (
-            step + 1 == n_steps or times[counters[_SAMPLED]] <= t_start + (step + 1) * h
+            step + 1 == n_steps or times[counters[_SAMPLED]] <= (step + 1) * h
         ):
             k = counters[_SAMPLED]
-            past = min(max(times[k] - (t_start + step * h), 0.0), h)
+            past = min(max(times[k] - step * h, 0.0), h)
             for i in range(n):
                 change = w[i] - w_before[i]
                 sampled_z[k, i] = z_before[i] + past * (w_before[i] + 0.5 * past / h * change)
@@ -106,6 +107,7 @@ def integrate(task: Task, longest: float) -> Run:
     mode = np.sign(w - system.belt_speed).astype(np.int8)
     initial_mode = mode.copy()
     samples, counters = task.samples, np.zeros(_N_COUNTERS, dtype=np.int64)
+    since_start = samples.t - task.t_start
     n_first = int(np.searchsorted(samples.t, task.t_start, side="right"))
     samples.z[:n_first], samples.w[:n_first], counters[_SAMPLED] = z, w, n_first
     capacity = max(2 * n, 4096)
@@ -118,7 +120,7 @@ def integrate(task: Task, longest: float) -> Run:
     is_within = True
     while counters[_DONE] < n_steps and is_within:
         recorded, is_within = _advance(
-            law, (z, w, mode), (task.t_start, h, n_steps), (samples.t, samples.z, samples.w),
+            law, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
             (at, block, to, stills), counters,
         )  # fmt: skip
         n_stills = counters[_STILLS]
@@ -134,11 +136,11 @@ def integrate(task: Task, longest: float) -> Run:
     steps, blocks, modes = steps[~is_first], blocks[~is_first], modes[~is_first]
     order = np.lexsort((blocks, steps))  # stable: a block enters before it leaves at the same instant
     reached = task.t_start + int(counters[_DONE]) * h if counters[_DONE] < n_steps else task.t_end
-    series = EventSeries(
-        task.t_start + steps[order] * h, blocks[order], modes[order], initial_mode, task.t_start, reached
-    )
     done = int(counters[_DONE])
-    series = without_returns(_crossed(series), np.zeros(n))
+    # on the clock of the run until nothing is compared any more
+    series = _crossed(EventSeries(steps[order] * h, blocks[order], modes[order], initial_mode, 0.0, span))
+    series = without_returns(series, np.zeros(len(series), np.intp), series.t, np.zeros(len(series)))
+    series = replace(series, t=np.minimum(task.t_start + series.t, reached), t_start=task.t_start, t_end=reached)
     return Run(
         z=z,
         w=w,
@@ -148,7 +150,7 @@ def integrate(task: Task, longest: float) -> Run:
         reason="" if is_within else f"|z| or |w| passed {BEYOND:g} after t = {reached:.4g}",
         stats=Stats(n_steps=done, n_rejected=0, n_products=done, n_events=len(series)),
         samples=samples.first(int(counters[_SAMPLED])),
-        stills=Stills(task.t_start + noted[0] * h, noted[1]),
+        stills=Stills(np.minimum(task.t_start + noted[0] * h, reached), noted[1]),
     )
 
 

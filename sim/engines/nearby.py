@@ -397,7 +397,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             clock[loop.TIME] = now
             # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
             unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-            instant = ROUNDING * max(1.0, abs(now))
+            instant = ROUNDING * max(min(1.0, t_end), now)
             before = n_recorded
             if stalls(counters, moved, max(instant, unseen)):
                 return loop.STALLED, n_recorded

@@ -7,6 +7,9 @@ of the piece. With y = z - a s^2 / 2 the belts keep to v, and what the engines f
 
 f the force from outside: g is a polynomial and harmonics. What friction holds, F = R v + K y + N y' - g, is the same
 in both frames. A piece is cut where y and z would be far apart.
+
+The clock of every engine is s: rounding of a time counts by how far it is from the start of its piece, not from t = 0.
+What is at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no length.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
 from stickslip.sim.drive import Harmonic, Piecewise
@@ -30,34 +34,33 @@ _APART = 100.0
 
 
 class Outside(NamedTuple):
-    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m t + phase_m), in place."""
+    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m), in place."""
 
     poly: Floats  #: shape (3, n)
-    start: Floats  #: of the piece, shape (1,)
     amplitude: Floats  #: shape (m, n), as the next
     frequency: Floats
-    phase: Floats
+    phase: Floats  #: at the start of the piece
     waves: Floats  #: room for the coefficients of the harmonics, shape (2 m, n)
     noise: Floats  #: the sizes of what each coefficient is summed up from, by order as a series, shape (orders, n)
 
 
 @inner
-def begin(outside, t):  # type: ignore[no-untyped-def]
-    """Prepare the coefficients about the time t."""
+def begin(outside, s):  # type: ignore[no-untyped-def]
+    """Prepare the coefficients about the time s."""
     if outside is None:
         return
     amplitude, frequency, phase, waves = outside.amplitude, outside.frequency, outside.phase, outside.waves
     m = len(amplitude)
     for j in range(m):
         for i in range(amplitude.shape[1]):
-            angle = frequency[j, i] * t + phase[j, i]
+            angle = frequency[j, i] * s + phase[j, i]
             waves[j, i] = amplitude[j, i] * math.cos(angle)
             waves[m + j, i] = amplitude[j, i] * math.sin(angle)
 
 
 @inner
-def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
-    """Take the k-th coefficient of g about t off the k-th of K z, both shape (n,); k counts up from 0 after `begin`.
+def take_off(outside, s, k, forces):  # type: ignore[no-untyped-def]
+    """Take the k-th coefficient of g about s off the k-th of K z, both shape (n,); k counts up from 0 after `begin`.
 
     Returns the largest coefficient.
     """
@@ -65,7 +68,7 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
         return 0.0
     poly, waves, noise = outside.poly, outside.waves, outside.noise[k]
     frequency, phase = outside.frequency, outside.phase
-    s, m, most = t - outside.start[0], len(frequency), 0.0
+    m, most = len(frequency), 0.0
     for i in range(len(forces)):
         value, size = 0.0, 0.0
         if k < 3:
@@ -73,13 +76,11 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
                 factor = (2.0 if k == 1 and p == 2 else 1.0) * poly[p, i]
                 term = factor * s ** (p - k)
                 value += term
-                size += abs(term)
-                if p > k:
-                    size += _OF_PHASE * abs((p - k) * factor * s ** (p - k - 1) * t)
+                size += abs(term) * (1.0 + _OF_PHASE * (p - k))
         for j in range(m):
             cosine, sine = waves[j, i], waves[m + j, i]
             value += cosine
-            size += (abs(cosine) + abs(sine)) * (1.0 + _OF_PHASE * abs(frequency[j, i] * t + phase[j, i]))
+            size += (abs(cosine) + abs(sine)) * (1.0 + _OF_PHASE * abs(frequency[j, i] * s + phase[j, i]))
             factor = frequency[j, i] / (k + 1)
             waves[j, i], waves[m + j, i] = -sine * factor, cosine * factor
         forces[i] -= value
@@ -89,12 +90,11 @@ def take_off(outside, t, k, forces):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_change(outside, t, h):  # type: ignore[no-untyped-def]
-    """Bounds what g changes by from t to t + h."""
+def may_change(outside, s, h):  # type: ignore[no-untyped-def]
+    """Bounds what g changes by from s to s + h."""
     if outside is None:
         return 0.0
-    poly, amplitude, frequency = outside.poly, outside.amplitude, outside.frequency
-    s, most = t - outside.start[0], 0.0
+    poly, amplitude, frequency, most = outside.poly, outside.amplitude, outside.frequency, 0.0
     for i in range(poly.shape[1]):
         change = abs(poly[1, i] + 2.0 * s * poly[2, i]) * h + abs(poly[2, i]) * h * h
         for j in range(len(amplitude)):
@@ -104,16 +104,15 @@ def may_change(outside, t, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def value_at(outside, t, values):  # type: ignore[no-untyped-def]
-    """g at the time t, shape (n,)."""
+def value_at(outside, s, values):  # type: ignore[no-untyped-def]
+    """g at the time s, shape (n,)."""
     if outside is None:
         return
     poly, amplitude, frequency, phase = outside.poly, outside.amplitude, outside.frequency, outside.phase
-    s = t - outside.start[0]
     for i in range(len(values)):
         value = poly[0, i] + s * (poly[1, i] + s * poly[2, i])
         for j in range(len(amplitude)):
-            value += amplitude[j, i] * math.cos(frequency[j, i] * t + phase[j, i])
+            value += amplitude[j, i] * math.cos(frequency[j, i] * s + phase[j, i])
         values[i] = value
 
 
@@ -126,9 +125,12 @@ class Drive:
         v of the present piece, as `outside` kept in place.
     outside : Outside or None
         None if there is no force from outside, and no belt changes its speed.
-    t_end : float
+    start, end, length : float
         Of the present piece.
-    is_last : bool
+    is_last, is_instant : bool
+        An instant is the last piece of a run that ends at a bend; what happens there depends on what comes after.
+    ahead, instant : float
+        How long what drives the blocks from there keeps its law, and what the end is rounded to.
     fastest : float
         The largest frequency of a force.
     """
@@ -139,36 +141,40 @@ class Drive:
         self.belt_speed = np.empty(n)
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
         self._gains, self._is_carried = np.zeros(n), False
+        self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
         self.outside: Any = None
-        self.fastest, self.t_end, self.is_last = 0.0, t_end, True
+        self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
+            self._next = iter([(t_end, True)])
+            self._enter(t_start)
             return
         self._bends = [term for term in system.force if isinstance(term, Piecewise)]
-        waves = [term for term in system.force if isinstance(term, Harmonic)]
-        amplitude, frequency, phase = (
-            np.array([getattr(wave, name) for wave in waves]).reshape(len(waves), n)
-            for name in ("amplitude", "frequency", "phase")
+        self._waves = [term for term in system.force if isinstance(term, Harmonic)]
+        amplitude, frequency = (
+            np.array([getattr(wave, name) for wave in self._waves]).reshape(-1, n)
+            for name in ("amplitude", "frequency")
         )
-        room = np.zeros((3, n)), np.array([t_start]), np.zeros((2 * len(waves), n)), np.zeros((orders, n))
-        self.outside = Outside(*room[:2], amplitude, frequency, phase, *room[2:])
-        self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in waves), default=0.0)
-        knots = [term.times for term in (*self._bends, *((system.belt_speed,) if self._moves else ()))]
-        inside = np.unique(np.concatenate(knots)) if knots else np.empty(0)
-        self._ends = self._cut(t_start, [*inside[(inside > t_start) & (inside < t_end)], t_end])
-        self.t_end, self.is_last = next(self._ends)
+        m = len(self._waves)
+        self.outside = Outside(
+            np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
+        )
+        self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in self._waves), default=0.0)
+        changing = [term for term in self._bends if not term.is_constant]
+        knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
+        inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
+        self._next = self._cut(t_start, [*inside[(inside > t_start) & (inside <= t_end)].tolist(), t_end])
         self._enter(t_start)
 
     def value(self) -> Floats:
         """g at the start of the present piece, shape (n,)."""
-        s = self.outside
-        return s.poly[0] + (s.amplitude * np.cos(s.frequency * s.start[0] + s.phase)).sum(axis=0)
+        outside = self.outside
+        return outside.poly[0] + (outside.amplitude * np.cos(outside.phase)).sum(axis=0)
 
     def go_on(self, z: Floats, w: Floats) -> None:
         """To the next piece, from a state at the end of this one, which is put into its frame in place."""
-        t, u = self.t_end, w - self.belt_speed
-        z[:] = self.of_user(t, z, w)[0]
-        self.t_end, self.is_last = next(self._ends)
-        self._enter(t)
+        u = w - self.belt_speed
+        z[:] = self.of_user(self.end, z, w)[0]
+        self._enter(self.end)
         w[:] = self.belt_speed + u
 
     def of_user(self, t: float | Floats, z: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -178,29 +184,69 @@ class Drive:
         """
         if not self._is_carried:
             return z, w
-        s = np.expand_dims(t - self.outside.start[0], -1)
+        s = np.expand_dims(t - self.start, -1)
         return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
 
     def place_stills(self, stills: Floats) -> None:
-        """Put sums of z, the second row, at the times of the first, into the user's frame in place."""
+        """Put sums of z, the second row, at the times of the first, both of the present piece, into the user's."""
+        if not stills.size:
+            return
         if self._is_carried:
-            stills[1] += 0.5 * (stills[0] - self.outside.start[0]) ** 2 * self._gains.sum()
+            stills[1] += 0.5 * stills[0] ** 2 * self._gains.sum()
+        stills[0] = _times(self.start, self.end, stills[0])
+
+    def time(self, s: float) -> float:
+        """The time at s of the present piece."""
+        return self.end if s >= self.length else min(self.start + s, self.end)
+
+    def times(self, piece: NDArray[np.intp], s: Floats) -> Floats:
+        """The times at s of pieces up to the present one, by their numbers: as `time`."""
+        if len(self._starts) == 1:
+            return _times(self.start, self.end, s)
+        return _times(np.array(self._starts)[piece], np.array(self._ends)[piece], s)
+
+    def turns(self, piece: NDArray[np.intp]) -> Floats:
+        """The rates at which ramps of forces and belts turn blocks round, by pieces as `times` has them.
+
+        Those of harmonics are among `System.rates`.
+
+        What changes a block's acceleration by G a unit of time makes of its speed v another one at the rate
+        (G / v)^(1/2), and by its end at the latest.
+        """
+        return np.array(self._turns)[piece]
 
     def _enter(self, t: float) -> None:
+        """The next piece, which begins at a time."""
         system, outside = self._system, self.outside
-        outside.start[0] = t
-        outside.poly[:] = 0.0
-        for term in self._bends:
-            outside.poly[0] += term.at(t)
-            outside.poly[1] += term.slope_at(t)
-        if self._moves:
-            gains = self._gains = system.belt_speed.slope_at(t)
-            self._is_carried = bool(gains.any())
-            self.belt_speed[:] = system.belt_speed.at(t)
-            cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
-            outside.poly[0] -= gains
-            outside.poly[1] -= system.damping * gains + cross
-            outside.poly[2] -= 0.5 * (system.stiffness @ gains)
+        self.start = t
+        self.end, self.is_last = next(self._next)
+        self.length = self.end - t
+        if self._ends and t == self.end:
+            self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
+            self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
+        turn = 0.0
+        if outside is not None:
+            outside.poly[:] = 0.0
+            for term in self._bends:
+                outside.poly[0] += term.at(t)
+                outside.poly[1] += term.slope_at(t)
+            for phase, wave in zip(outside.phase, self._waves, strict=True):
+                phase[:] = wave.phase_at(t)
+            if self._moves:
+                gains = self._gains = system.belt_speed.slope_at(t)
+                self._is_carried = bool(gains.any())
+                self.belt_speed[:] = system.belt_speed.at(t)
+                cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
+                outside.poly[0] -= gains
+                outside.poly[1] -= system.damping * gains + cross
+                outside.poly[2] -= 0.5 * (system.stiffness @ gains)
+            change = float((np.abs(outside.poly[1]) + 2.0 * self.length * np.abs(outside.poly[2])).max())
+            if change > 0.0:
+                speed = system.fastest_belt
+                turn = min(math.sqrt(change / speed) if speed > 0.0 else math.inf, 1.0 / max(self.length, 1e-300))
+        self._starts.append(t)
+        self._ends.append(self.end)
+        self._turns.append(turn)
 
     def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
         """The ends of pieces that are short enough, and whether each is the last."""
@@ -217,3 +263,9 @@ class Drive:
                 yield start + (end - start) * (part / parts), False
             yield end, k == len(ends) - 1
             start = end
+
+
+def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
+    """The times at s of pieces with these bounds, which are the user's to the last bit."""
+    t = np.minimum(start + s, end)
+    return np.where(s >= end - start, end, t)

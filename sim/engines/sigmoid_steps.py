@@ -472,12 +472,28 @@ def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-unty
         copy(table[U + k], table[KEPT_U + k])
 
 
+@inner
+def _first_instant(events, first, n_recorded, instant):  # type: ignore[no-untyped-def]
+    """Of events from the first on, keep those up to an instant; returns how many are recorded then."""
+    at, block, to, _ = events
+    n_kept = first
+    for k in range(first, n_recorded):
+        if at[k] <= instant:
+            at[n_kept], block[n_kept], to[n_kept] = at[k], block[k], to[k]
+            n_kept += 1
+    return n_kept
+
+
 @kernel(counts=True)
 def _advance(  # type: ignore[no-untyped-def]
     table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    begins, old, z, w, clock, counters, samples, t_end, longest, outside, pushes, atol, boost, events, bound, watch,
+    begins, old, z, w, clock, counters, samples, t_end, instant, longest, outside, pushes, atol, boost, events, bound,
+    watch,
 ):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
+
+    With an `instant` >= 0, one step to see what happens by then, and the state stays as it is.
+    """
     n = len(z)
     mode = definitions[3][0]
     ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
@@ -527,7 +543,7 @@ def _advance(  # type: ignore[no-untyped-def]
             factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK) if tail > _TAIL else 0.5
             clock[_STEP], clock[_SLOW] = macro * factor, 0.0
             grown = False
-            if clock[_STEP] <= 1e-14 * max(1.0, abs(t)):
+            if clock[_STEP] <= 1e-14 * max(min(1.0, t_end), t):
                 return loop.STALLED, n_recorded
             copy(before, next_h)
             continue
@@ -541,10 +557,14 @@ def _advance(  # type: ignore[no-untyped-def]
         n_recorded = step_events(
             table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
         )
+        if instant >= 0.0:
+            n_recorded = _first_instant(events, first_event, n_recorded, instant)
         note_stills(
             table, n, flags, pieces, piece_block, n_pieces, span, mode_before, first_event, n_recorded, events,
             counters,
         )  # fmt: skip
+        if instant >= 0.0:
+            return loop.DONE, n_recorded
         sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counters)
         _accept(table, n, flags, macro, next_h, ends, z, w)
         factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
@@ -626,7 +646,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     def run(k: int) -> Run:
         task, system, drive, own = tasks[k], systems[k], drives[k], table[k]
         z, w, next_h = task.z0.copy(), task.w0.copy(), np.empty(n)
-        step = min(task.t_end - task.t_start, 0.1, first_step(fastest[k]))
+        step = min(drive.length, 0.1, first_step(fastest[k]))
         next_h[:] = step / 4
         state = loop.State.at_start(task, z, w, modes[k, 0], step, 1.0, 0.0, 0.0)
         state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
@@ -671,7 +691,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
             drive,
             lambda events, bound: _advance(
                 *arguments,
-                drive.t_end,
+                drive.ahead if drive.is_instant else drive.length,
+                drive.instant if drive.is_instant else -1.0,
                 longest,
                 drive.outside,
                 pushes,

@@ -532,14 +532,21 @@ def test_an_event_that_is_taken_back_at_once_is_none():
     block = np.array([0, 0, 1, 0, 0, 0, 0, 1, 0], dtype=np.int32)
     mode = np.array([0, 1, 0, 0, -1, 0, 1, 1, -1], dtype=np.int8)
     series = EventSeries(t, block, mode, np.array([1, 1], dtype=np.int8), 0.0, 6.0)
-    left = without_returns(series, np.array([0.01, 0.01]))
+
+    def filtered(*shortest, series=series, piece=0):
+        of_event = np.array(shortest)[series.block]
+        return without_returns(series, np.broadcast_to(piece, len(series)), series.t, of_event)
+
+    left = filtered(0.01, 0.01)
     assert left.t.tolist() == [2.0, 4.0, 5.0]
     assert left.block.tolist() == [1, 1, 0]
     assert left.mode.tolist() == [0, 1, -1]
-    assert without_returns(series, np.zeros(2)) is series
-    assert len(without_returns(series, np.array([0.01, 3.0]))) == 1
+    assert filtered(0.0, 0.0) is series
+    assert len(filtered(0.01, 3.0)) == 1
+    # a bend between the events of a short pair makes it none
+    assert filtered(0.01, 0.01, piece=np.array([0, 1, 1, 1, 1, 1, 1, 1, 1])).t.tolist() == [1.0, 1.001, 2.0, 4.0, 5.0]
     at_once = EventSeries(t[[0, 0]], block[:2], mode[:2], np.array([1, 1], dtype=np.int8), 0.0, 6.0)
-    assert len(without_returns(at_once, np.zeros(2))) == 0
+    assert len(filtered(0.0, 0.0, series=at_once)) == 0
 
 
 def test_blocks_without_damping_that_touch_the_belt():
