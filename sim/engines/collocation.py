@@ -50,16 +50,19 @@ from stickslip.sim.engines.radau import (
 #: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that. It falls
 #: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0. TAKEN is
 #: LENGTH of a step that will do, else 0. PASSED is by what the error counts more of a step that has passed the layer,
-#: AT_PEAK what one may err by at the peak, over its u.
+#: AT_PEAK what one may err by at the peak, over its u. F is known to no more than NOISE, ROUNDING times SIZE.
+#: Z_MACRO and U_MACRO are z and u at the start of the macro step.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
     LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
-    FAR, FALL, CLOSED, TAKEN, PASSED, AT_PEAK,
-) = range(34)  # fmt: skip
-F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(34, 34 + 11 * STAGES, STAGES)
-N_ROWS = 34 + 11 * STAGES
-#: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these.
-STEP_H, ATOL, RTOL, TO_TOLERANCE = range(4)
+    FAR, FALL, CLOSED, TAKEN, PASSED, AT_PEAK, ROUNDING, NOISE, Z_MACRO,
+    U_MACRO,
+) = range(38)  # fmt: skip
+F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(38, 38 + 11 * STAGES, STAGES)
+N_ROWS = 38 + 11 * STAGES
+#: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these. SIZE is the
+#: largest |z| at the start.
+STEP_H, ATOL, RTOL, TO_TOLERANCE, SIZE = range(5)
 
 #: A block nearer to the belt's speed than so many times its peak may be about to leave stick. At the peak F, which
 #: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
@@ -246,7 +249,9 @@ def _force(is_change: bool) -> Callable[[Rows, Law], None]:
                 least = less(least, absolute(after[k]))
             stays = _SWIFT / greater(least - rows[STATIC], _SWIFT)
             scale = scale * where(_is_near_peak(rows) & (rows[FINE] < 1.0), greater(stays / rows[H], 1.0), 1.0)
-        rows[MOVED], rows[TAIL] = most * scale, _error(after) * scale
+        tail, noise = _error(after), rows[NOISE]
+        rows[MOVED] = where(most < noise, scale * 0.0, (most - noise) * scale)
+        rows[TAIL] = where(tail < noise, scale * 0.0, (tail - noise) * scale)
 
     return formula
 
@@ -274,6 +279,7 @@ def _predict(rows: Rows, numbers: Numbers) -> None:
     speed = greater(absolute(rows[U0] + rows[BELT]), rows[SPEED_BEFORE])
     tolerance = less(atol + rtol * speed, (atol + rtol * absolute(rows[Z0])) / h)
     rows[TOLERANCE] = tolerance * numbers[STAGES, TO_TOLERANCE]
+    rows[NOISE] = rows[ROUNDING] * numbers[STAGES, SIZE]
     f, u, u0 = ([rows[KEPT_F + k] for k in range(STAGES)], [rows[KEPT_U + k] for k in range(STAGES)], rows[U0])
     leads_nowhere = rows[FLAGGED] > 0.5  # the polynomial of a block with steps of its own
     for k in range(STAGES):
@@ -302,15 +308,18 @@ def _prepare(rows: Rows, law: Law) -> None:
         rows[U + k] = u0 + after * rate / (1.0 + after * stiffness)
 
 
-def _gather(of: int, to: int) -> Callable[[Rows, Numbers], None]:
-    """Add what the step taken has of the integrals of x^p z(x), or of u, over the macro step."""
+def _gather(of: int, since: int, to: int) -> Callable[[Rows, Numbers], None]:
+    """Add what the step taken has of the integrals of x^p (z(x) - z(0)), or of u, over the macro step.
+
+    Of the change alone: from moments to the values at the nodes rounding grows a thousandfold.
+    """
 
     def formula(rows: Rows, _: Numbers) -> None:
         start, length, taken = rows[START], rows[LENGTH], rows[TAKEN]
         moments = [rows[to + p] for p in range(STAGES)]
         for k in range(STAGES):
             x = start + length * float(NODES[k])
-            weight = where(taken > 0.0, rows[of + k] * taken * float(LAST[k]), 0.0)
+            weight = where(taken > 0.0, (rows[of + k] - rows[since]) * taken * float(LAST[k]), 0.0)
             for p in range(STAGES):
                 moments[p] = moments[p] + weight
                 weight = weight * x
@@ -323,5 +332,5 @@ def _gather(of: int, to: int) -> Callable[[Rows, Numbers], None]:
 #: For kernels.
 newton, finish, probe, view = on_rows(_newton), on_rows(_finish), on_rows(_probe), on_rows(_view)
 predict, prepare = on_rows(_predict), on_rows(_prepare)
-gather, gather_u = on_rows(_gather(Z, MOMENT)), on_rows(_gather(U, MOMENT_U))
+gather, gather_u = on_rows(_gather(Z, Z_MACRO, MOMENT)), on_rows(_gather(U, U_MACRO, MOMENT_U))
 force, force_changed = on_rows(_force(False)), on_rows(_force(True))

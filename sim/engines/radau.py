@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.polynomial.polynomial import polyfromroots
 
 from stickslip.sim.arguments import Floats
 
@@ -27,6 +28,12 @@ def _nodes() -> Floats:
     return (x + 1.0) / 2.0
 
 
+def _to_powers(nodes: Floats) -> Floats:
+    """Values at nodes in [0, 1] to powers: column k holds l_k, multiplied out, where no two terms cancel."""
+    others = [np.delete(nodes, k) for k in range(len(nodes))]
+    return np.stack([polyfromroots(rest) / np.prod(x - rest) for x, rest in zip(nodes, others, strict=True)], axis=1)
+
+
 def powers(x: Floats, count: int) -> Floats:
     """1, x, x^2, ..., shape (len(x), count)."""
     return np.vander(x, count, increasing=True)
@@ -38,16 +45,17 @@ def _bernstein(degree: int) -> Floats:
 
 
 NODES = _nodes()
-#: Values at the nodes to powers: column k holds l_k. The same for values at 0 and the nodes.
-TO_POWERS = np.linalg.inv(powers(NODES, STAGES))
-ALL_NODES = np.append(0.0, NODES)
-ALL_TO_POWERS = np.linalg.inv(powers(ALL_NODES, STAGES + 1))
-#: a_kj, its inverse, and the weights b_k, the last row.
-WEIGHTS = (powers(NODES, STAGES + 1)[:, 1:] / np.arange(1, STAGES + 1)) @ TO_POWERS
+#: The coefficients m = 0 ... 4 of Legendre's polynomials on [0, 1], of a polynomial given at the nodes.
+TO_LEGENDRE = np.linalg.inv(legendre.legvander(2.0 * NODES - 1.0, STAGES - 1))
+#: a_kj, its inverse, and the weights b_k, the last row. By Legendre's polynomials: from powers rounding is 1e-13, and
+#: a constant force of 1000 would seem to change by what tight tolerances do not allow.
+WEIGHTS = legendre.legval(2.0 * NODES - 1.0, legendre.legint(np.eye(STAGES), lbnd=-1.0, scl=0.5)).T @ TO_LEGENDRE
 INVERSE = np.linalg.inv(WEIGHTS)
 LAST = WEIGHTS[-1].copy()
-#: The coefficients m = 0 ... 4 of Legendre's polynomials on [0, 1], of a polynomial given at the nodes.
-TO_LEGENDRE = ((2 * np.arange(STAGES) + 1) * legendre.legvander(2 * NODES - 1, STAGES - 1)).T * LAST
+#: Values at the nodes to powers. The same for values at 0 and the nodes.
+TO_POWERS = _to_powers(NODES)
+ALL_NODES = np.append(0.0, NODES)
+ALL_TO_POWERS = _to_powers(ALL_NODES)
 #: From integrals of x^p z(x) over [0, 1] to the values at the nodes of the polynomial next to z in the mean square:
 #: (1 / b_k) times the integral of l_k z, as the quadrature is exact for l_k l_j.
 PROJECT = TO_POWERS.T / LAST[:, None]

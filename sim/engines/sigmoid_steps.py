@@ -41,6 +41,8 @@ from stickslip.sim.engines.collocation import (
     PEAK,
     PRODUCT,
     REACH,
+    ROUNDING,
+    SIZE,
     SPEED_BEFORE,
     START,
     STATIC,
@@ -51,8 +53,10 @@ from stickslip.sim.engines.collocation import (
     TAKEN,
     TOLERANCE,
     U0,
+    U_MACRO,
     Z0,
     Z_BEFORE,
+    Z_MACRO,
     F,
     G,
     H,
@@ -100,11 +104,14 @@ from stickslip.sim.weakening import Stribeck
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
 #: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
 _CALIBRATION = 5.0
-#: Of tolerance: what the leading coefficient of F may change w by in a step, and what a sweep may still. What sweeps
-#: leave adds up step by step, and the steps for tight tolerances are many: then it is _SWEPT over the boost below.
-_TAIL, _SWEPT = 3.0, 20.0
+#: Of tolerance: what the leading coefficient of F may change w by in a step, and the residual of the iteration over F,
+#: as (_SWEPT / boost)^2 of the boost below. That residual has one sign, of what a prediction errs by: on a cycle of
+#: stick and slip it adds up step by step and cycle by cycle, and the steps for tight tolerances are many.
+_TAIL, _SWEPT = 3.0, 3.0
 #: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
 _AT_ONCE = 0.1
+#: So many units in the last place of what K z is a sum of may be rounding.
+_ULPS = 8.0
 #: The share of tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
 #: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
@@ -146,6 +153,7 @@ def _begin(table, n, macro, kept, numbers):  # type: ignore[no-untyped-def]
         for j in range(STAGES):
             numbers[k, j] = horner(TO_POWERS[:, j], STAGES - 1, x)
     numbers[STAGES, STEP_H] = macro
+    numbers[STAGES, SIZE] = largest(table[Z0, :n])
     for first in range(0, n, WIDTH):
         predict(table, first, numbers)
 
@@ -208,10 +216,10 @@ def _factor(own, lane):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _project(own, of, lane, table, to, i):  # type: ignore[no-untyped-def]
+def _project(own, of, since, lane, table, to, i):  # type: ignore[no-untyped-def]
     """At the nodes of the macro step, the polynomial next to what a lane has the moments of in the mean square."""
     for k in range(STAGES):
-        value = 0.0
+        value = own[since, lane]
         for p in range(STAGES):
             value += PROJECT[k, p] * own[of + p, lane]
         table[to + k, i] = value
@@ -250,6 +258,7 @@ def _apart(  # type: ignore[no-untyped-def]
                     own[MOMENT + p, lane] = 0.0
                     own[MOMENT_U + p, lane] = 0.0
                 own[START, lane] = 0.0
+                own[Z_MACRO, lane], own[U_MACRO, lane] = table[Z0, i], table[U0, i]
                 own[LENGTH, lane] = min(next_h[i] / macro, 1.0)
         if active == 0:
             return n_pieces
@@ -320,9 +329,9 @@ def _apart(  # type: ignore[no-untyped-def]
             if own[START, lane] >= 1.0 - 1e-12:
                 ends[0, i], ends[1, i] = own[U0, lane], own[Z0, lane]
                 next_h[i] = own[LENGTH, lane] * macro
-                _project(own, MOMENT, lane, table, Z, i)
+                _project(own, MOMENT, Z_MACRO, lane, table, Z, i)
                 if with_u:
-                    _project(own, MOMENT_U, lane, table, MEAN_U, i)
+                    _project(own, MOMENT_U, U_MACRO, lane, table, MEAN_U, i)
                 block[lane], again[lane] = -1, -1
                 active -= 1
                 own[H, lane] = 1.0
@@ -419,7 +428,7 @@ def _sweep(  # type: ignore[no-untyped-def]
     `slow` is what a sweep leaves of a change, as seen before. The last sweep needs no product if what it leaves of
     the last change of F does not count. If the tail is too large the step is given up: sweeps hardly change it.
     """
-    swept_below = min(1.0, _SWEPT / boost)
+    swept_below = min(1.0, (_SWEPT / boost) ** 2)
     tail, n_pieces, n_listed, last, is_last = 0.0, np.int64(0), np.int64(0), np.inf, False
     for i in range(n):
         begins[i] = -1
@@ -625,6 +634,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     table[:, BELT, :n], table[:, STATIC, :n], table[:, CLOSED, :n] = v, static, closed
     table[:, PASSED, :n], table[:, AT_PEAK, :n] = _PASSED * boost, _OF_ROOT * np.sqrt(engine.atol + engine.rtol)
     table[:, HIDDEN, :n], table[:, PEAK, :n] = hidden, peak * delta
+    table[:, ROUNDING, :n] = _ULPS * np.finfo(float).eps * np.array([one.row_sums for one in systems])
     table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     if system.weakening is not None:
         table[:, FALL, :n] = system.weakening.steepness * delta

@@ -28,6 +28,8 @@ def test_the_method_by_its_definition():
     np.testing.assert_allclose(radau.PROJECT @ moments, p(radau.NODES), atol=1e-10)
     legendre = np.polynomial.legendre.Legendre(rng.normal(size=5), domain=[0, 1])
     np.testing.assert_allclose(radau.TO_LEGENDRE @ legendre(radau.NODES), legendre.coef, atol=1e-12)
+    constant = radau.TO_LEGENDRE[1:].sum(axis=1)
+    np.testing.assert_allclose(constant, 0.0, atol=2e-15)  # F of 1000 is known to 1e-13: so must its changes be
     q = np.polynomial.Polynomial(rng.normal(size=6))
     hull = radau.TO_BERNSTEIN @ q(radau.ALL_NODES)
     values = q(np.linspace(0.0, 1.0, 200))

@@ -159,6 +159,39 @@ def test_samples_of_w_are_as_good_as_the_state(tol):
     assert error.max() < BOUND
 
 
+@pytest.mark.parametrize("kind", ["static", "weakening"])
+def test_a_cycle_keeps_its_phase(kind):
+    """Thirty cycles of stick and slip: what the iteration over F leaves has one sign, and adds up cycle by cycle."""
+    seed = secrets.randbits(32)
+    print(f"seed {seed}")
+    found = []
+    for number in range(3):
+        rng = np.random.default_rng([seed, number])
+        stiffness, damping, ratio = rng.uniform(0.5, 2.0), rng.uniform(0.0, 0.1), rng.uniform(1.2, 1.8)
+        term = {"static": ratio} if kind == "static" else {"weakening": Rational(ratio)}
+        system, delta = System([[stiffness]], damping, 1.0, 0.2, **term), np.array([10 ** rng.uniform(-2, -1.3)])
+        start, times = (np.array([0.3]), np.array([0.0])), np.linspace(0.0, 300.0, 7)[1:]
+        found += [pair for pair in multiples(system, *start, delta, times, (1e-6,), rng) if pair]
+    print(found)
+    assert len(found) > 1  # of the others two references disagree
+    assert np.median([samples for _, samples in found]) < 4
+
+
+def test_tight_tolerances_with_stiff_springs_do_not_stop(rng):
+    """Rounding of K z, and of moments and tables, was taken for a change of F: no step was short enough."""
+    for _ in range(4):
+        n, tol = int(rng.integers(1, 4)), 10 ** rng.uniform(-13, -12)
+        coupled = rng.uniform(-5.0, 5.0, (n, n))
+        stiffness = np.diag(10 ** rng.uniform(3, 4, n)) + coupled - coupled.T
+        system = System(stiffness, 0.0, 1.0, 0.2, rng.uniform(1.1, 2.0, n))
+        start, delta, times = (rng.uniform(1.0, 3.0, n), np.full(n, 0.2)), np.full(n, 0.01), np.array([0.01, 0.02])
+        reference = radau.states(system, *start, delta, times, 1e-11, 0.02)
+        run = simulate(system, *start, 0.02, t_eval=times, engine="sigmoid", eps=0.01, rtol=tol, atol=tol)
+        error = np.abs(np.stack([run.samples.z, run.samples.w], axis=1) - reference).max() / np.abs(reference).max()
+        print(system, tol, error)
+        assert error < 1e-10
+
+
 def test_the_reference_against_a_closed_form():
     """Undamped, without friction: z = cos 20 t."""
     times = np.linspace(0.0, 3.0, 20)[1:]
