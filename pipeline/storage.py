@@ -13,6 +13,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -222,7 +223,7 @@ def place_of(where: Where) -> Place:
 @contextlib.contextmanager
 def replacing(file: Path) -> Iterator[BinaryIO]:
     """A stream to the new content of a file, which it takes in one step, if the with-block ends well."""
-    temporary = file.with_name(f"{TEMPORARY}{file.name}-{os.getpid()}")
+    temporary = file.with_name(f"{_begun(file)}{os.getpid()}")
     try:
         with open(temporary, "wb") as stream:
             yield stream
@@ -238,6 +239,30 @@ def replacing(file: Path) -> Iterator[BinaryIO]:
         os.fsync(directory)
     finally:
         os.close(directory)
+
+
+def _begun(file: Path) -> str:
+    """How files begin that processes of this machine write before they replace a file; the rest is who writes."""
+    return f"{TEMPORARY}{file.name}-{socket.gethostname()}-"
+
+
+def remove_left(file: Path) -> None:
+    """Remove what processes of this machine that were killed had written of a file."""
+    left = re.compile(re.escape(_begun(file)) + r"(\d{1,9})")
+    for one in file.parent.iterdir():
+        if (found := left.fullmatch(one.name)) and not _is_alive(int(found[1])):
+            with contextlib.suppress(OSError):  # another user's stays
+                one.unlink()
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 class Directory(Place):

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset import frame
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.storage import Directory, Where, place_of, replacing
+from stickslip.pipeline.storage import Directory, Where, place_of, remove_left, replacing
 from stickslip.workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
@@ -118,22 +118,25 @@ def _flat(schema: pa.Schema) -> None:
 
 
 @contextlib.contextmanager
-def whole(out: Path, dataset: Where) -> Iterator[BinaryIO]:
+def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO]:
     """A stream to a file beside `out`, which takes its name at the end, or goes if there is none.
 
-    A link is followed; what is no file, as /dev/null or a pipe, is written to as it stands.
+    A link is followed; what is no file, as /dev/null or a pipe, is written to as it stands. What processes that were
+    killed left beside `out` goes too. Messages call `out` by the `option` that names it.
     """
     place = place_of(dataset)
     if isinstance(place, Directory) and out.resolve().is_relative_to(place.path.resolve()):
-        raise QueryError(f"--out: expected a file outside the dataset {dataset}, got {out}; choose another")
+        raise QueryError(f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another")
     if out.is_dir():
-        raise QueryError(f"--out: expected a file, got the directory {out}; name a file in it")
+        raise QueryError(f"{option}: expected a file, got the directory {out}; name a file in it")
     out = out.resolve()
     try:
         is_device = out.exists() and not out.is_file()
+        if not is_device:
+            remove_left(out)
         with open(out, "wb") if is_device else replacing(out) as stream:
             yield stream
     except FileNotFoundError as error:
-        raise QueryError(f"--out: {out}: {NO_FOLDER}") from error
+        raise QueryError(f"{option}: {out}: {NO_FOLDER}") from error
     except OSError as error:
-        raise QueryError(f"--out: {out} cannot be written ({error.strerror}); choose another file") from error
+        raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); choose another file") from error

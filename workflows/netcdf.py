@@ -6,6 +6,7 @@ count says how many of these are whose. Null is the fill value of a number, and 
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from stickslip.pipeline import QueryError, dataset_scene
+from stickslip.pipeline import QueryError, StoreError, dataset_scene
 from stickslip.pipeline.dataset import dataset, reading
 from stickslip.pipeline.schema import RECORDED, scalars
 from stickslip.pipeline.storage import Where
@@ -27,6 +28,7 @@ _SAMPLES = {
     **dict.fromkeys((column.name for part in ("episodes", "episode_energy") for column in RECORDED[part]), "episode"),
 }  # fmt: skip
 _ROWS = 65_536  # of a chunk
+_ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 writes at once
 
 
 def write(path: Where, out: Path) -> None:
@@ -51,21 +53,36 @@ def write(path: Where, out: Path) -> None:
     lists = [name for name in _SAMPLES if name in source.schema.names]
     with reading(path):
         members = source.to_table(columns=list(scalars(source.schema)))
-    with whole(out, path) as stream, netCDF4.Dataset(stream.name, "w") as file:
-        scene = dataset_scene(path)
-        file.setncatts({
-            "Conventions": "CF-1.11",
-            "featureType": "timeSeries",
-            "title": scene.title,
-            "source": f"stickslip {__version__}",
-            "scene_hash": scene.hash,
-            "comment": "dimensionless: no clock, no place on Earth",
-        })  # fmt: skip
-        file.createDimension("member", members.num_rows)
-        for name in members.column_names:
-            _scalar(file, members.schema.field(name), members[name])
-        for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
-            _along(file, path, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
+    with whole(out, path, "--netcdf") as stream:
+        try:
+            with netCDF4.Dataset(stream.name, "w") as file:
+                _fill(file, path, source, members, lists)
+        except StoreError:
+            raise
+        except UnicodeEncodeError:
+            raise QueryError(f"--netcdf: expected a name in UTF-8, got {str(out)!a}; choose another") from None
+        except (OSError, RuntimeError) as error:  # HDF5 does not say why, or wrongly; of a full disk the system does
+            stream.seek(0, os.SEEK_END)
+            stream.write(bytes(_ROOM))
+            stream.flush()
+            raise QueryError(f"--netcdf: {out} cannot be written ({error}); choose another file") from error
+
+
+def _fill(file: Any, path: Where, source: Any, members: pa.Table, lists: list[str]) -> None:
+    scene = dataset_scene(path)
+    file.setncatts({
+        "Conventions": "CF-1.11",
+        "featureType": "timeSeries",
+        "title": scene.title,
+        "source": f"stickslip {__version__}",
+        "scene_hash": scene.hash,
+        "comment": "dimensionless: no clock, no place on Earth",
+    })  # fmt: skip
+    file.createDimension("member", members.num_rows)
+    for name in members.column_names:
+        _scalar(file, members.schema.field(name), members[name])
+    for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
+        _along(file, path, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
 
 
 def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:

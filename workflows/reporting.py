@@ -9,6 +9,7 @@ from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline.errors import printable
 from stickslip.pipeline.ledger import read_manifest
 from stickslip.pipeline.quantity import short
 from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
@@ -32,6 +33,9 @@ def _data(path: Where) -> Data:
     if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
         table["parameters"] = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
+    for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
+        if name in table and table[name].notna().any():
+            table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
     return Data(
         table,
         series=series(path),
@@ -40,6 +44,11 @@ def _data(path: Where) -> Data:
         thresholds=by_threshold(path),
         episodes=episodes(path) if scene.record.episodes else None,
     )
+
+
+def _drawable(text: str) -> str:
+    """Words that are valid in HTML and SVG; matplotlib takes what is between two dollars for a formula."""
+    return printable(text).replace("$", r"\$")
 
 
 def report(
@@ -54,7 +63,8 @@ def report(
     """
     scene, found = _opened(path)
     return build(
-        _data(path), _settings(scene), scene.title or name_of(path), scene.about, _provenance(scene, found),
+        _data(path), _settings(scene), printable(scene.title or name_of(path)), printable(scene.about),
+        _provenance(scene, found),
         None if asking is None else (lambda study: asking(str(path), study, on_answer)), made_from(path),
     )  # fmt: skip
 
@@ -76,7 +86,7 @@ def compared(path: Where, other: Where) -> Report:
         names = [str(place_of(where)) for where in places]
     ensembles = [
         Ensemble(
-            name,
+            printable(name),
             _data(where),
             scene.analysis.t_burn,
             scene.analysis.margins.model_dump(),

@@ -1,0 +1,181 @@
+"""What leaves a dataset as a file: whole or not at all, with every null, and readable whatever things are called."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import os
+import re
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import netCDF4
+import numpy as np
+import pytest
+
+from stickslip.pipeline import design, parse_scene, query, run_ensemble
+from stickslip.workflows.commands import main
+from stickslip.workflows.export import whole
+from tests.faults.world import Unshown, small_disk
+from tests.scenes import COULOMB, ensemble
+
+
+@pytest.fixture(scope="module")
+def some_failed(tmp_path_factory):
+    """A dataset in which members of three blocks failed, and so have nulls."""
+    task = design.Member.task
+
+    def fragile(member, *args):
+        if member.n == 3:
+            raise ZeroDivisionError("planted")
+        return task(member, *args)
+
+    path = tmp_path_factory.mktemp("some") / "failed"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design.Member, "task", fragile)
+        run_ensemble(parse_scene(ensemble([3, 5], 8.0, 4, COULOMB).encode()), path, workers=0)
+    return path
+
+
+def test_a_null_is_not_a_zero_in_netcdf(some_failed, tmp_path):
+    assert main(["export", str(some_failed), "--netcdf", str(tmp_path / "a.nc")]) == 0
+    table = query.members(some_failed)
+    failed = (table["outcome"] == "failed").to_numpy()
+    assert 0 < failed.sum() < len(failed)
+    n_whole_numbers = 0
+    with netCDF4.Dataset(tmp_path / "a.nc") as file:
+        for name in ("n_events", "n_exits", "n_stick_end", "n_steps", "t_stop"):
+            found = file[name][:]
+            assert np.array_equal(np.ma.getmaskarray(found), failed), name
+            assert np.array_equal(found.compressed(), table[name][~failed]), name
+            raw = file[name]
+            raw.set_auto_mask(False)
+            is_whole = raw.dtype.kind in "iu"
+            n_whole_numbers += is_whole
+            assert not is_whole or (raw[:][failed] == raw._FillValue).all(), name
+            assert not (raw[:][failed] == 0).any(), name
+    assert n_whole_numbers >= 4
+
+
+FORMS = {
+    "a.nc": ["export", "{dataset}", "--netcdf"],
+    "a.csv": ["query", "{dataset}", "SELECT range, range * range FROM range(30000)", "--out"],
+    "a.parquet": ["query", "{dataset}", "SELECT range, random() FROM range(30000)", "--out"],
+}
+
+
+def one_line_and_nothing_left(arguments, out, reason, capsys):
+    before = sorted(out.parent.iterdir())
+    assert main([*arguments, str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"stickslip: {arguments[-1]}: {out.resolve()} cannot be written ({reason})"), line
+    assert sorted(out.parent.iterdir()) == before
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_full_disk_is_one_line(name, some_failed, capsys):
+    arguments = [word.format(dataset=some_failed) for word in FORMS[name]]
+    with contextlib.ExitStack() as mounted:
+        try:
+            disk = mounted.enter_context(small_disk("128k"))
+        except Unshown as why:
+            pytest.skip(str(why))
+        (disk / name).write_text("old")
+        for room in (0, 8, 32):  # from a file that cannot be begun to one that cannot be ended
+            free = os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize
+            (disk / "ballast").write_bytes(bytes(free - 1024 * room))
+            one_line_and_nothing_left(arguments, disk / name, "No space left on device", capsys)
+            (disk / "ballast").unlink()
+            assert (disk / name).read_text() == "old"
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_file_that_may_not_be_so_large_is_one_line(name, some_failed, tmp_path, capsys):
+    """As a full disk is, and no right to mount one is needed."""
+    arguments = [word.format(dataset=some_failed) for word in FORMS[name]]
+    (tmp_path / name).write_text("old")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, hard))
+    try:
+        one_line_and_nothing_left(arguments, tmp_path / name, "File too large", capsys)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / name).read_text() == "old"
+    assert main([*arguments, str(tmp_path / name)]) == 0
+
+
+def test_the_device_that_is_always_full(some_failed, capsys):
+    for arguments in FORMS.values():
+        more = [] if arguments[0] == "export" else ["--format", "csv"]
+        assert main([*(word.format(dataset=some_failed) for word in arguments), "/dev/full", *more]) == 2
+        assert "/dev/full cannot be written (No space left on device)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_what_a_killed_export_left_goes_with_the_next(name, some_failed, tmp_path):
+    arguments = [word.format(dataset=some_failed) for word in FORMS[name]]
+    child = os.fork()
+    if child == 0:
+        with whole(tmp_path / name, some_failed) as stream:
+            stream.write(b"half")
+            stream.flush()
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    (left,) = tmp_path.iterdir()
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as living:
+        begun = f".tmp-{name}-{socket.gethostname()}-"
+        assert left.name == f"{begun}{child}"
+        kept = {
+            f"{begun}{living.pid}",  # under way
+            f".tmp-{name}-elsewhere-{child}",  # of another machine, whose processes nobody here knows
+            f".tmp-{name}x-{socket.gethostname()}-{child}",  # of another file
+            f"{begun}{child}-notes",
+            f"{begun}notes",
+        }
+        for one in kept:
+            (tmp_path / one).touch()
+        assert main([*arguments, str(tmp_path / name)]) == 0
+        assert {one.name for one in tmp_path.iterdir()} == kept | {name}
+        living.communicate(b"\n")
+
+
+def test_a_name_that_netcdf_cannot_say(some_failed, tmp_path, capsys):
+    assert main(["export", str(some_failed), "--netcdf", str(tmp_path / "a\udcff.nc")]) == 2
+    assert "--netcdf: expected a name in UTF-8" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------------------------------------- names on pages
+
+#: No text of XML: control characters; an escape sequence for terminals; markup; the end of a comment; mathtext.
+NAMES = ("a\x01b", "a\x1b[31mb", "<b>&--a", "a$x_$b", "\u202ea")
+
+
+def test_files_with_any_name_leave_pages_and_figures_that_open(rng, tmp_path, capsys):
+    (tmp_path / "K").mkdir()
+    for name in NAMES:
+        u = rng.uniform(-0.2, 0.2, (20, 20))
+        np.save(tmp_path / "K" / f"{name}.npy", (u - u.T) / 2 + 0.1 * np.eye(20))
+    scene, out = tmp_path / "s.toml", tmp_path / f"runs{NAMES[0]}{NAMES[1]}"
+    source = ensemble(20, 20.0, len(NAMES), COULOMB, title="", analysis="t_burn = 1.0\ndt = 0.5\nresamples = 50")
+    scene.write_text(source.replace('"antisymmetric"', '"file"\npath = "K/*.npy"\nfriction = [0.8, 1.0]'))
+    assert main(["run", str(scene), "--out", str(out), "--workers", "1"]) == 0
+    said = capsys.readouterr().out.replace(str(out), "")
+    assert all(c.isprintable() or c == "\n" for c in said)
+    figures = sorted((out / "report" / "figures").glob("*.svg"))
+    page = (out / "report.html").read_text()
+    inline = re.findall(r"data:image/svg\+xml;base64,([A-Za-z0-9+/=]+)", page)
+    assert len(inline) >= len(figures) > 0
+    drawn = [figure.read_bytes() for figure in figures]
+    for svg in (*drawn, *map(base64.b64decode, inline)):
+        ElementTree.fromstring(svg)
+    assert any(rb"a\x01b" in svg for svg in drawn), "no figure shows a name"
+    assert not set(page) & {c for name in NAMES[:2] for c in name if not c.isprintable()}
+    assert r"a\x01b" in page.partition("</title>")[0]
+    assert len(list((out / "report" / "figures").glob("*.pdf"))) == len(figures)
+    for figure in (out / "report" / "figures").glob("*.pdf"):
+        assert figure.read_bytes().startswith(b"%PDF")
