@@ -29,6 +29,15 @@ def test_the_name_loads_nothing():
     assert not {"numpy", "numba", "scipy", "pandas", "dask"} & loaded_by("import stickslip; stickslip.__version__")
 
 
+def test_another_system_is_refused_in_a_line_when_it_is_imported():
+    """As Windows calls itself; before anything is loaded that is not there."""
+    show = "import os; os.name = 'nt'; import stickslip"
+    done = subprocess.run([sys.executable, "-c", show], cwd=ROOT, capture_output=True, text=True, check=False)
+    line = done.stderr.splitlines()[-1]
+    assert line.startswith("ImportError: stickslip runs on Linux and macOS, not on 'nt'")
+    assert "WSL" in line
+
+
 def test_what_lies_beside_the_modules_is_in_a_wheel():
     """Templates, their style and the scenes; guides lie there for readers of the repository."""
     named = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
