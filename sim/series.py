@@ -199,7 +199,7 @@ def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, sho
     shortest : float64, shape (m,)
         How long what the event takes back must last.
     """
-    while (s[1:] - s[:-1] <= shortest.max(initial=0.0)).any():  # else no two are that close, whose ever they are
+    while True:
         order = series.by_block
         block, mode, at, of = series.block[order], series.mode[order], s[order], piece[order]
         undone = (block[1:] == block[:-1]) & (of[1:] == of[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])

@@ -68,7 +68,7 @@ STEP_H, ATOL, RTOL, TO_TOLERANCE, SIZE = range(5)
 #: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
 #: the time of leaving errs by delta^(-2/3) times as much, and what F errs by, by 1 / a times.
 NEAR_PEAK = 3.0
-#: But a force beyond static friction by this much, or more, takes it past the peak in no more than this over the force.
+#: But a force that is beyond static friction by so much or more takes it past the peak, in this over the force.
 _SWIFT = 1e3
 #: What a step that comes near to a peak may err by, over the peak: more, and it may pass the layer unseen.
 _OF_PEAK = 0.05

@@ -30,9 +30,9 @@ STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
 N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_STILL, N_STILLS, N_COUNTERS = range(9)
-#: Clocks that every engine keeps, float64, from the start of the present piece: the time, and after when a collapse may be certified next, with all blocks
-#: slipping left and (the next clock) right. An engine may keep more behind them. After, not at: a run that was just
-#: asked takes a step before it is asked again, or it would be asked for ever.
+#: Clocks that every engine keeps, float64, from the start of the present piece: the time, and after when a collapse
+#: may be certified next, with all blocks slipping left and (the next clock) right. An engine may keep more behind
+#: them. After, not at: a run that was just asked takes a step before it is asked again, or would be asked for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
 
@@ -256,8 +256,7 @@ def complete(
     z, w = drive.of_user(t, z, w)
     _to_user(drive, task, state, n_placed)
     event_s, event_block, event_mode, stills = Events.joined([*full, events.first(n_events, n_stills)])
-    piece = np.arange(len(of_piece)).repeat(of_piece)
-    event_t = drive.times(piece, event_s)
+    event_t = drive.times(of_piece, event_s)
     order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
     event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
     series = []
@@ -266,11 +265,14 @@ def complete(
         series.append(
             EventSeries(event_t[of], event_block[of] - d * system.n, event_mode[of], modes, task.t_start, t)
         )
-    if shortest is not None:
-        piece, lasting = piece[order], shortest[event_block]
-        if drive.outside is not None:  # it may turn a block round in less time than its own motion takes
-            lasting /= np.hypot(1.0, drive.turns(piece) * lasting / touch)
-        series[0] = without_returns(series[0], piece, event_s[order], lasting)
+    event_s = event_s[order]
+    # else no two are that close, whose ever they are
+    if shortest is not None and (event_s[1:] - event_s[:-1] <= shortest.max()).any():
+        lasting, turns = shortest[event_block], drive.turns(of_piece)[order]
+        if turns.any():  # in less time than the block's own motion takes
+            lasting /= np.hypot(1.0, turns * lasting / touch)
+        piece = np.arange(len(of_piece)).repeat(of_piece)[order]
+        series[0] = without_returns(series[0], piece, event_s, lasting)
     counts = counters.tolist()
     return Run(
         z=z,
@@ -290,6 +292,8 @@ def complete(
 def _hand_over(drive: Drive, task: Task, state: State) -> None:
     """The times of the samples of the present piece, as its clock has them."""
     times, first = task.samples.t, int(state.counters[N_SAMPLED])
+    if first == len(times):
+        return
     last = len(times) if drive.is_last else int(np.searchsorted(times, drive.end, side="right"))
     state.samples.t[first:last] = times[first:last] - drive.start
 

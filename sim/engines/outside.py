@@ -8,8 +8,8 @@ of the piece. With y = z - a s^2 / 2 the belts keep to v, and what the engines f
 f the force from outside: g is a polynomial and harmonics. What friction holds, F = R v + K y + N y' - g, is the same
 in both frames. A piece is cut where y and z would be far apart.
 
-The clock of every engine is s: rounding of a time counts by how far it is from the start of its piece, not from t = 0.
-What is at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no length.
+The clock of every engine is s: a time is rounded by how far it is from the start of its piece, not from t = 0. What
+is at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no length.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
 from stickslip.sim.drive import Harmonic, Piecewise
@@ -199,21 +198,21 @@ class Drive:
         """The time at s of the present piece."""
         return self.end if s >= self.length else min(self.start + s, self.end)
 
-    def times(self, piece: NDArray[np.intp], s: Floats) -> Floats:
-        """The times at s of pieces up to the present one, by their numbers: as `time`."""
-        if len(self._starts) == 1:
+    def times(self, counts: list[int], s: Floats) -> Floats:
+        """The times at s of pieces up to the present one, of which so many come from each: as `time`."""
+        if len(counts) == 1:
             return _times(self.start, self.end, s)
-        return _times(np.array(self._starts)[piece], np.array(self._ends)[piece], s)
+        return _times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
 
-    def turns(self, piece: NDArray[np.intp]) -> Floats:
-        """The rates at which ramps of forces and belts turn blocks round, by pieces as `times` has them.
+    def turns(self, counts: list[int]) -> Floats:
+        """The rates at which ramps of forces and belts turn blocks round, for each of what `times` takes.
 
         Those of harmonics are among `System.rates`.
 
         What changes a block's acceleration by G a unit of time makes of its speed v another one at the rate
         (G / v)^(1/2), and by its end at the latest.
         """
-        return np.array(self._turns)[piece]
+        return np.repeat(self._turns, counts)
 
     def _enter(self, t: float) -> None:
         """The next piece, which begins at a time."""
@@ -267,5 +266,6 @@ class Drive:
 
 def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
     """The times at s of pieces with these bounds, which are the user's to the last bit."""
-    t = np.minimum(start + s, end)
-    return np.where(s >= end - start, end, t)
+    if isinstance(start, float) and start == 0.0:
+        return np.asarray(s)
+    return np.where(s >= end - start, end, np.minimum(start + s, end))

@@ -1,4 +1,6 @@
-"""Late starts and short ramps lose no digits; what happens at a bend of belts and forces happens in every run to it."""
+"""Late starts and short ramps lose no digits; what happens at a bend of belts or forces is in every run to it."""
+
+import itertools
 
 import mpmath
 import numpy as np
@@ -30,7 +32,7 @@ def independent(rng, **drive):
 
 
 def slid(system, z, w, s, pushes):
-    """z and w of blocks apart after a slip of length s, by power series; `pushes` are on each block, as powers of s."""
+    """z and w of blocks apart after a slip of length s, by power series; `pushes` on the blocks, by powers of s."""
     k, r = np.diag(system.stiffness), system.damping
     terms = [z, w]
     for j in range(30):
@@ -44,7 +46,7 @@ def errors(run, z, w, tolerance):
 
 
 def passed(rng, low, high):
-    """A belt that goes from 0.5 to -0.5 or so, and passes every block; the worst error of the state, and of events."""
+    """A belt that goes from 0.5 to -0.5 or so, and passes every block; worst errors of the state and of events."""
     t = ramp(rng, low, high)
     v = rng.uniform(0.45, 0.6), rng.uniform(-0.6, -0.45)
     system = independent(rng, belt_speed=Piecewise(t[1:3], v))
@@ -105,7 +107,7 @@ def smoothed(rng, law, of_belt, low, high):
     ratio = system.static / system.slip_friction[0]
     hidden = hidden_term(ratio) if law != "plain" else np.zeros(N)
     x = np.concatenate([z0, start])
-    for first, last in zip(t[:-1], t[1:], strict=True):
+    for first, last in itertools.pairwise(t):
         length = last - first
         v0, v1 = (system.belt_speed_at(at) for at in (first, last))
         f0, f1 = (system.force_at(at) for at in (first, last))
@@ -208,7 +210,7 @@ def test_a_constant_force_is_a_shift(rng, tol):
 
 
 def carried(rng, n=6, start=0.0):
-    """Blocks on belts that brake and speed up by jerks, some of which throw them off; and their start on the belts."""
+    """Blocks on belts that brake and speed up by jerks, some of which throw them off; their start; the bends."""
     knots = start + np.array([-1.0, 1.0, 1.5, 3.0, 3.2, 4.0, 6.0])
     belt = Piecewise(knots, np.cumsum(rng.choice([-0.6, 0.0, 0.6], (7, n)) * rng.uniform(0.2, 1.0, (7, n)), axis=0))
     force = Piecewise(knots[[0, 2, 4]], rng.uniform(-0.5, 0.5, (3, n)))
