@@ -60,7 +60,7 @@ from stickslip.sim.engines.radau import (
 ) = range(38)  # fmt: skip
 F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(38, 38 + 11 * STAGES, STAGES)
 N_ROWS = 38 + 11 * STAGES
-#: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these. SIZE is the
+#: Numbers that a formula reads, the same for all: weights of a prediction, and in a last row these. SIZE is the
 #: largest |z| at the start.
 STEP_H, ATOL, RTOL, TO_TOLERANCE, SIZE = range(5)
 
