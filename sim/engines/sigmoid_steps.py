@@ -105,8 +105,8 @@ _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
 #: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
 _CALIBRATION = 5.0
 #: Of tolerance: what the leading coefficient of F may change w by in a step, and what the iteration over F may leave,
-#: the second as (_SWEPT / boost)^2 of the boost below. What it leaves has one sign, that of what a prediction errs by:
-#: on a cycle of stick and slip it adds up step by step, and the steps for tight tolerances are many.
+#: as (_SWEPT / boost)^2 of the boost below. What it leaves has one sign, that of what a prediction errs by: on
+#: a cycle of stick and slip it adds up step by step, and the steps for tight tolerances are many.
 _TAIL, _SWEPT = 3.0, 3.0
 #: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
 _AT_ONCE = 0.1
