@@ -50,17 +50,17 @@ from stickslip.sim.engines.radau import (
 #: the friction has its peak STATIC at u = PEAK, HIDDEN is its c, and near it a step may err by FINE of that. It falls
 #: to FAR of FRICTION, by FALL as steeply as it rises; CLOSED is the side to which no block slips, or 0. TAKEN is
 #: LENGTH of a step that will do, else 0. PASSED is by what the error counts more of a step that has passed the layer,
-#: AT_PEAK what one may err by at the peak, over its u. F is known to no more than NOISE, ROUNDING times SIZE.
+#: AT_PEAK what one may err by at the peak, over its u. F is known to no more than NOISE; ROW_SUM is that of |K|.
 #: Z_MACRO and U_MACRO are z and u at the start of the macro step.
 (
     H, U0, Z0, DAMPING, STEEP, FRICTION, BELT, DRAG, TOLERANCE, REACH, DONE, ERROR, SUSPECT, LOW, HIGH,
     LOW_FORCE, HIGH_FORCE, FORCE0, SPEED_BEFORE, FLAGGED, MOVED, TAIL, START, LENGTH, PEAK, HIDDEN, STATIC, FINE,
-    FAR, FALL, CLOSED, TAKEN, PASSED, AT_PEAK, ROUNDING, NOISE, Z_MACRO,
+    FAR, FALL, CLOSED, TAKEN, PASSED, AT_PEAK, ROW_SUM, NOISE, Z_MACRO,
     U_MACRO,
 ) = range(38)  # fmt: skip
 F, U, Z, KEPT_F, KEPT_U, Z_BEFORE, PRODUCT, MEAN_U, G, MOMENT, MOMENT_U = range(38, 38 + 11 * STAGES, STAGES)
 N_ROWS = 38 + 11 * STAGES
-#: Numbers that a formula reads, the same for all blocks: weights of a prediction, and in a last row these. SIZE is the
+#: Numbers that a formula reads, the same for all: weights of a prediction, and in a last row these. SIZE is the
 #: largest |z| at the start.
 STEP_H, ATOL, RTOL, TO_TOLERANCE, SIZE = range(5)
 
@@ -78,6 +78,8 @@ _OF_DISTANCE = 0.1
 _IN, _OUT = 2.0, 10.0
 #: The share of a step's tolerance that Newton's method may leave.
 _SOLVED = 0.05
+#: So many units in the last place of F, and of what K z is a sum of, may be rounding.
+_ROUNDING = 8.0 * 2.0**-52
 #: The next to last coefficient counts by this: by parity the last may vanish.
 _LAST_BUT_ONE = 0.05
 #: The defect at the start counts by this: extrapolated to there from the nodes, it is larger than between them.
@@ -279,7 +281,7 @@ def _predict(rows: Rows, numbers: Numbers) -> None:
     speed = greater(absolute(rows[U0] + rows[BELT]), rows[SPEED_BEFORE])
     tolerance = less(atol + rtol * speed, (atol + rtol * absolute(rows[Z0])) / h)
     rows[TOLERANCE] = tolerance * numbers[STAGES, TO_TOLERANCE]
-    rows[NOISE] = rows[ROUNDING] * numbers[STAGES, SIZE]
+    rows[NOISE] = (rows[ROW_SUM] * numbers[STAGES, SIZE] + absolute(rows[FORCE0])) * _ROUNDING
     f, u, u0 = ([rows[KEPT_F + k] for k in range(STAGES)], [rows[KEPT_U + k] for k in range(STAGES)], rows[U0])
     leads_nowhere = rows[FLAGGED] > 0.5  # the polynomial of a block with steps of its own
     for k in range(STAGES):

@@ -41,7 +41,7 @@ from stickslip.sim.engines.collocation import (
     PEAK,
     PRODUCT,
     REACH,
-    ROUNDING,
+    ROW_SUM,
     SIZE,
     SPEED_BEFORE,
     START,
@@ -104,14 +104,12 @@ from stickslip.sim.weakening import Stribeck
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
 #: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
 _CALIBRATION = 5.0
-#: Of tolerance: what the leading coefficient of F may change w by in a step, and the residual of the iteration over F,
-#: as (_SWEPT / boost)^2 of the boost below. That residual has one sign, of what a prediction errs by: on a cycle of
-#: stick and slip it adds up step by step and cycle by cycle, and the steps for tight tolerances are many.
+#: Of tolerance: what the leading coefficient of F may change w by in a step, and what the iteration over F may leave,
+#: as (_SWEPT / boost)^2 of the boost below. What it leaves has one sign, that of what a prediction errs by: on
+#: a cycle of stick and slip it adds up step by step, and the steps for tight tolerances are many.
 _TAIL, _SWEPT = 3.0, 3.0
 #: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
 _AT_ONCE = 0.1
-#: So many units in the last place of what K z is a sum of may be rounding.
-_ULPS = 8.0
 #: The share of tolerance that K in float32 may cost in w.
 _ROUGH_SHARE = 0.05
 #: A block's own steps have the tolerance _BOOST tol^_POWER: superconvergence makes the error at their end far less
@@ -634,7 +632,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     table[:, BELT, :n], table[:, STATIC, :n], table[:, CLOSED, :n] = v, static, closed
     table[:, PASSED, :n], table[:, AT_PEAK, :n] = _PASSED * boost, _OF_ROOT * np.sqrt(engine.atol + engine.rtol)
     table[:, HIDDEN, :n], table[:, PEAK, :n] = hidden, peak * delta
-    table[:, ROUNDING, :n] = _ULPS * np.finfo(float).eps * np.array([one.row_sums for one in systems])
+    table[:, ROW_SUM, :n] = np.array([one.row_sums for one in systems])
     table[:, FINE, :n] = np.where(peak < np.inf, np.minimum(_FINE * delta ** (2.0 / 3.0), 1.0), 1.0)
     if system.weakening is not None:
         table[:, FALL, :n] = system.weakening.steepness * delta
@@ -713,8 +711,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
                 collapse.watch,
             ),
             collapse,
-            stalled=f"the step fell to rounding (rtol = {engine.rtol:g}, atol = {engine.atol:g}); ask for less"
-            " accuracy, or use engine='coulomb'",
+            stalled=f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
+            " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps",
             events_a_step=PASSES * (n + n_pieces) * len(by_force),
             initial_modes=modes[k].copy(),
             thresholds=engine.thresholds,

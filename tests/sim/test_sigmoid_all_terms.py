@@ -74,7 +74,8 @@ class Drawn:
         """z and w, shape (m, 2n), of times that hold no knot."""
         n, is_exponential = self.n, self.kind == "exponential"
         near = self.static if is_exponential else self.kinetic
-        c = np.array([0.0 if r == 1 else np.roots([4, 12, 12 - 27 * r * r, 4]).real.max() for r in self.static / near])
+        ratio = self.static / near
+        c = np.array([0.0 if r == 1 else np.roots([4, 12, 12 - 27 * r * r, 4]).real.max() for r in ratio])
 
         def rates(t, x):
             z, w = x[:n], x[n:]
