@@ -115,7 +115,7 @@ class System:
         if _is_sparse(stiffness):
             from scipy.sparse import csc_array
 
-            matrix = csc_array(stiffness)
+            matrix = csc_array(stiffness, copy=True)  # its entries are sorted in place
             matrix = csc_array(
                 (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
             )

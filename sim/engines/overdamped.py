@@ -150,7 +150,7 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
         slips = mode[i] != 0
         expansion.slips[i] = 1.0 if slips else 0.0
         touching[i] = touching[i] or zeros[i] > 0  # so that `expand` decides the same
-        is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # of which `_stays` says whether they are
+        is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # see `_stays`
         force = law.damping[i] * w[i] + forces[0, i] + law.friction[i] * mode[i]
         moves[i] = slips and (w[i] != 0.0 or force != 0.0)
     least, rate = _pace(slow)
