@@ -18,6 +18,14 @@ def layouts(k):
     yield k.tolist()
 
 
+def test_sums_do_not_depend_on_the_layout(rng):
+    for n in rng.integers(20, 200, 10):
+        k = rng.normal(size=(n, n))
+        first = System(k, 1.0).row_sums
+        for other in layouts(k):
+            assert System(other, 1.0).row_sums.tobytes() == first.tobytes()
+
+
 @pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
 def test_the_layout_of_arrays_does_not_show(engine, rng):
     for n in (3, 8, 30):
