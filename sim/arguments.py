@@ -15,13 +15,16 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 def floats(name: str, value: ArrayLike, expected: str) -> Floats:
-    """A new float64 array; TypeError for what holds no real numbers."""
+    """A new float64 array in C order; TypeError for what holds no real numbers, or masks some."""
+    parts = value if isinstance(value, list | tuple) else (value,)
+    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+        raise TypeError(f"{name}: expected {expected}, got a masked array; fill it, or leave out what is masked")
     try:
         array = np.asarray(value)
         kind = array.dtype
         if kind != np.float64 and (kind == np.bool_ or not np.can_cast(kind, np.float64, casting="same_kind")):
             raise TypeError(f"numbers of type {kind}")
-        return np.array(array, dtype=np.float64)
+        return np.array(array, dtype=np.float64, order="C")  # sums round by the order of entries
     except (TypeError, ValueError) as error:
         raise TypeError(f"{name}: expected {expected}, got {reprlib.repr(value)} ({error})") from error
 

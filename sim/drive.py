@@ -184,7 +184,9 @@ def forces(force: Force, n: int) -> tuple[Term, ...]:
 
 
 def by_block(name: str, term: AnyTerm, n: int) -> AnyTerm:
-    """The same, one for each of n blocks: rows of shape (n,)."""
+    """The same, one for each of n blocks: rows of shape (n,); TypeError for a subclass, whose course is not known."""
+    if type(term) not in (Harmonic, Piecewise):
+        raise TypeError(f"{name}: expected Harmonic or Piecewise itself, got its subclass {type(term).__name__}")
     if isinstance(term, Harmonic):
         return Harmonic(
             *(per_block(f"{name}: {part}", getattr(term, part), n) for part in ("amplitude", "frequency", "phase"))

@@ -10,11 +10,15 @@ shape(0) = 1 to 0. A law is a subclass of `Weakening`, and its shape in the engi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from stickslip.sim.arguments import Floats, number
+
+Known = TypeVar("Known")
 
 
 class Weakening(ABC):
@@ -89,6 +93,14 @@ class Stribeck(Weakening):
 
     def shape(self, x: Floats) -> Floats:
         return np.asarray(np.exp(-x))
+
+
+def registered(laws: Mapping[type[Weakening], Known], weakening: Weakening, engine: str) -> Known:
+    """What an engine has registered for a law; TypeError if that is nothing, as for a subclass."""
+    if type(weakening) not in laws:
+        known = " or ".join(law.__name__ for law in laws)
+        raise TypeError(f"weakening: expected {known}, all that engine={engine!r} knows, got {weakening!r}")
+    return laws[type(weakening)]
 
 
 def require_static(law: type, static: object) -> None:

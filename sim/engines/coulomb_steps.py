@@ -407,8 +407,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
     slow = Slow.of(system, drive.fastest) if law.fall is None else None
-    if slow is None and rate * (task.t_end - task.t_start) > SPAN * _MANY:
-        _warn_of_short_steps(task)
+    _warn_of_short_steps(task, rate if slow is None else slow.rate)
     is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
@@ -440,14 +439,14 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     )
 
 
-def _warn_of_short_steps(task: Task) -> None:
-    """RuntimeWarning if damping makes a run as long as few would wait for."""
-    most = float(task.system.damping.max())
-    n_steps = most * (task.t_end - task.t_start) / SPAN
+def _warn_of_short_steps(task: Task, rate: float) -> None:
+    """RuntimeWarning if blocks that move at this rate throughout make a run as long as few would wait for."""
+    n_steps = rate * (task.t_end - task.t_start) / SPAN
     if n_steps > _MANY:
+        fastest = f"damping up to {task.system.damping.max():g}, stiffness up to {task.system.row_sums.max():g} a row"
         warnings.warn(
-            f"damping: R = {most:g} allows steps of {SPAN / most:.0e}, {n_steps:.0e} of them to t = {task.t_end:g}: a"
-            " minute or more for each 1e8; engine='sigmoid' takes long ones",
+            f"system: {fastest} allow steps of {SPAN / rate:.0e} while blocks slip, {n_steps:.0e} of them to"
+            f" t = {task.t_end:g}: a minute or more for each 1e8; engine='sigmoid' takes long ones under damping",
             RuntimeWarning,
             stacklevel=2,
         )

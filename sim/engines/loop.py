@@ -21,7 +21,7 @@ from stickslip.sim.engines.products import Pairs
 from stickslip.sim.run import IntegrationError, Outcome, Run, Stats, Stills
 from stickslip.sim.series import EventSeries, without_returns
 from stickslip.sim.system import Columns, System
-from stickslip.sim.weakening import Stribeck
+from stickslip.sim.weakening import Rational, Stribeck, Weakening, registered
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -42,6 +42,10 @@ class Fall(NamedTuple):
     far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
     steepness: float
     is_exponential: bool
+
+
+#: The laws of weakening whose series the exact engine knows.
+_IS_EXPONENTIAL: dict[type[Weakening], bool] = {Rational: False, Stribeck: True}
 
 
 class Law(NamedTuple):
@@ -67,7 +71,7 @@ class Law(NamedTuple):
         fall, weakening = None, system.weakening
         if weakening is not None:
             share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            fall = Fall(share, weakening.steepness, isinstance(weakening, Stribeck))
+            fall = Fall(share, weakening.steepness, registered(_IS_EXPONENTIAL, weakening, "coulomb"))
         return cls(
             system.columns,
             pairs,

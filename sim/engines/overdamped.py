@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.arithmetic import copy, largest
+from stickslip.sim.arguments import Floats
+from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.outside import begin, may_change, take_off
 from stickslip.sim.engines.products import one_product
-from stickslip.sim.engines.sticking import settle
+from stickslip.sim.engines.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.taylor import ORDER_MAX, ORDER_MIN, SPAN
 from stickslip.sim.system import System
 
@@ -41,27 +42,49 @@ _LEFT, _NEXT, _PATIENCE_MAX = 0, 1, 64
 class Slow(NamedTuple):
     """What it takes to follow heavily damped blocks."""
 
-    least: float  #: the damping from which on they are
-    rate: float  #: of all else, and of their slow motion
+    damping: Floats
+    pull: Floats  #: row sums of |K|
+    fastest: float  #: the largest frequency of a force
+    most: float  #: the largest damping
+    rate: float  #: of the motion that is left if all blocks move
+    moves: NDArray[np.bool_]  #: which blocks do now
     patience: NDArray[np.int64]
 
     @classmethod
     def of(cls, system: System, fastest: float) -> Slow | None:
         """None if there are no such blocks; `fastest` is the largest frequency of a force."""
-        damping, pull = system.damping, system.row_sums
-        slowest = _HEAVY * max(math.sqrt(pull.max()), fastest)
-        if not damping.max() > slowest:
+        damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
+        most = float(damping.max())
+        if not (damping > _HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
             return None
-        for least in np.unique(damping[damping > slowest]).tolist():
-            light = np.where(damping < least, np.abs(damping), 0.0) + np.sqrt(pull)
-            if least >= _HEAVY * max(float(light.max()), fastest):
-                own = np.where(damping < least, light, pull / np.maximum(damping, least))
-                return cls(least, max(float(own.max()), fastest), np.array([0, 1]))
-        return None
+        slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, np.array([0, 1]))
+        _, rate = _pace_of(slow)
+        return slow._replace(rate=rate)
+
+
+def _pace_of(slow):  # type: ignore[no-untyped-def]
+    """The damping from which on blocks are heavily damped, while some move, and the rate of the motion that is left.
+
+    Heavy is what is far above that rate, to which all belong that are not heavy: it is found from below.
+    """
+    damping, pull, least = slow.damping, slow.pull, _HEAVY * slow.fastest
+    while True:
+        rate = slow.fastest
+        for i in range(len(damping)):
+            if slow.moves[i]:
+                own = math.sqrt(pull[i])
+                is_heavy = damping[i] >= least and damping[i] > _HEAVY * own
+                rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
+        if _HEAVY * rate <= least:
+            return least, rate
+        least = _HEAVY * rate
+
+
+_pace = inner(_pace_of)
 
 
 @inner
-def _sweep(law, expansion, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+def _sweep(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
     """The series of all blocks anew, from what heavily damped ones have of the sweep before.
 
     Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
@@ -83,12 +106,27 @@ def _sweep(law, expansion, least, t, h, rate, allowed):  # type: ignore[no-untyp
                 series[k + 1, i] = w / (k + 1)
         term = power * (k + 1) * largest(series[k + 1])
         if pushed > 0.0:  # as in `expand`: where it moves a block, and where friction holds it
-            term = max(term, power * pushed * max(h / (k + 1), 1.0 / (h * rate * rate)))
+            term = max(term, power * pushed * max(h / (k + 1), 1.0 / (h * slow.rate * slow.rate)))
         n_small = n_small + 1 if term <= allowed else 0  # two in a row, since one can vanish by chance
         if n_small >= 2 and k + 1 >= max(ORDER_MIN, rate * h):
             return k + 1, change
         power *= h
     return 0, change
+
+
+@inner
+def _stays(law, expansion, moves, order):  # type: ignore[no-untyped-def]
+    """Whether by their series blocks that rest stay at rest, and those with |F| = m stay there."""
+    series, forces, zeros = expansion.series, expansion.forces, expansion.zeros
+    for k in range(1, order - 1):
+        c_max = largest(series[k])
+        for i in range(len(zeros)):
+            noise = ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i))
+            if zeros[i] == IDENTICALLY_ZERO and abs(forces[k, i]) > noise:
+                return False
+            if not moves[i] and series[k + 1, i] != 0.0:
+                return False
+    return True
 
 
 @inner
@@ -106,15 +144,22 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
     one_product(law.columns, z, forces[0], law.pairs.columns)
     begin(outside, t)
     take_off(outside, t, 0, forces[0])
-    is_free = settle(law, largest(z), expansion) == 0
+    settle(law, largest(z), expansion)
+    is_free, moves = True, slow.moves
     for i in range(n):
-        expansion.slips[i] = 1.0 if mode[i] != 0 else 0.0
+        slips = mode[i] != 0
+        expansion.slips[i] = 1.0 if slips else 0.0
         touching[i] = touching[i] or zeros[i] > 0  # so that `expand` decides the same
-        is_free = is_free and zeros[i] == 0
+        is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # see `_stays`
+        force = law.damping[i] * w[i] + forces[0, i] + law.friction[i] * mode[i]
+        moves[i] = slips and (w[i] != 0.0 or force != 0.0)
+    least, rate = _pace(slow)
+    if slow.most < least:  # short steps cost no more
+        return (*failed, n_products)
     if not is_free or patience[_LEFT] > 0:
         patience[_LEFT] = max(patience[_LEFT] - 1, 0)
         return (*failed, n_products)
-    h = min(target, SPAN / slow.rate) if slow.rate > 0.0 else target
+    h = min(target, SPAN / rate) if rate > 0.0 else target
     for k in range(2, ORDER_MAX + 1):
         for i in range(n):
             series[k, i] = 0.0
@@ -125,7 +170,7 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
     allowed = max(allowed, tol * h * may_change(outside, t, h) / (1.0 + h * largest(law.damping)))
     n_shorter = 0
     for _ in range(_SWEEPS):
-        order, change = _sweep(law, expansion, slow.least, t, h, slow.rate, allowed)
+        order, change = _sweep(law, expansion, slow, least, t, h, rate, allowed)
         n_products += order if order > 0 else ORDER_MAX - 1
         allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
         transient = 0.0
@@ -137,6 +182,8 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
             h *= _SHORTER
             n_shorter += 1
         elif change <= _SETTLED * allowed:
+            if not _stays(law, expansion, moves, order):
+                break
             patience[_NEXT] = 1
             return order, h, allowed, n_products
     patience[_LEFT] = patience[_NEXT]

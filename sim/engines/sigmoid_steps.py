@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim import weakening
 from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.arithmetic import copy, largest
@@ -98,7 +99,6 @@ from stickslip.sim.engines.watch import too_far
 from stickslip.sim.run import Run
 from stickslip.sim.system import System
 from stickslip.sim.theory.laws import hidden_term, turning_point
-from stickslip.sim.weakening import Stribeck
 
 #: The most sweeps over F, Newton's iterations of a macro step in the first sweep, and of a step of a block's own.
 _SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
@@ -130,6 +130,11 @@ _SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
 _FAR_BELOW = 1e-2
 #: Of friction: by how much F jumps where a belt's speed begins to change by another rate, if it is no rounding.
 _JUMP = 1e-9
+#: The laws of weakening whose shapes the engine knows.
+_SHAPES: dict[type[weakening.Weakening], type[Rational] | type[Exponential]] = {
+    weakening.Rational: Rational,
+    weakening.Stribeck: Exponential,
+}
 
 # behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change,
 # and whether F has jumped since the last step
@@ -745,7 +750,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     friction, falls = system.slip_friction[0], system.weakening
     law: NamedTuple = Peaked() if system.is_static_above else Plain()
     if falls is not None:
-        law = Exponential() if isinstance(falls, Stribeck) else Rational()
+        law = weakening.registered(_SHAPES, falls, "sigmoid")()
     elif not system.back_slip:
         law = Steady()
     if not system.back_slip and (friction[system.closed != 0] == 0).any():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, System, simulate
 from stickslip.sim.engines import coulomb_steps
@@ -107,7 +108,54 @@ def test_a_block_with_damping_without_end_is_a_wall(rng):
     assert run.stats.n_steps < 2000
 
 
+def beside(rng, damping):
+    """Blocks that hinder nobody from slow motion: without friction and at rest, and fast ones that stick."""
+    n = int(rng.integers(1, 4))
+    is_idle = rng.random(n) < 0.5
+    stiffness = np.where(is_idle, rng.choice([0.0, 1.0], n), (damping * 10 ** rng.uniform(-1, 1, n)) ** 2)
+    return stiffness, rng.uniform(0, 2, n), np.where(is_idle, 0.0, rng.uniform(0.5, 2, n))
+
+
+def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
+    """Beside a heavily damped one in closed form; coupled or not, v = 0, and the first stays on its side."""
+    for _ in range(30):
+        damping = 10 ** rng.uniform(3, 8)
+        stiffness, light, friction = beside(rng, damping)
+        rest = np.zeros(len(light))
+        z0, w0 = rng.uniform(-10, -2), rng.uniform(0.1, 3)
+        k = np.diag([0.7, *stiffness])
+        if rng.random() < 0.5:  # what sticks is pulled by less than its friction
+            k[1:, 0] = np.where(friction > 0, 0.04 * rng.uniform(-1, 1, len(light)), 0.0)
+        order = rng.permutation(len(k))
+        system = System(k[np.ix_(order, order)], np.r_[damping, light][order], np.r_[0.4, friction][order], 0.0)
+        t_end = 10 ** rng.uniform(0, 0.1)
+        run = simulate(system, np.r_[z0, rest][order], np.r_[w0, rest][order], t_end, tol=1e-12, stop_early=False)
+        z, w = slipping(damping, 0.7, 0.4, z0, w0, t_end)
+        first = order == 0
+        assert abs(run.z[first][0] - z) < 1e-10
+        assert abs(run.w[first][0] - w) < 1e-10
+        assert not run.z[~first].any()
+        assert run.stats.n_steps < 200
+
+
+def test_heavy_blocks_beside_light_ones_against_the_matrix_exponential(rng):
+    """No friction, any coupling: x(t) = exp(A t) x(0)."""
+    for _ in range(20):
+        n = int(rng.integers(2, 6))
+        coupling = rng.choice([0.0, 0.1]) * rng.normal(size=(n, n))
+        stiffness = np.diag(10 ** rng.uniform(-1, 3, n)) + coupling
+        damping = np.where(rng.random(n) < 0.5, 10 ** rng.uniform(3, 5, n), rng.uniform(0, 1, n))
+        x0 = rng.normal(size=2 * n) * np.where(rng.random(n) < 0.3, 0.0, 1.0).repeat(2).reshape(n, 2).T.ravel()
+        system = System(stiffness, damping, 0.0, float(rng.choice([0.0, -5.0])))
+        run = simulate(system, x0[:n], x0[n:], 1.0, tol=1e-12, stop_early=False)
+        matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -np.diag(damping)]])
+        expected = expm(matrix) @ x0
+        np.testing.assert_allclose(np.r_[run.z, run.w], expected, rtol=0, atol=1e-8 * (1 + np.abs(x0).max()))
+
+
 def test_a_run_that_short_steps_make_long_says_so(monkeypatch):
+    """Also where heavily damped blocks are there, which are followed on their slow motion."""
     monkeypatch.setattr(coulomb_steps, "_MANY", 1e3)
-    with pytest.warns(RuntimeWarning, match=r"damping: R = 30 allows steps of 2e-01, 3e\+03 of them to t = 500"):
-        simulate(System([[1.0]], 30.0, belt_speed=-1.0), 0.0, 0.0, 500.0)
+    for stiffness, damping in (([1.0], 30.0), ([1.0, 900.0], [1e7, 0.1])):
+        with pytest.warns(RuntimeWarning, match=r"allow steps of 2e-01 while blocks slip, 3e\+03 of them to t = 500"):
+            simulate(System(np.diag(stiffness), damping, belt_speed=-1.0), 0.0, 0.0, 500.0)

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
+from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
 from stickslip.sim.energy import energy
 from stickslip.sim.engines import ENGINES, friction
 from stickslip.sim.engines.lanes import on_number
 from stickslip.sim.theory import folds
+from stickslip.sim.weakening import Weakening
 
 # the system
 
@@ -367,3 +368,51 @@ def test_the_law_and_its_slope():
             np.testing.assert_allclose(
                 np.array([apply(one)[1] for one in x])[smooth], np.array(slope)[smooth], atol=1e-6
             )
+
+
+# what engines do not know
+
+
+class Root(Weakening):
+    """mu / (1 + |u|)^(1/2)."""
+
+    steepness = 1.0
+
+    def ends(self, friction, static):
+        return friction, 0 * friction
+
+    def shape(self, x):
+        return 1 / np.sqrt(1 + x)
+
+
+class Steeper(Rational):
+    """A law that is known, with another shape."""
+
+    def shape(self, x):
+        return 1 / (1 + x) ** 2
+
+
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+@pytest.mark.parametrize("law", [Root(), Steeper(1.0)])
+def test_an_engine_refuses_a_law_that_it_does_not_know(engine, law):
+    with pytest.raises(
+        TypeError, match=f"^weakening: expected Rational or Stribeck, all that engine='{engine}' knows"
+    ):
+        simulate(System([[1.0]], 0.1, weakening=law), 0.0, 0.0, 1.0, engine=engine)
+
+
+def test_terms_of_another_course_are_refused():
+    class Chirp(Harmonic):
+        def at(self, times):
+            return np.cos(np.square(times))
+
+    class Smooth(Piecewise):
+        pass
+
+    for name, given in (
+        ("force", Chirp(1.0, 1.0)),
+        ("force", Smooth([0, 1], [0, 1])),
+        ("belt_speed", Smooth([0, 1], [1, 2])),
+    ):
+        with pytest.raises(TypeError, match=f"^{name}: expected Harmonic or Piecewise itself, got its subclass"):
+            System([[1.0]], 0.1, **{name: given})
