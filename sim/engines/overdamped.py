@@ -62,7 +62,7 @@ class Slow(NamedTuple):
         return slow._replace(rate=rate)
 
 
-def _pace_of(slow):  # type: ignore[no-untyped-def]
+def _pace_of(slow: Slow) -> tuple[float, float]:
     """The damping from which on blocks are heavily damped, while some move, and the rate of the motion that is left.
 
     Heavy is what is far above that rate, to which all belong that are not heavy: it is found from below.
