@@ -6,14 +6,15 @@ import argparse
 import sys
 import time
 from collections import Counter
-from itertools import count
+from itertools import count, product
 
 import numpy as np
 
 from tests import fuzz
 from tests.fuzz.draw import TERMS, Trial, draw
 from tests.fuzz.judge import LIMIT, Verdict
-from tests.fuzz.workers import verdicts, within_limits
+from tests.fuzz.relations import RELATIONS, setup_of
+from tests.fuzz.workers import JUDGES, verdicts, within_limits
 
 
 class _Table:
@@ -39,8 +40,29 @@ class _Table:
         return "\n".join(lines)
 
 
+class _Relations:
+    """By family and engine: checks, what came of them, the worst ratio of those that hold."""
+
+    def __init__(self) -> None:
+        self._kinds: dict[tuple[str, str], Counter[str]] = {pair: Counter() for pair in product(RELATIONS, LIMIT)}
+        self._worst: Counter[tuple[str, str]] = Counter()
+
+    def add(self, engine: str, verdict: Verdict) -> None:
+        for family, kind, ratio in verdict.relations:
+            self._kinds[family, engine][kind] += 1
+            if kind != "differs":
+                self._worst[family, engine] = max(self._worst[family, engine], ratio)
+
+    def __str__(self) -> str:
+        lines = [f"{'relation':12} {'engine':8} checks   worst of those that hold; what came of them"]
+        for (family, engine), kinds in self._kinds.items():
+            words = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
+            lines.append(f"{family:12} {engine:8} {kinds.total():6} {self._worst[family, engine]:12.3g}   {words}")
+        return "\n".join(lines)
+
+
 def main(argv: list[str] | None = None) -> int:
-    """0 if the exact engine was right throughout."""
+    """0 if the exact engine was right throughout, and every relation held."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.fuzz", description=fuzz.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -49,29 +71,37 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--case", type=int, default=None, help="only this one, shown")
     parser.add_argument("--terms", nargs="+", choices=(*TERMS, "none"), default=TERMS, metavar="TERM",
                         help=f"what to draw beside eq. (10): {', '.join(TERMS)}; none; all if left out")  # fmt: skip
+    parser.add_argument("--against", nargs="+", choices=JUDGES, default=list(JUDGES), metavar="JUDGE",
+                        help=f"what to hold cases against: {', '.join(JUDGES)}; in turn, if left out")  # fmt: skip
     arguments = parser.parse_args(argv)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
     if arguments.case is not None:
         print(draw(seed, arguments.case, arguments.terms).words())
+        print(setup_of(seed, arguments.case, arguments.terms))
     numbers = count() if arguments.case is None else [arguments.case]
-    cases = ((seed, number, arguments.terms) for number in numbers)
-    table, n_wrong, n_cases = _Table(), 0, 0
+    cases = ((seed, number, arguments.terms, against) for number in numbers for against in arguments.against)
+    table, relations, n_wrong, n_cases = _Table(), _Relations(), 0, 0
     start = told = time.monotonic()
     for case, verdict in verdicts(within_limits, cases, start + 60 * arguments.minutes):
-        trial = draw(*case)
-        table.add(trial, verdict)
+        *drawn, against = case
+        trial = draw(*drawn)
+        if against == "reference":
+            table.add(trial, verdict)
+        else:
+            relations.add(trial.engine, verdict)
         n_cases += 1
-        n_wrong += bool(verdict.failures) and trial.engine == "coulomb"
+        n_wrong += bool(verdict.failures) and (trial.engine == "coulomb" or against == "relations")
         if verdict.failures:
-            print(f"--seed {seed} --case {trial.number}: {trial.engine}, {trial.family}, n = {trial.case.n}")
+            repeat = f"--seed {seed} --case {trial.number} --against {against}"
+            print(f"{repeat}: {trial.engine}, {trial.family}, n = {trial.case.n}")
             print("".join(f"    {words}\n" for words in verdict.failures), end="", flush=True)
         if time.monotonic() > told + 60:
             told = time.monotonic()
-            print(f"{(told - start) / 60:.0f} min\n{table}", flush=True)
+            print(f"{(told - start) / 60:.0f} min\n{table}\n{relations}", flush=True)
     taken = time.monotonic() - start
     beyond = ", ".join(f"{limit:g} ({engine})" for engine, limit in LIMIT.items())
-    print(f"\n{table}\n{n_cases} cases in {taken:.0f} s; seed {seed}; a run is wrong beyond {beyond}")
+    print(f"\n{table}\n{relations}\n{n_cases} cases in {taken:.0f} s; seed {seed}; a run is wrong beyond {beyond}")
     return 1 if n_wrong else 0
 
 

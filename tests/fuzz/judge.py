@@ -42,11 +42,15 @@ class Endless(RuntimeError):
 
 @dataclass
 class Verdict:
-    """What came of a case: the worst error over what is allowed, what failed, what could not be judged."""
+    """What came of a case: the worst error over what is allowed, what failed, what could not be judged.
+
+    Of relations between runs: (family, what came of it, ratio) each.
+    """
 
     worst: float = 0.0
     failures: list[str] = field(default_factory=list)
     notes: Counter[str] = field(default_factory=Counter)
+    relations: list[tuple[str, str, float]] = field(default_factory=list)
 
     def fail(self, how: str, what: str) -> None:
         self.failures.append(f"{how}: {what}")

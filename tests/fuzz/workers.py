@@ -14,21 +14,29 @@ from typing import Any
 from stickslip.pipeline.processes import Child, ChildDied
 from tests.fuzz.draw import TERMS, draw
 from tests.fuzz.judge import Verdict, judge
+from tests.fuzz.relations import judge_relations
 
 _WORK = 120.0  # seconds of its own time that a case may take before its process is killed
 PATIENCE = 15 * _WORK  # seconds by the clock, for one that hangs; a busy machine stops no case
 _MEMORY = 4 << 30  # bytes of address space beyond what the process has
 
 
-def judge_case(seed: int, number: int, terms: Collection[str] = TERMS) -> Verdict:
+#: What cases are held against: an independent engine, or other runs.
+JUDGES: dict[str, Callable[[int, int, Collection[str]], Verdict]] = {
+    "reference": lambda seed, number, terms: judge(draw(seed, number, terms)),
+    "relations": judge_relations,
+}
+
+
+def judge_case(seed: int, number: int, terms: Collection[str] = TERMS, against: str = "reference") -> Verdict:
     """Of one case; the run goes on if the fuzz itself fails."""
     try:
-        return judge(draw(seed, number, terms))
+        return JUDGES[against](seed, number, terms)
     except Exception as error:  # noqa: BLE001  reported as a failure of the case
         return Verdict(failures=[f"the fuzz itself: {type(error).__name__}: {error}"])
 
 
-def within_limits(case: tuple[int, int, Collection[str]]) -> Verdict:
+def within_limits(case: tuple[int, int, Collection[str]] | tuple[int, int, Collection[str], str]) -> Verdict:
     """`judge_case`, in a process that is killed for it if need be."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (size + _MEMORY, resource.RLIM_INFINITY))

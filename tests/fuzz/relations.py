@@ -1,0 +1,531 @@
+"""Relations between runs that need no reference: what the equations leave unchanged, engines leave unchanged.
+
+A family gives, of a setup, others whose runs tell the same motion, and how to read them back. Runs of the setup with
+start and constants changed a little measure how far the tolerance moves the motion; where they disagree on a series,
+or a stretch is a touch, `tests.fuzz.series.compare` says so, and it is counted. Some relations hold to the byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+
+from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
+from tests.fuzz.draw import TERMS, Rng, draw
+from tests.fuzz.judge import Endless, Verdict, made, patience
+from tests.fuzz.series import by_block, compare
+from tests.independent import Floats
+
+#: Difference over tol times sensitivity beyond which a relation is broken, by engine: two runs may err each way.
+LIMIT = {"coulomb": 200.0, "sigmoid": 2000.0}
+_CHANGED = 3  # runs with changed start and constants
+_LOST = 1e-3  # of the size of the state: where the tolerance moves it by more, nothing is compared
+_PATIENCE = 20.0  # seconds of this process for all runs of one setup
+_EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What `simulate` is called with."""
+
+    system: System
+    z: Floats
+    w: Floats
+    t_start: float
+    t_end: float
+    engine: str
+    settings: dict[str, Any] = field(default_factory=dict)
+    times: Floats = field(default_factory=lambda: np.empty(0))
+    modes: NDArray[np.int8] | None = None
+
+    def run(self) -> Run:
+        return simulate(
+            self.system, self.z, self.w, self.t_end, t_start=self.t_start, t_eval=self.times, engine=self.engine,
+            modes=self.modes, **self.settings,
+        )  # fmt: skip
+
+    def changed(self, **arguments: Any) -> Setup:
+        return replace(self, system=self.system.changed(**arguments))
+
+    @property
+    def tol(self) -> float:
+        return float(self.settings["tol" if self.engine == "coulomb" else "rtol"])
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a run says: its events, z and w (m, n) at the samples and, unless it diverged, its end, and its modes there."""
+
+    t: Floats
+    block: NDArray[np.int32]
+    mode: NDArray[np.int8]
+    initial: NDArray[np.int8]
+    z: Floats
+    w: Floats
+    last: NDArray[np.int8]
+    t_end: float
+    outcome: str
+
+    @classmethod
+    def of(cls, run: Run) -> Told:
+        e, s = run.events, run.samples
+        z, w = s.z, s.w
+        if run.outcome != "diverged":
+            z, w = np.vstack([z, run.z]), np.vstack([w, run.w])
+        return cls(e.t, e.block, e.mode, e.initial_mode, z, w, e.mode_at(e.t_end), run.t_end, run.outcome)
+
+    def is_same(self, other: Told) -> bool:
+        """To the byte; minus zero is zero."""
+        names = ("t", "block", "mode", "initial", "z", "w")
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+
+@dataclass(frozen=True)
+class Image:
+    """A setup that moves alike, how its run is read back, and up to when (None: the end)."""
+
+    setup: Setup
+    back: Callable[[Told], Told] = lambda told: told
+    until: float | None = None
+    is_event: bool = False  # ends at an event, which rounding may put behind the end
+    to_the_byte: bool = False
+    how: str = ""
+    late: float = 0.0  # the largest time of it: what rounding leaves of a time
+
+
+def _relabelled(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """The blocks in another order."""
+    order = rng.permutation(setup.system.n)
+    there = np.argsort(order)
+    s = setup.system
+    damping = s.damping[order] if s.cross_damping is None else _full(s)[np.ix_(order, order)]
+    k = s.stiffness[order][:, order]
+    system = s.changed(
+        stiffness=k, damping=damping, mass=s.mass[order], belt_speed=_of_belt(s, lambda v: v[..., order]),
+        force=_of_force(s, lambda f: f[..., order], lambda x: x[..., order]), **_frictions(s, lambda mu: mu[order]),
+    )  # fmt: skip
+    object.__setattr__(system, "closed", s.closed[order])
+    settings = dict(setup.settings)
+    if np.ndim(settings.get("ratio", 1.0)):
+        settings["ratio"] = np.asarray(settings["ratio"])[order]
+
+    def back(told: Told) -> Told:
+        return replace(
+            told, block=order[told.block].astype(np.int32), initial=told.initial[there], last=told.last[there],
+            z=told.z[:, there], w=told.w[:, there],
+        )  # fmt: skip
+
+    yield Image(replace(setup, system=system, z=setup.z[order], w=setup.w[order], settings=settings), back)
+
+
+def _mirrored(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """Left for right, to the byte."""
+    s = setup.system
+    other = s.changed(belt_speed=_of_belt(s, np.negative), force=_of_force(s, np.negative))
+    object.__setattr__(other, "closed", -s.closed)
+
+    def back(told: Told) -> Told:
+        return replace(told, mode=-told.mode, initial=-told.initial, last=-told.last, z=-told.z, w=-told.w)
+
+    yield Image(replace(setup, system=other, z=-setup.z, w=-setup.w), back, to_the_byte=True)
+
+
+def _moved(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """Another origin of z, by a force K c; in quarters, so that whole numbers stay exact."""
+    c = rng.integers(-8, 9, setup.system.n) / 4
+    force = [*setup.system.force, setup.system.stiffness @ c]
+    yield Image(replace(setup.changed(force=force), z=setup.z + c), lambda told: replace(told, z=told.z - c))
+
+
+def _scaled(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """All lengths, speeds and forces times a power of two."""
+    s, a = setup.system, float(2.0 ** rng.integers(-3, 4))
+    weakening = s.weakening and replace(
+        s.weakening, **{name: value * (1 / a if name == "rate" else a) for name, value in vars(s.weakening).items()}
+    )
+    settings = {name: value * a if name in ("eps", "atol") else value for name, value in setup.settings.items()}
+    if setup.settings.get("eps", 0.0) * a > 0.3:
+        return
+    system = s.changed(
+        belt_speed=_of_belt(s, lambda v: v * a), force=_of_force(s, lambda f: f * a), weakening=weakening,
+        **_frictions(s, lambda mu: mu * a),
+    )  # fmt: skip
+    back = _lengths(1 / a, 1 / a)
+    is_exact = setup.engine == "coulomb"
+    if is_exact or setup.settings.get("stick") == "threshold":  # ln(1 / delta) knows of a unit
+        other = replace(setup, system=system, z=setup.z * a, w=setup.w * a, settings=settings)
+        yield Image(other, back, to_the_byte=is_exact)
+
+
+def _sped(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """All rates times a power of two: of the masses, its square less."""
+    s, a = setup.system, float(2.0 ** rng.choice([-2, -1, 1, 2]))
+    if setup.engine == "sigmoid" and (setup.settings.get("stick") != "threshold" or setup.settings["eps"] * a > 0.3):
+        return
+    weakening = s.weakening and replace(
+        s.weakening, **{name: value * (1 / a if name == "rate" else a) for name, value in vars(s.weakening).items()}
+    )
+    belt = s.belt_speed
+    belt = Piecewise(belt.times / a, belt.values * a) if isinstance(belt, Piecewise) else belt * a
+    system = s.changed(
+        mass=s.mass / a**2, damping=_full(s) / a if s.cross_damping is not None else s.damping / a, belt_speed=belt,
+        weakening=weakening,
+        force=[
+            Harmonic(f.amplitude, f.frequency * a, f.phase)
+            if isinstance(f, Harmonic)
+            else Piecewise(f.times / a, f.values)
+            for f in s.force
+        ],
+    )  # fmt: skip
+    settings = {name: value * a if name == "eps" else value for name, value in setup.settings.items()}
+    ends = dict(t_start=setup.t_start / a, t_end=setup.t_end / a, times=setup.times / a)
+
+    def back(told: Told) -> Told:
+        return replace(told, t=told.t * a, w=told.w / a, t_end=told.t_end * a)
+
+    yield Image(replace(setup, system=system, w=setup.w * a, settings=settings, **ends), back)
+
+
+def _framed(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """Seen from a frame of constant speed u: y = z - u (t - t0); f - C u - K u (t - t0) is the force there."""
+    s = setup.system
+    u = rng.integers(1, 5) / 4 * rng.choice([-1.0, 1.0])
+    t0, t1 = setup.t_start, setup.t_end
+    ones = np.full(s.n, u)
+    pull = s.stiffness @ ones
+    steady = s.damping * ones if s.cross_damping is None else _full(s) @ ones
+    other = s.changed(
+        belt_speed=_of_belt(s, lambda v: v - u),
+        force=[*s.force, -steady, *([Piecewise([t0, t1], [0 * pull, -pull * (t1 - t0)])] if t1 > t0 else [])],
+    )
+    since = np.append(setup.times, t1)[:, None] - t0
+
+    def back(told: Told) -> Told:
+        return replace(told, z=told.z + u * since[: len(told.z)], w=told.w + u)
+
+    yield Image(replace(setup, system=other, w=setup.w - u), back)
+
+
+def _later(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """The same at another hour: knots and phases go along."""
+    s, d = setup.system, float(2.0 ** rng.integers(0, 21)) * rng.choice([-1, 1])
+
+    def moved(x: Piecewise) -> Piecewise:
+        return Piecewise(x.times + d, x.values)
+
+    if any((np.diff(x.times + d) <= 0).any() for x in (*s.force, s.belt_speed) if isinstance(x, Piecewise)):
+        return
+    force = [
+        Harmonic(f.amplitude, f.frequency, f.phase - f.frequency * d) if isinstance(f, Harmonic) else moved(f)
+        for f in s.force
+    ]
+    belt = moved(s.belt_speed) if isinstance(s.belt_speed, Piecewise) else s.belt_speed
+    other = replace(
+        setup.changed(force=force, belt_speed=belt), t_start=setup.t_start + d, t_end=setup.t_end + d,
+        times=setup.times + d,
+    )  # fmt: skip
+    yield Image(other, lambda told: replace(told, t=told.t - d, t_end=told.t_end - d), late=abs(d) + setup.t_end)
+
+
+def _cut(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """Runs that end at an event, a sample, a knot or anywhere, and those that go on from there."""
+    knots = [x.times for x in (*setup.system.force, setup.system.belt_speed) if isinstance(x, Piecewise)]
+    kinds = {
+        "an event": run.events.t,
+        "a sample": setup.times,
+        "a knot": np.concatenate([[], *knots]),
+        "any time": rng.uniform(setup.t_start, setup.t_end, 1),
+    }
+    for kind, times in kinds.items():
+        inside = times[(times > setup.t_start) & (times < setup.t_end)]
+        if not len(inside):
+            continue
+        s = float(rng.choice(inside))
+        first = replace(setup, t_end=s, times=setup.times[setup.times <= s])
+        how = f"at {kind}, t = {s!r}: "
+        yield Image(first, until=s, is_event=kind == "an event", how=f"end {how}")
+        stop = first.run()
+        if stop.outcome == "diverged" or run.outcome == "diverged":
+            continue
+        rest = replace(setup, z=stop.z, w=stop.w, t_start=s, times=setup.times[setup.times > s])
+        choices = [stop.events.mode_at(s)] if setup.engine == "coulomb" else [None]
+        choices += [None] if setup.engine == "coulomb" and not setup.system.is_static_above else []
+        for modes in choices:
+            words = how if modes is None else f"with modes {how}"
+            yield Image(replace(rest, modes=modes), _after(Told.of(stop), s), how=words)
+
+
+def _after(first: Told, s: float) -> Callable[[Told], Told]:
+    """A run from s on behind one that ends there."""
+
+    def back(told: Told) -> Told:
+        changed = np.flatnonzero(told.initial != first.last)
+        return replace(
+            told, t=np.concatenate([first.t, np.full(len(changed), s), told.t]),
+            block=np.concatenate([first.block, changed, told.block]).astype(np.int32),
+            mode=np.concatenate([first.mode, told.initial[changed], told.mode]), initial=first.initial,
+            z=np.vstack([first.z[:-1], told.z]), w=np.vstack([first.w[:-1], told.w]),
+        )  # fmt: skip
+
+    return back
+
+
+def _stored(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """K in another order of memory, to the byte; K sparse or dense."""
+    k = setup.system.stiffness
+    if not isinstance(k, np.ndarray):
+        yield Image(setup.changed(stiffness=k.toarray()))
+        return
+    wide = np.zeros((2 * len(k), 3 * len(k)))
+    wide[::2, ::3] = k
+    for other in (np.asfortranarray(k), wide[::2, ::3], np.ascontiguousarray(k[:, ::-1])[:, ::-1]):
+        yield Image(setup.changed(stiffness=other), to_the_byte=True)
+    yield Image(setup.changed(stiffness=csc_array(k)))
+
+
+def _watched(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
+    """More samples, at events too: those that were and the events stay to the byte."""
+    more = np.concatenate([setup.times, rng.uniform(setup.t_start, setup.t_end, 7), run.events.t[:3]])
+    order = np.argsort(more, kind="stable")
+    kept = np.append(np.flatnonzero(order < len(setup.times)), len(more))
+
+    def back(told: Told) -> Told:
+        reached = kept[kept < len(told.z)]
+        return replace(told, z=told.z[reached], w=told.w[reached])
+
+    yield Image(replace(setup, times=more[order]), back, to_the_byte=True)
+
+
+#: Every relation, by name: (rng, setup, its run) to the setups that tell the same.
+RELATIONS: dict[str, Callable[[Rng, Setup, Run], Iterator[Image]]] = {
+    "permutation": _relabelled,
+    "mirror": _mirrored,
+    "shift": _moved,
+    "amplitude": _scaled,
+    "time scale": _sped,
+    "frame": _framed,
+    "start time": _later,
+    "restart": _cut,
+    "storage": _stored,
+    "samples": _watched,
+}
+
+
+def _lengths(of_z: float, of_w: float) -> Callable[[Told], Told]:
+    return lambda told: replace(told, z=told.z * of_z, w=told.w * of_w)
+
+
+def _full(system: System) -> Floats:
+    """The damping matrix C."""
+    return np.asarray(system.cross_damping + np.diag(system.damping))
+
+
+def _of_belt(system: System, change: Callable[[Any], Any]) -> Any:
+    v = system.belt_speed
+    if isinstance(v, Piecewise):
+        return Piecewise(v.times, change(v.values))
+    return change(np.broadcast_to(v, system.n))
+
+
+def _of_force(system: System, change: Callable[[Any], Any], order: Callable[[Any], Any] = lambda x: x) -> list[Any]:
+    return [
+        Harmonic(change(f.amplitude), order(f.frequency), order(f.phase))
+        if isinstance(f, Harmonic)
+        else Piecewise(f.times, change(f.values))
+        for f in system.force
+    ]
+
+
+def _frictions(system: System, change: Callable[[Any], Any]) -> dict[str, Any]:
+    static = None if system.static is system.friction else change(system.static)
+    return {"friction": change(system.friction), "static": static}
+
+
+def setup_of(seed: int, number: int, terms: Any = TERMS) -> Setup:
+    """A drawn case, also with cross damping, a sparse K, another definition of stick, late starts, more blocks."""
+    rng = np.random.default_rng([seed, number, 3])
+    trial = draw(seed, number, terms)
+    case, settings = trial.case, dict(trial.settings)
+    settings.pop("thresholds", None)
+    if trial.engine == "coulomb":
+        settings["tol"] = max(settings["tol"], 1e-12)
+    elif rng.random() < 0.5:
+        settings |= {"stick": "threshold", "threshold": float(rng.choice([1.0, 3.0]))}
+    system = made(case, sparse=bool(rng.random() < 0.2))
+    z, w, n = case.z0, case.w0, case.n
+    if case.n > 1 and rng.random() < 0.15:  # many, coupled weakly: drawn ones again and again
+        copies = int(rng.integers(2, 1 + max(2, 60 // n)))
+        k = np.kron(np.eye(copies), case.stiffness)
+        k += 0.01 / len(k) * rng.normal(size=k.shape)
+        many = replace(
+            case.renumbered(np.tile(np.arange(n), copies)), stiffness=k, z0=np.tile(z, copies), w0=np.tile(w, copies)
+        )
+        if np.ndim(settings.get("ratio", 1.0)):
+            settings["ratio"] = np.tile(settings["ratio"], copies)
+        system, z, w = made(many), many.z0, many.w0
+    if trial.engine == "sigmoid" and system.n > 1 and rng.random() < 0.4:
+        cross = rng.normal(size=(system.n, system.n)) * rng.choice([0.1, 0.5])
+        np.fill_diagonal(cross, 0.0)
+        system = system.changed(damping=np.diag(system.damping) + cross)
+    t_end = min(trial.t_end, 30.0)
+    if rng.random() < 0.15 and t_end > 1:  # a steep ramp
+        at, size = float(rng.integers(0, int(t_end))), rng.integers(-2, 3, system.n) / 2
+        ramp = Piecewise([at, at + 2.0 ** -rng.integers(4, 17)], [0 * size, size])
+        system = system.changed(force=[*system.force, ramp])
+    if rng.random() < 0.3:  # an end in whole numbers, where knots are
+        t_end = max(1.0, np.floor(t_end))
+    times = np.unique(np.append(np.round(np.sort(rng.uniform(0, t_end, 12)) * 1024) / 1024, t_end))
+    times = times[times <= t_end]
+    return Setup(system, np.array(z), np.array(w), 0.0, float(t_end), trial.engine, settings, times)
+
+
+def _perturbed(rng: Rng, setup: Setup, by: float) -> Setup:
+    """Start and constants changed, relative to the largest."""
+
+    def near(x: Floats) -> Floats:
+        return x * (1 + by * rng.uniform(-1, 1, x.shape))
+
+    s = setup.system
+    size = max(1e-3, np.abs(setup.z).max(), np.abs(setup.w).max())
+    held = setup.w == s.belt_speed_at(setup.t_start)  # who starts on its belt stays on it
+    w = np.where(held, setup.w, setup.w + by * size * rng.uniform(-1, 1, s.n))
+    mu = near(s.friction)
+    ratio = np.divide(mu, s.friction, out=np.ones(s.n), where=s.friction > 0)
+    system = s.changed(friction=mu, static=None if s.static is s.friction else s.static * ratio)
+    return replace(setup, system=system, z=setup.z + by * size * rng.uniform(-1, 1, s.n), w=w)
+
+
+class _Measure:
+    """A setup's run, and how far the tolerance moves it."""
+
+    def __init__(self, rng: Rng, setup: Setup) -> None:
+        self.setup, self.limit = setup, LIMIT[setup.engine]
+        self.run = setup.run()
+        self.told = Told.of(self.run)
+        x = self._state(self.told)
+        tol = setup.tol
+        by = max(tol, 1e-11)
+        self.changed = [Told.of(_perturbed(rng, setup, 10 * by).run()) for _ in range(_CHANGED)]
+        moved = np.zeros(len(x))
+        for other in self.changed:
+            y = self._state(other)
+            m = min(len(x), len(y))
+            moved[:m] = np.maximum(moved[:m], np.abs(x[:m] - y[:m]).max(axis=1, initial=0.0) / (10 * by))
+            moved[m:] = np.inf
+        v = setup.system.fastest_belt
+        largest = np.maximum.accumulate(np.abs(x).max(axis=1))
+        atol = setup.settings.get("atol", tol) / tol
+        self.unit = np.maximum.accumulate(np.maximum(moved, np.maximum(largest, max(v, atol)))) * tol
+        size = max(v, float(largest.max()), atol)
+        s = setup.system
+        forces = np.asarray(abs(s.stiffness).sum(axis=1)).reshape(-1) * size + s.static + s.most_force
+        forces += np.abs(s.damping) * size + (
+            0 if s.cross_damping is None else np.abs(s.cross_damping).sum(axis=1) * size
+        )
+        self.rate = float((forces / s.mass).max()) + size
+        known = self.unit * self.limit < _LOST * size
+        self.n_known = int(len(x) if known.all() else np.argmin(known))
+        times = np.append(setup.times, setup.t_end)
+        self.until = float(times[self.n_known - 1]) if self.n_known else setup.t_start
+
+    @staticmethod
+    def _state(told: Told) -> Floats:
+        return np.hstack([told.z, told.w])
+
+    def hold(self, image: Image) -> tuple[str, float, str]:
+        """("same" | "graze" | "undecided" | "differs", ratio, words) of one relation."""
+        told = image.back(Told.of(image.setup.run()))
+        if image.to_the_byte:
+            ratio = self._ratio(told, image)[0]
+            return (
+                ("same", 0.0, "")
+                if told.is_same(self.told)
+                else ("differs", ratio, f"not the same bytes{self._where(told)}")
+            )
+        ratio, words = self._ratio(told, image)
+        if ratio > self.limit:
+            return "differs", ratio, words
+        return self._series(told, image, ratio)
+
+    def _where(self, told: Told) -> str:
+        a, b = self.told, told
+        m = min(len(a.t), len(b.t))
+        off = (a.t[:m] != b.t[:m]) | (a.block[:m] != b.block[:m]) | (a.mode[:m] != b.mode[:m])
+        if off.any() or len(a.t) != len(b.t):
+            k = int(np.argmax(off)) if off.any() else m
+            return f": {len(a.t)} events and {len(b.t)}, event {k} first"
+        return f": z, w by {np.abs(self._state(a) - self._state(b)).max():.3g}"
+
+    def _ratio(self, told: Told, image: Image) -> tuple[float, str]:
+        x, y, unit = self._state(self.told), self._state(told), self.unit
+        if image.until is not None:
+            x = x[: np.searchsorted(self.setup.times, image.until, side="right")]
+            if len(x) and self.setup.times[len(x) - 1] == image.until:
+                y = np.vstack([y[: len(x) - 1], y[-1:]])  # the end of the run is the sample there
+            y = y[: len(x)]
+        m = min(len(x), len(y), self.n_known)
+        if len(x) != len(y) and m < self.n_known and "diverged" not in (told.outcome, self.told.outcome):
+            return np.inf, f"{told.outcome} with {len(y)} samples of {len(x)}"
+        rounding = 16 * _EPS * image.late * self.rate * (1 + len(self.told.t)) * unit[:m] / self.unit[0]
+        apart = np.abs(x[:m] - y[:m]).max(axis=1, initial=0.0) / (unit[:m] + rounding / self.limit)
+        ratio = float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
+        return ratio, f"apart by {ratio:.3g} tol times sensitivity"
+
+    def _series(self, told: Told, image: Image, ratio: float) -> tuple[str, float, str]:
+        ends = [run.t_end for run in (self.told, *self.changed) if run.outcome == "diverged"]
+        if told.outcome == "diverged":  # when that is certain, is known at steps only
+            ends.append(told.t_end)
+        until = min([self.until, *ends] if image.until is None else [self.until, image.until, *ends])
+        error = self.limit * float(self.unit[: max(1, self.n_known)].max()) + 16 * _EPS * image.late
+        mine, its, *others = (
+            by_block(x.t - self.setup.t_start, x.block, x.mode, x.initial) for x in (told, self.told, *self.changed)
+        )
+        shortest = 10 * np.sqrt(error)
+        worst, words = "same", ""
+        for i in range(self.setup.system.n):
+            cut = [[stretch for stretch in one[i] if stretch[0] <= until] for one in (mine, its, *others)]
+            its_moves = [(t, mode, 1.0) for t, mode, _ in cut[1]]
+            kind, said = compare(cut[0], its_moves, cut[2:], error, shortest, until)
+            if kind == "graze" and image.until == until and not image.is_event:
+                ends = [one[-1][1] for one in cut[1:]]
+                if len(set(ends)) == 1 and cut[0][-1][1] != ends[0]:  # what is robust is no touch
+                    kind, said = "differs", f"mode {cut[0][-1][1]} at its end t = {until!r}, expected {ends[0]}"
+            if kind == "differs":
+                return "differs", ratio, f"series of block {i}: {said}"
+            worst = max(worst, kind, key=("same", "graze", "undecided").index)
+        return worst, ratio, words
+
+
+def judge_relations(seed: int, number: int, terms: Any = TERMS, only: str | None = None) -> Verdict:
+    """All relations of one drawn setup, or one by name."""
+    verdict, setup = Verdict(), setup_of(seed, number, terms)
+    rng = np.random.default_rng([seed, number, 4])
+    how = ""
+    try:
+        with patience(_PATIENCE):
+            measure = _Measure(rng, setup)
+    except (Endless, IntegrationError, MemoryError):
+        verdict.notes["skipped"] += 1
+        return verdict
+    for (name, family), own in zip(RELATIONS.items(), rng.spawn(len(RELATIONS)), strict=True):
+        if only not in (None, name):
+            continue
+        try:
+            with patience(_PATIENCE):
+                for image in family(own, setup, measure.run):
+                    how = image.how
+                    kind, ratio, words = measure.hold(image)
+                    verdict.relations.append((name, kind, ratio))
+                    if kind == "differs":
+                        verdict.fail(name, how + words)
+        except Endless:
+            verdict.relations.append((name, "slow", 0.0))
+        except (IntegrationError, ArithmeticError, ValueError, IndexError) as error:
+            verdict.relations.append((name, "differs", 0.0))
+            verdict.fail(name, f"{how}{type(error).__name__}: {error}")
+    return verdict
