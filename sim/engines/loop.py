@@ -251,7 +251,8 @@ def complete(
                 break
             elif size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
                 outcome = "diverged"
-                reason = certificates.divergence_reason(z_there, w_there, t, min(size, diverged_beyond))
+                passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else diverged_beyond
+                reason = certificates.divergence_reason(z_there, w_there, t, min(size, passed))
                 break
             else:
                 bound = 2.0 * size

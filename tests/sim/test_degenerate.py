@@ -289,6 +289,7 @@ def test_a_run_that_is_to_go_on_ends_only_where_numbers_do(engine):
     assert run.z[0] == pytest.approx((3.0 - 0.25) * np.cosh(100.0), rel=1e-3)
     far = simulate(system, 3.0, 0.0, 200.0, engine=engine, stop_early=False)
     assert (far.outcome, "block 0" in far.reason) == ("diverged", True)
+    assert "block 0 passed 1e+100 at" in far.reason
     assert 110 < far.t_end < 120
 
 
