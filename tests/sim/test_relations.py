@@ -1,0 +1,56 @@
+"""Relations between runs (`tests.fuzz.relations`): each holds on a few random systems, and each can fail."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from stickslip.sim import EventSeries, Run, simulate
+from tests.fuzz import relations
+from tests.fuzz.relations import RELATIONS, judge_relations
+
+CASES = 12
+#: Families whose defects are mended elsewhere.
+LATER = ("shift", "frame", "start time", "restart", "storage")
+
+
+def late(run: Run) -> Run:
+    return replace(run, z=run.z + 1e-2, w=run.w - 1e-2)
+
+
+def without_the_last(run: Run) -> Run:
+    e = run.events
+    return replace(
+        run, events=EventSeries(e.t[:-1], e.block[:-1], e.mode[:-1], e.initial_mode, e.t_start, e.t_end), z=run.z
+    )
+
+
+@pytest.mark.parametrize("change", [late, without_the_last])
+@pytest.mark.parametrize("family", RELATIONS)
+def test_a_broken_relation_is_found(
+    family: str, change: Callable[[Run], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The setup's own runs are right, and what is held against them is not."""
+    calls = count()
+
+    def wrong(*args: object, **settings: object) -> Run:
+        run = simulate(*args, **settings)
+        return run if next(calls) <= relations._CHANGED else change(run)
+
+    monkeypatch.setattr(relations, "simulate", wrong)
+    found = 0
+    for number in range(0, 20, 3):
+        calls = count()
+        found += bool(judge_relations(1, number, only=family).failures)
+    assert found
+
+
+@pytest.mark.parametrize("family", [family for family in RELATIONS if family not in LATER])
+def test_a_relation_holds(family: str) -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"python -m tests.fuzz --against relations --seed {seed}")
+    for number in range(0, 3 * CASES, 3):
+        failures = judge_relations(seed, number, only=family).failures
+        assert failures == [], f"python -m tests.fuzz --against relations --seed {seed} --case {number}"
