@@ -81,9 +81,18 @@ class Told:
         return cls(e.t, e.block, e.mode, e.initial_mode, z, w, e.mode_at(e.t_end), run.t_end, run.outcome)
 
     def is_same(self, other: Told) -> bool:
-        """To the byte; minus zero is zero."""
+        """To the byte, as far as both go (the size at which a run has diverged is fixed); minus zero is zero."""
+        one, two = self, other
+        if "diverged" in (self.outcome, other.outcome):
+            t_end, m = min(self.t_end, other.t_end), min(len(self.z), len(other.z))
+            one, two = one.until(t_end, m), two.until(t_end, m)
         names = ("t", "block", "mode", "initial", "z", "w")
-        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+        return all(np.array_equal(getattr(one, name), getattr(two, name)) for name in names)
+
+    def until(self, t_end: float, m: int) -> Told:
+        """Events before a time, and the first m samples."""
+        k = np.searchsorted(self.t, t_end)
+        return replace(self, t=self.t[:k], block=self.block[:k], mode=self.mode[:k], z=self.z[:m], w=self.w[:m])
 
 
 @dataclass(frozen=True)
@@ -249,7 +258,7 @@ def _cut(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
         s = float(rng.choice(inside))
         first = replace(setup, t_end=s, times=setup.times[setup.times <= s])
         how = f"at {kind}, t = {s!r}: "
-        yield Image(first, until=s, is_event=kind == "an event", how=f"end {how}")
+        yield Image(first, until=s, is_event=kind == "an event" and s not in kinds["a knot"], how=f"end {how}")
         stop = first.run()
         if stop.outcome == "diverged" or run.outcome == "diverged":
             continue
@@ -486,7 +495,9 @@ class _Measure:
         if off.any() or len(a.t) != len(b.t):
             k = int(np.argmax(off)) if off.any() else m
             return f": {len(a.t)} events and {len(b.t)}, event {k} first"
-        return f": z, w by {np.abs(self._state(a) - self._state(b)).max():.3g}"
+        x, y = self._state(a), self._state(b)
+        rows = min(len(x), len(y))
+        return f": z, w by {np.abs(x[:rows] - y[:rows]).max(initial=0.0):.3g}"
 
     def _ratio(self, told: Told, image: Image) -> tuple[float, str]:
         x, y, unit = self._state(self.told), self._state(told), self.unit
@@ -546,7 +557,7 @@ def judge_relations(seed: int, number: int, terms: Any = TERMS, only: str | None
     try:
         with patience(_PATIENCE):
             measure = _Measure(rng, setup)
-    except (Endless, IntegrationError, MemoryError):
+    except (Endless, IntegrationError, MemoryError):  # what the reference judges
         verdict.notes["skipped"] += 1
         return verdict
     for (name, family), own in zip(RELATIONS.items(), rng.spawn(len(RELATIONS)), strict=True):
