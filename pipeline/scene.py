@@ -234,6 +234,7 @@ class Scene(StrictTable):
                 f"number of draws"
             )
         self._static_holds()
+        self._parameters_are_columns()
         return self
 
     def _static_holds(self) -> None:
@@ -245,6 +246,19 @@ class Scene(StrictTable):
                     f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
                     f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
                 )
+
+    def _parameters_are_columns(self) -> None:
+        """Each parameter of a function is a column beside the others, in tables and in SQL."""
+        if not self.system.parameters:
+            return
+        from stickslip.pipeline.schema import misnamed  # it loads Arrow
+
+        found = misnamed(self.system.parameters)
+        if found is not None:
+            raise ValueError(
+                f"system.parameters: expected names for columns of their own, got {found[0]!r}: {found[1]}; choose"
+                f" another, here and in the function"
+            )
 
     def check_engines(self) -> None:
         """SceneError if an engine is asked for what it does not run; of a file or a function, its runs tell.
@@ -491,13 +505,7 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
     seen: dict[str, Any] = {"sha256": look_at_module(coupling, folder), "is_sparse": False, "entries_by_block": 0.0}
     scene = as_scene(Scene, {**tables, "system": system | {"module": seen}}, name)
     scene._folder = folder
-    from stickslip.pipeline.schema import COLUMNS  # it loads Arrow
-
     own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
-    taken = next((key for key in own if key in (*COLUMNS, "rng")), None)
-    if taken is not None:
-        raise SceneError(f"{name}: system.parameters: expected names that no column of the data has, got {taken!r}; "
-                         f"choose another")  # fmt: skip
     n, function = min(scene.system.n), scene._function
     assert function is not None
     stiffness = tried(function, n, own).stiffness

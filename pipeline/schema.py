@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import keyword
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -11,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.scene import Scene
+from stickslip.pipeline.system_table import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Number, Ratios
 
@@ -223,6 +226,34 @@ SCHEMA = pa.schema(
 
 #: All columns that there may be.
 COLUMNS = (*SCHEMA.names, *(column.name for columns in RECORDED.values() for column in columns))
+
+#: Columns of the other tables of a dataset, as SQL and data frames have them; a series by its own name.
+_OF_TABLES = (
+    *("start", "stop", "size", "rise_before", "rise_after", "t", "n_stick", "block", "mode", "distance", "threshold"),
+    *(field.name.removeprefix("episode_") for name in ("episodes", "episode_energy") for field in RECORDED[name]),
+)
+#: What a parameter of a function cannot be called, in lower case, as SQL knows no other, and what has the name.
+TAKEN = {
+    "rng": "the function's generator",
+    **dict.fromkeys(("z", "w", *(name.lower() for name in QUANTITIES)), "a key of the scene"),
+    **dict.fromkeys((name.lower() for name in (*COLUMNS, *_OF_TABLES)), "a column of the data"),
+}
+
+
+def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
+    """The first name that no parameter of a function can have, and why; None: all are good."""
+    known = dict(TAKEN)
+    for name in names:
+        if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
+            return name, "Python does not take it for an argument"
+        if name.startswith("__"):
+            return name, "what begins so is kept for Arrow"
+        if name.lower().endswith("_row_size"):
+            return name, "what ends so is kept for counts in NetCDF"
+        if name.lower() in known:
+            return name, f"{known[name.lower()]} has it, in upper or lower case"
+        known[name.lower()] = "another parameter"
+    return None
 
 
 def scalars(schema: pa.Schema) -> tuple[str, ...]:

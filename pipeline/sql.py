@@ -49,10 +49,15 @@ FROM paired
 """
 
 
+def quoted(name: str) -> str:
+    """A name as SQL takes any: words of SQL itself, too."""
+    return '"' + name.replace('"', '""') + '"'
+
+
 def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
     """The views of a dataset, each as the SELECT from its shards; `step` is the scene's ``record.separation``."""
     found = {
-        "members": f"SELECT {', '.join(scalars(schema))} FROM shards",
+        "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
         "n_stick": "SELECT member_id, unnest(t) AS t, unnest(n_stick) AS n_stick FROM shards",
         "cascades": _CASCADES,
     }
@@ -63,7 +68,7 @@ def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
         )
     if "episode_start" in schema.names:
         of_episode = [field.name for field in schema if field.name.startswith("episode_")]
-        columns = (f'unnest({name}) AS "{name.removeprefix("episode_")}"' for name in of_episode)
+        columns = (f"unnest({quoted(name)}) AS {quoted(name.removeprefix('episode_'))}" for name in of_episode)
         found["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
     if "separation" in schema.names:
         found["separation"] = (
@@ -115,7 +120,7 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
     with duckdb.connect(":memory:") as connection:
         connection.register("shards", source)
         for name, selection in selections.items():
-            connection.execute(f"CREATE VIEW {name} AS {selection}")
+            connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
         # from here on no files, no network, no variables of this process, and no way back
         for setting in (
             "temp_directory = ''",

@@ -266,9 +266,6 @@ class SystemTable(StrictTable):
             raise ValueError(
                 "module: expected what `load_scene` and the command write here, found nothing; use these"
             )
-        for key in self.parameters or ():
-            if not key.isidentifier():
-                raise ValueError(f"parameters: expected names of arguments, got {key!r}; choose another")
         for key in {"friction", "belt_speed"} - self.model_fields_set:
             object.__setattr__(self, key, None)
 

@@ -23,7 +23,7 @@ from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Course, Distribution, Named
-from stickslip.pipeline.schema import Recording, encode
+from stickslip.pipeline.schema import COLUMNS, Recording, encode
 from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
@@ -106,15 +106,21 @@ def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], s
 
 def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
     """The rows of some members, by column: what they are, and what came of them."""
-    rest = [dict(member.settings) | dict(member.parameters) | one for member, one in zip(members, found, strict=True)]
-    return {
-        name: [_plain(getattr(member, name)) for member in members]
-        if hasattr(Member, name)
-        else [one.get(name) for one in rest]
-        for name in recording.schema.names
-    }
+    rest = [dict(member.settings) | one for member, one in zip(members, found, strict=True)]
+    parameters = [dict(member.parameters) for member in members]
+
+    def column(name: str) -> list[Any]:
+        if name in recording.parameters:
+            return [given[name] for given in parameters]
+        if name in OF_MEMBER:
+            return [_plain(getattr(member, name)) for member in members]
+        return [one.get(name) for one in rest]
+
+    return {name: column(name) for name in recording.schema.names}
 
 
+#: The columns that a member is known by before it runs: its own attributes. The others come of settings and the run.
+OF_MEMBER = frozenset(COLUMNS) & {*(one.name for one in fields(Member)), "file", "drawn"}
 _NO_NUMBER = (Distribution, Course, Named)
 
 

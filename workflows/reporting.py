@@ -32,7 +32,8 @@ def _data(path: Where) -> Data:
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
     if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
-        table["parameters"] = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
+        words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
+        table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column
     for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")

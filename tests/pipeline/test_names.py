@@ -1,0 +1,116 @@
+"""Names of a function's parameters: every word of Python and of SQL is a column like others, or refused in a line."""
+
+from __future__ import annotations
+
+import keyword
+
+import numpy as np
+import pytest
+
+from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
+from stickslip.pipeline.design import Member
+from stickslip.pipeline.schema import COLUMNS, Recording, encode, misnamed
+from stickslip.pipeline.sql import quoted, views
+from stickslip.pipeline.worker import columns, run_members
+from stickslip.workflows.commands import main
+from stickslip.workflows.reporting import study_of
+from tests.pipeline.test_functions import SCENE, written
+
+duckdb = pytest.importorskip("duckdb")
+
+#: A function that takes any names, and multiplies what it is given.
+ANY = (
+    "import math\nfrom stickslip import System\n\ndef draw(n, rng, **given):\n"
+    "    (value,) = given.values()\n    return System(value * rng.random((n, n)), 0.1, 1.0, -0.3)\n"
+)
+#: Names that are none of the words of a language.
+ATTRIBUTES = [name for name in dir(Member) if not name.startswith("__")]
+OTHERS = ["parameters", "law", "index", "level_0", "rowid", "rng", "z", "w", "__filename", "a b", "1a", "ﬁ", "", "ö"]
+
+
+def every_name():
+    words = [word for (word,) in duckdb.sql("SELECT keyword_name FROM duckdb_keywords()").fetchall()]
+    python = [*keyword.kwlist, *keyword.softkwlist]
+    base = [*map(str.lower, words), *python, *COLUMNS, *ATTRIBUTES, *OTHERS]
+    return sorted({form for word in base for form in (word, word.upper())})
+
+
+def with_name(name):
+    return (
+        SCENE.replace("{gap = ", f"{{'{name}' = ")
+        .replace("n = [3, 4]", "n = 3")
+        .replace("matrices = 2", "matrices = 1")
+    )
+
+
+def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(tmp_path):
+    """One run is made; its parameter is then given each name in turn."""
+    scene = load_scene(written(tmp_path, with_name("gap"), ANY))
+    members = expand(scene)
+    found = run_members(members, Recording.of(scene))
+    ran, refused = set(), set()
+    connection = duckdb.connect(":memory:", config={"threads": 1})
+    for name in every_name():
+        text = scene.source.decode().replace("'gap'", f"'{name}'")
+        assert text.count(f"'{name}' = [") == 1
+        try:
+            other = parse_scene(text.encode(), folder=tmp_path)
+        except SceneError as error:
+            (line,) = str(error).splitlines()
+            assert "system.parameters" in line, line
+            assert repr(name) in line, line
+            assert "choose another" in line, line
+            refused.add(name)
+            continue
+        ran.add(name)
+        recording, of_name = Recording.of(other), expand(other)
+        assert [dict(member.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
+        rows = query.pq.read_table(
+            query.pa.BufferReader(encode(columns(of_name, found, recording), recording.schema))
+        )
+        assert rows[name].to_pylist() == [0.5, 1.0], name
+        connection.register("shards", rows)
+        connection.execute(f"CREATE OR REPLACE VIEW members AS {views(recording.schema, None)['members']}")
+        asked = f"SELECT {quoted(name)} AS value, min(n), max(n) FROM members GROUP BY {quoted(name)} ORDER BY 1"
+        assert connection.execute(asked).fetchall() == [(0.5, 3, 3), (1.0, 3, 3)], name
+    assert {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "origin", "settings"} <= ran
+    assert {"N", "n", "end", "END", "start", "z", "for", "None", "rng", "MATRIX", "__filename"} <= refused
+    assert {name for name in refused if misnamed([name]) is None} == set()
+
+
+@pytest.mark.parametrize(
+    "name", ["cost", "order", "SELECT", "group", "from_", "system", "parameters", "origin", "member"]
+)
+def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, monkeypatch, capsys):
+    file = written(tmp_path, with_name(name), ANY)
+    monkeypatch.chdir(tmp_path)
+    run_ensemble(load_scene(file), "out", workers=0)
+    query_ = f'SELECT "{name}" AS value, count(*) AS k FROM members GROUP BY "{name}" ORDER BY "{name}"'
+    assert main(["query", "out", query_, "--out", "answer.csv"]) == 0
+    assert main(["query", "out", "SELECT n, n_events FROM members"]) == 0
+    assert np.genfromtxt("answer.csv", delimiter=",", skip_header=1).tolist() == [[0.5, 1.0], [1.0, 1.0]]
+    assert query.members("out", filters=[(name, "=", 1.0)])[name].tolist() == [1.0]
+    assert len(study_of("out").groups) == 2
+    netcdf = pytest.importorskip("netCDF4")
+    assert main(["export", "out", "--netcdf", "out.nc"]) == 0
+    with netcdf.Dataset("out.nc") as held:
+        assert held[name][:].tolist() == [0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    "name", ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size"]
+)
+def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_path, monkeypatch, capsys):
+    written(tmp_path, with_name(name), ANY)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "mine.toml", "--out", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "system.parameters" in line
+    assert "choose another" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_names_that_differ_in_case_alone_are_refused(tmp_path):
+    text = with_name("gap").replace("'gap' = ", "'Gap' = 1.0, 'gap' = ")
+    with pytest.raises(SceneError, match=r"system\.parameters: .* got 'gap': another parameter has it"):
+        load_scene(written(tmp_path, text, ANY))
