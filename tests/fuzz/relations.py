@@ -27,6 +27,8 @@ LIMIT = {"coulomb": 200.0, "sigmoid": 2000.0}
 _CHANGED = 3  # runs with changed start and constants
 _LOST = 1e-3  # of the size of the state: where the tolerance moves it by more, nothing is compared
 _PATIENCE = 20.0  # seconds of this process for all runs of one setup
+EVENTS = ("t", "block", "mode", "initial")
+EVERYTHING = (*EVENTS, "z", "w")
 _EPS = float(np.finfo(float).eps)
 
 
@@ -80,13 +82,12 @@ class Told:
             z, w = np.vstack([z, run.z]), np.vstack([w, run.w])
         return cls(e.t, e.block, e.mode, e.initial_mode, z, w, e.mode_at(e.t_end), run.t_end, run.outcome)
 
-    def is_same(self, other: Told) -> bool:
+    def is_same(self, other: Told, names: tuple[str, ...]) -> bool:
         """To the byte, as far as both go (the size at which a run has diverged is fixed); minus zero is zero."""
         one, two = self, other
         if "diverged" in (self.outcome, other.outcome):
             t_end, m = min(self.t_end, other.t_end), min(len(self.z), len(other.z))
             one, two = one.until(t_end, m), two.until(t_end, m)
-        names = ("t", "block", "mode", "initial", "z", "w")
         return all(np.array_equal(getattr(one, name), getattr(two, name)) for name in names)
 
     def until(self, t_end: float, m: int) -> Told:
@@ -103,7 +104,7 @@ class Image:
     back: Callable[[Told], Told] = lambda told: told
     until: float | None = None
     is_event: bool = False  # ends at an event, which rounding may put behind the end
-    to_the_byte: bool = False
+    to_the_byte: tuple[str, ...] = ()
     how: str = ""
     late: float = 0.0  # the largest time of it: what rounding leaves of a time
 
@@ -142,7 +143,7 @@ def _mirrored(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     def back(told: Told) -> Told:
         return replace(told, mode=-told.mode, initial=-told.initial, last=-told.last, z=-told.z, w=-told.w)
 
-    yield Image(replace(setup, system=other, z=-setup.z, w=-setup.w), back, to_the_byte=True)
+    yield Image(replace(setup, system=other, z=-setup.z, w=-setup.w), back, to_the_byte=EVERYTHING)
 
 
 def _moved(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
@@ -169,7 +170,7 @@ def _scaled(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     is_exact = setup.engine == "coulomb"
     if is_exact or setup.settings.get("stick") == "threshold":  # ln(1 / delta) knows of a unit
         other = replace(setup, system=system, z=setup.z * a, w=setup.w * a, settings=settings)
-        yield Image(other, back, to_the_byte=is_exact)
+        yield Image(other, back, to_the_byte=EVERYTHING if is_exact else ())
 
 
 def _sped(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
@@ -294,12 +295,12 @@ def _stored(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     wide = np.zeros((2 * len(k), 3 * len(k)))
     wide[::2, ::3] = k
     for other in (np.asfortranarray(k), wide[::2, ::3], np.ascontiguousarray(k[:, ::-1])[:, ::-1]):
-        yield Image(setup.changed(stiffness=other), to_the_byte=True)
+        yield Image(setup.changed(stiffness=other), to_the_byte=EVERYTHING)
     yield Image(setup.changed(stiffness=csc_array(k)))
 
 
 def _watched(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
-    """More samples, at events too: those that were and the events stay to the byte."""
+    """More samples, at events too: events stay to the byte; after a collapse a sample follows from the one before."""
     more = np.concatenate([setup.times, rng.uniform(setup.t_start, setup.t_end, 7), run.events.t[:3]])
     order = np.argsort(more, kind="stable")
     kept = np.append(np.flatnonzero(order < len(setup.times)), len(more))
@@ -308,7 +309,7 @@ def _watched(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
         reached = kept[kept < len(told.z)]
         return replace(told, z=told.z[reached], w=told.w[reached])
 
-    yield Image(replace(setup, times=more[order]), back, to_the_byte=True)
+    yield Image(replace(setup, times=more[order]), back, to_the_byte=EVENTS)
 
 
 #: Every relation, by name: (rng, setup, its run) to the setups that tell the same.
@@ -475,15 +476,13 @@ class _Measure:
 
     def hold(self, image: Image) -> tuple[str, float, str]:
         """("same" | "graze" | "undecided" | "differs", ratio, words) of one relation."""
-        told = image.back(Told.of(image.setup.run()))
-        if image.to_the_byte:
-            ratio = self._ratio(told, image)[0]
-            return (
-                ("same", 0.0, "")
-                if told.is_same(self.told)
-                else ("differs", ratio, f"not the same bytes{self._where(told)}")
-            )
+        run = image.setup.run()
+        if image.setup.modes is not None and (run.events.initial_mode != image.setup.modes).any():
+            return "differs", 0.0, "it does not begin with the modes given"
+        told = image.back(Told.of(run))
         ratio, words = self._ratio(told, image)
+        if not told.is_same(self.told, image.to_the_byte):
+            return "differs", ratio, f"not the same bytes{self._where(told)}"
         if ratio > self.limit:
             return "differs", ratio, words
         return self._series(told, image, ratio)
