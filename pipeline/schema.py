@@ -145,6 +145,7 @@ RECORDED = {
 #: By which line, in which of its tables, a scene asks for each.
 ASKED_BY = {
     "file": '`coupling = "file"` under [system]',
+    "long_matrix": "`version = 2` of the files under [system], for which `matrix` has 64 bits",
     "function": "`parameters` under [system], each a column of numbers by its name",
     "graph": '`coupling = "chain"`, or another graph, under [system]',
     "damping": "`damping` under [system], or in its file",
