@@ -526,7 +526,8 @@ class _Measure:
         if told.outcome == "diverged":  # when that is certain, is known at steps only
             ends.append(told.t_end)
         until = min([self.until, *ends] if image.until is None else [self.until, image.until, *ends])
-        error = self.limit * float(self.unit[: max(1, self.n_known)].max(initial=self.setup.tol)) + 16 * _EPS * image.late
+        unit = float(self.unit[: max(1, self.n_known)].max(initial=self.setup.tol))
+        error = self.limit * unit + 16 * _EPS * image.late
         mine, its, *others = (
             by_block(x.t - self.setup.t_start, x.block, x.mode, x.initial) for x in (told, self.told, *self.changed)
         )
