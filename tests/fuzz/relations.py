@@ -458,7 +458,7 @@ class _Measure:
         largest = np.maximum.accumulate(np.abs(x).max(axis=1))
         atol = setup.settings.get("atol", tol) / tol
         self.unit = np.maximum.accumulate(np.maximum(moved, np.maximum(largest, max(v, atol)))) * tol
-        size = max(v, float(largest.max()), atol)
+        size = max(v, float(largest.max(initial=0.0)), atol)
         s = setup.system
         forces = np.asarray(abs(s.stiffness).sum(axis=1)).reshape(-1) * size + s.static + s.most_force
         forces += np.abs(s.damping) * size + (
@@ -508,7 +508,7 @@ class _Measure:
         m = min(len(x), len(y), self.n_known)
         if len(x) != len(y) and m < self.n_known and "diverged" not in (told.outcome, self.told.outcome):
             return np.inf, f"{told.outcome} with {len(y)} samples of {len(x)}"
-        rounding = 16 * _EPS * image.late * self.rate * (1 + len(self.told.t)) * unit[:m] / self.unit[0]
+        rounding = 16 * _EPS * image.late * self.rate * (1 + len(self.told.t)) * unit[:m] / self.unit[:1]
         apart = np.abs(x[:m] - y[:m]).max(axis=1, initial=0.0) / (unit[:m] + rounding / self.limit)
         ratio = float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
         return ratio, f"apart by {ratio:.3g} tol times sensitivity"
@@ -526,7 +526,8 @@ class _Measure:
         if told.outcome == "diverged":  # when that is certain, is known at steps only
             ends.append(told.t_end)
         until = min([self.until, *ends] if image.until is None else [self.until, image.until, *ends])
-        error = self.limit * float(self.unit[: max(1, self.n_known)].max()) + 16 * _EPS * image.late
+        unit = float(self.unit[: max(1, self.n_known)].max(initial=self.setup.tol))
+        error = self.limit * unit + 16 * _EPS * image.late
         mine, its, *others = (
             by_block(x.t - self.setup.t_start, x.block, x.mode, x.initial) for x in (told, self.told, *self.changed)
         )
