@@ -8,6 +8,12 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n " else ascii(c)[1:-1] for c in text)
 
 
+def foreign(error: BaseException, most: int = 300) -> str:
+    """What code that is not ours raised, in one line for a terminal and a table, of at most so many characters."""
+    text = printable(" ".join(f"{type(error).__name__}: {error}".split())).removesuffix(":")
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 class SceneError(ValueError):
     """The scene cannot be used. The message has one line a problem: file, key, expected, got, remedy."""
 

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset import open_dataset, reading
+from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.schema import SCHEMA_VERSION
-from stickslip.pipeline.storage import DATA, TEMPORARY, Where
+from stickslip.pipeline.storage import DATA, TEMPORARY, Directory, Where
+from stickslip.pipeline.systems import ChangedError, SystemFunction, look_again
 
 
 def verify(path: Where) -> list[str]:
     """Check a dataset that nobody is writing; one line a problem, an empty list if there is none.
 
-    Missing, damaged and stray files, wrong row counts, outcomes and schemas, and members other than the scene's. An
-    unfinished dataset is no problem. Running its scene again computes what is missing or damaged, only that.
+    A function of the user's, or a module beside it, that was changed; missing, damaged and stray files, wrong row
+    counts, outcomes and schemas, and members other than the scene's. An unfinished dataset is no problem. Running
+    its scene again computes what is missing or damaged, only that.
 
     Raises
     ------
@@ -28,6 +33,14 @@ def verify(path: Where) -> list[str]:
     place, shards = found.place, sorted(found.manifest.shards.items())
     expected = {batch.name: (batch, recording) for batch, recording in found.tasks}
     problems = []
+    for origin in {origin for _, origin in found.scene.sources}:
+        if isinstance(origin, SystemFunction) and isinstance(place, Directory):
+            try:
+                look_again(replace(origin, at=str(Path(str(place)).resolve())))
+            except ChangedError as error:
+                problems.append(str(error))
+            except SceneError:  # data that were moved are whole without it
+                break
     with reading(place):
         files = place.names()
         contents = place.read_each([f"{DATA}/{name}" for name, _ in shards])

@@ -159,8 +159,10 @@ class Child:
             raise ChildDied(f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}") from error
 
     def kill(self) -> None:
-        """End the process, whatever it is at."""
-        self._process.kill()
+        """End the process, whatever it is at, and what it has started."""
+        if self._process.returncode is None:  # else the number may be another's
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.pid, signal.SIGKILL)
         self._process.wait()
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.ends import Ends, check, look_at_dataset, place_beside
@@ -392,7 +391,8 @@ class Scene(StrictTable):
         module = self.system.module
         if module is None:
             return None
-        return SystemFunction(self.system.coupling, module.sha256, str(self._folder.resolve()), module.is_sparse)
+        at, beside = str(self._folder.resolve()), tuple(sorted(module.beside.items()))
+        return SystemFunction(self.system.coupling, module.sha256, at, module.is_sparse, beside)
 
     @property
     def ends(self) -> Ends | None:
@@ -433,6 +433,8 @@ class Scene(StrictTable):
             del keys["system"]["path"]
         if self.system.module is not None:
             keys["system"]["module"] = self.system.module.sha256
+            if self.system.module.beside:
+                keys["system"]["beside"] = self.system.module.beside
         for table, name, default in _YOUNGER:
             if keys[table][name] is default:
                 del keys[table][name]
@@ -486,10 +488,12 @@ def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) ->
 
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
     """What a scene keeps of what it names, by the tables and the keys that hold it."""
-    seen = {"system": _look_at_systems(tables, folder, name)}
+    seen: dict[str, dict[str, Any]] = {}
     start = tables.get("start")
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
         seen["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+    # a function is tried in a scene, which has its ends then
+    seen["system"] = _look_at_systems(_merged(tables, seen), folder, name)
     return {table: found for table, found in seen.items() if found}
 
 
@@ -508,9 +512,7 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
     own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
     n, function = min(scene.system.n), scene._function
     assert function is not None
-    stiffness = tried(function, n, own).stiffness
-    is_sparse = not isinstance(stiffness, np.ndarray)
-    return {"module": seen | {"is_sparse": is_sparse, "entries_by_block": stiffness.size / n}}
+    return {"module": seen | tried(function, n, own)}
 
 
 def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Scene:

@@ -63,6 +63,7 @@ class ModuleTable(StrictTable):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     is_sparse: bool
     entries_by_block: Natural
+    beside: dict[str, str] = Field(default_factory=dict)
 
 
 class FileTable(StrictTable):

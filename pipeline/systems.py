@@ -7,8 +7,10 @@ import glob
 import hashlib
 import importlib.util
 import os
+import pickle
 import stat
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.errors import SceneError, printable
+from stickslip.pipeline.errors import SceneError, foreign, printable
+from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.system_files import arrays_of
 from stickslip.sim.arguments import did_you_mean, per_block
 from stickslip.sim.system import System
@@ -27,8 +30,15 @@ from stickslip.sim.system import System
 OF_BLOCKS = ("damping", "friction", "static", "mass", "belt_speed")
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
-#: Of a file that is opened: not to wait. Windows knows neither pipes in folders nor this.
-_AT_ONCE = getattr(os, "O_NONBLOCK", 0)
+#: Seconds that a function has for two systems when a scene is read.
+LONGEST_TRIAL = 40.0
+
+#: The modules beside a scene that this process has loaded, as they were then.
+_held: dict[Path, str] = {}
+
+
+class ChangedError(SceneError):
+    """What systems come from is there, and is not what it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +76,8 @@ class SystemFunction:
     sha256: str
     at: str = field(compare=False)
     is_sparse: bool = field(compare=False)
+    #: The modules in the scene's folder that it loads: paths there, and the sha256 of each.
+    beside: tuple[tuple[str, str], ...] = ()
 
     @property
     def word(self) -> str:
@@ -122,7 +134,9 @@ def look_again(origin: SystemFile | SystemFunction) -> None:
     if isinstance(origin, SystemFile):
         read(origin)
     else:
-        _module_file(origin.name.partition(":")[0], origin.at, origin.sha256)
+        module = origin.name.partition(":")[0]
+        _module_file(module, origin.at, origin.sha256)
+        _beside_again(_root(origin.at, origin.beside), origin.beside)
 
 
 def _digest(content: bytes) -> str:
@@ -132,7 +146,7 @@ def _digest(content: bytes) -> str:
 def _content(path: Path) -> bytes:
     try:
         # a pipe that nobody writes to would be waited for
-        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _AT_ONCE)) as file:
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             facts = os.fstat(file.fileno())
             if not stat.S_ISREG(facts.st_mode):
                 raise SceneError(f"system.path: expected a file, got {path}, which is none; correct the path")
@@ -242,7 +256,14 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
         If the module or the function is gone, or not what it was; or what it returned is no such system.
     """
     with _found_first(function.at):
-        found = _function(function.name, function.at, function.sha256)(n, rng, **parameters)
+        try:
+            found = _function(function.name, function.at, function.sha256, function.beside)(n, rng, **parameters)
+        except (SystemExit, GeneratorExit) as error:  # which would end a worker
+            raise RuntimeError(foreign(error)) from error
+        except KeyboardInterrupt as error:
+            if threading.current_thread() is threading.main_thread():  # it may be the user's
+                raise
+            raise RuntimeError(foreign(error)) from error
     if not isinstance(found, System) or found.n != n:
         got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__
         raise SceneError(
@@ -251,25 +272,91 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
     return found
 
 
-def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> System:
-    """A system as `make`, for a look; whatever goes wrong in the function is told in a line.
+def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
+    """What a scene says of a function once it has made a system, twice, in a process of its own, as plain values.
 
     Raises
     ------
     SceneError
-        Then.
+        If that goes wrong, the two differ, or it takes longer than `LONGEST_TRIAL`.
     """
-    try:
-        return make(function, n, np.random.default_rng(0), parameters)
-    except SceneError:
-        raise
-    except (Exception, SystemExit) as error:
-        given = "".join(f", {key}={value!r}" for key, value in parameters.items())
-        why = " ".join(str(error).split()) or "nothing said"
+    call = f"system.coupling: {function.name}({n}, rng{''.join(f', {k}={v!r}' for k, v in parameters.items())})"
+    with Child(_try) as child:
+        limit = threading.Timer(LONGEST_TRIAL, child.kill)
+        limit.start()
+        try:
+            problem, found = child((function, n, dict(parameters)))
+        except ChildDied as death:
+            problem, found = (
+                f"{call}: expected a stickslip.System within {LONGEST_TRIAL:g} s, its process died "
+                f"({death}); correct the function",
+                {},
+            )
+        finally:
+            limit.cancel()
+    if problem:
         raise SceneError(
-            f"system.coupling: {function.name}({n}, rng{given}): expected a stickslip.System, got "
-            f"{type(error).__name__}: {why}; correct the function"
-        ) from error
+            problem if problem.startswith("system.coupling") else f"{call}: {problem}; correct the function"
+        )
+    return found
+
+
+def _try(task: tuple[SystemFunction, int, dict[str, float]]) -> tuple[str, dict[str, Any]]:
+    """In a child: what is wrong with a function, or else what it made and loaded."""
+    function, n, parameters = task
+    before = set(sys.modules)
+    sys.addaudithook(_no_fork)
+    try:
+        systems = [make(function, n, np.random.default_rng(0), parameters) for _ in range(2)]
+    except SceneError as error:
+        return str(error), {}
+    except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
+        return f"expected a stickslip.System, got {foreign(error)}", {}
+    if pickle.dumps(_parts(systems[0])) != pickle.dumps(_parts(systems[1])):
+        return "expected the same system each time for the same rng, got two that differ; draw from rng alone", {}
+    stiffness = systems[0].stiffness
+    is_sparse = not isinstance(stiffness, np.ndarray)
+    loaded = _beside(function, set(sys.modules) - before)
+    return "", {"is_sparse": is_sparse, "entries_by_block": stiffness.size / n, "beside": loaded}
+
+
+def _parts(system: System) -> list[Any]:
+    """All that a system is given."""
+    stiffness = system.stiffness
+    dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
+    rest = [getattr(system, name) for name in (*OF_BLOCKS, "force", "weakening", "back_slip")]
+    return [dense, *rest]
+
+
+def _no_fork(event: str, _: tuple[Any, ...]) -> None:
+    if event in ("os.fork", "os.forkpty"):
+        raise RuntimeError("a function that makes systems may not fork")
+
+
+def _beside(function: SystemFunction, names: set[str]) -> dict[str, str]:
+    """The sha256 of each of some modules that lies in the scene's folder or below, by its path there."""
+    root, installed = Path(function.at), Path(sys.prefix).resolve()
+    files = {Path(file).resolve() for name in names if (file := getattr(sys.modules.get(name), "__file__", None))}
+    files = {file for file in files if file.is_relative_to(root) and not file.is_relative_to(installed)}
+    ours = Path(__file__).resolve().parents[1]
+    found = {f.relative_to(root).as_posix(): _digest(_content(f)) for f in files if not f.is_relative_to(ours)}
+    return dict(sorted(found.items()))
+
+
+def _beside_again(root: Path, beside: tuple[tuple[str, str], ...]) -> None:
+    """See that the modules that a function loads are as they were; what this process has of others is forgotten."""
+    for name, sha256 in beside:
+        file = root / name
+        if not file.is_file() or _digest(_content(file)) != sha256:
+            raise (ChangedError if file.is_file() else SceneError)(
+                f"system.coupling: expected {file}, which the function loads, as it was when the scene was read "
+                f"(sha256 {sha256[:12]}), found {'another' if file.is_file() else 'none'}; if it was changed, run "
+                f"the scene into another directory"
+            )
+        if _held.setdefault(file, sha256) != sha256:
+            for key in [k for k, one in sys.modules.items() if getattr(one, "__file__", None) == str(file)]:
+                del sys.modules[key]
+            _held[file] = sha256
 
 
 def _module_file(module: str, at: str, sha256: str) -> Path:
@@ -278,7 +365,7 @@ def _module_file(module: str, at: str, sha256: str) -> Path:
     files = [file for folder in folders if (file := _file_of(module, folder)) is not None]
     file = next((file for file in files if _digest(_content(file)) == sha256), None)
     if file is None:
-        raise SceneError(
+        raise (ChangedError if files else SceneError)(
             f"system.coupling: expected the module {module!r} as it was when the scene was read (sha256 "
             f"{sha256[:12]}), in {at} or installed, found {'another' if files else 'none'}; on a cluster, "
             f"let the workers have it there; if it was changed, run the scene into another directory"
@@ -287,10 +374,11 @@ def _module_file(module: str, at: str, sha256: str) -> Path:
 
 
 @lru_cache(maxsize=8)
-def _function(name: str, at: str, sha256: str) -> Callable[..., object]:
+def _function(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ...]) -> Callable[..., object]:
     """The function, of a module that is loaded under a name of its own, so that what is on disk is what is called."""
     module, _, attribute = name.partition(":")
     file = _module_file(module, at, sha256)
+    _beside_again(_root(at, beside), beside)
     loaded = types.ModuleType(f"_own_{module}_{sha256[:12]}")
     loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
     sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own
@@ -301,6 +389,12 @@ def _function(name: str, at: str, sha256: str) -> Callable[..., object]:
         near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
         raise SceneError(f"system.coupling: expected a function {attribute!r} in {file}, found none{near}")
     return found
+
+
+def _root(at: str, beside: tuple[tuple[str, str], ...]) -> Path:
+    """The folder that the modules beside a scene lie in: that one, or above it, as its copy may lie deeper."""
+    places = (Path(at), *Path(at).parents)
+    return next((place for place in places if all((place / name).is_file() for name, _ in beside)), Path(at))
 
 
 def _file_of(module: str, folder: Path) -> Path | None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from stickslip import sim
 from stickslip.pipeline.design import Batch, Member
+from stickslip.pipeline.errors import foreign
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.quantity import Course, Distribution, Named
 from stickslip.pipeline.schema import COLUMNS, Recording, encode
@@ -195,8 +196,7 @@ def _result(
     except CacheError:  # no member of this machine can be run
         raise
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
-        message = " ".join(str(error).split())
-        return None, failed(member, f"{type(error).__name__}: {message}")
+        return None, failed(member, foreign(error))
 
 
 def failed(member: Member, reason: str) -> dict[str, Any]:

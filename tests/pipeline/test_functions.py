@@ -243,3 +243,77 @@ def test_a_system_is_the_functions_own(tmp_path):
     member = expand(load_scene(written(tmp_path)))[-1]
     run = sim.simulate(member.system(), -0.7, -0.4, t_end=5.0, tol=1e-6)
     assert member.simulate().events.t.tolist() == run.events.t.tolist()
+
+
+LAZY = OWN.replace("    K = ", "    from late.part import STIFF as late\n    stiff = late\n    K = ")
+
+
+@pytest.mark.parametrize(("own", "name"), [(OWN, "beside.py"), (LAZY, "late/part.py")])
+def test_a_module_that_the_function_loads_is_part_of_the_scene(own, name, tmp_path, content):
+    (tmp_path / "late").mkdir()
+    (tmp_path / "late" / "part.py").write_text("STIFF = 1.5\n")
+    scene = load_scene(written(tmp_path, own=own))
+    assert name in scene.system.module.beside
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    assert verify(tmp_path / "out") == []
+    before = content(tmp_path / "out")
+    file = written(tmp_path, SCENE.replace("matrices = 2", "matrices = 3"), own)
+    (tmp_path / name).write_text("STIFF = 2.5\n")
+    with pytest.raises(StoreError, match=r"system\.beside"):
+        run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert content(tmp_path / "out") == before
+    (problem,) = verify(tmp_path / "out")
+    assert f"{name}, which the function loads, as it was" in problem
+    assert {round(float(member.system().stiffness[0, 0])) for member in expand(load_scene(file))} <= {2, 3}
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (
+            "import os; return System(gap * np.frombuffer(os.urandom(n * n), np.uint8).reshape(n, n), 0.1)",
+            "that differ",
+        ),
+        ("import os; os.fork(); return System(np.eye(n), 0.1)", "may not fork"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+        ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),
+        ("import time; time.sleep(60)", "within 3 s, its process died (signal SIGKILL)"),
+        ("import os; os._exit(3)", "exit code 3"),
+    ],
+)
+def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, words, tmp_path, monkeypatch):
+    from stickslip.pipeline import systems
+
+    monkeypatch.setattr(systems, "LONGEST_TRIAL", 3.0 if "sleep" in line else 40.0)
+    head = "import numpy as np\nfrom stickslip import System\n"
+    with pytest.raises(SceneError) as refusal:
+        load_scene(written(tmp_path, own=own(line, head)))
+    assert words in str(refusal.value)
+    assert str(refusal.value).isprintable()
+    assert len(str(refusal.value)) < 600
+
+
+@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt"])
+def test_a_function_that_ends_its_worker_fails_its_members_alone(error, tmp_path):
+    lines = f"if gap == 1.0: raise {error}\n    return System(np.eye(n), 0.1)"
+    head = "import numpy as np\nfrom stickslip import System\n"
+    done = run_ensemble(load_scene(written(tmp_path, own=own(lines, head))), tmp_path / "out", workers=1)
+    assert done.outcomes["failed"] == 4
+    table = query.members(tmp_path / "out", filters=[("outcome", "=", "failed")])
+    assert all(error[:10] in reason for reason in table.reason)
+
+
+def test_a_function_goes_on_where_a_dataset_ended(tmp_path):
+    file = written(tmp_path, SCENE.replace(ENDING, "") + ENDING + "\n[record]\nend = true\n")
+    run_ensemble(load_scene(file), tmp_path / "first", workers=0)
+    (tmp_path / "next.toml").write_text(SCENE.replace("z = -0.7\nw = -0.4", 'dataset = "first"'))
+    ends = query.ends(tmp_path / "first")
+    members = expand(load_scene(tmp_path / "next.toml"))
+    for one, old in zip(members, expand(load_scene(file)), strict=True):
+        z, w = one.start()
+        assert np.array_equal(z, ends[old.member_id][0])
+        assert np.array_equal(w, ends[old.member_id][1])
+        assert np.array_equal(one.system().stiffness, old.system().stiffness)
+        run = one.simulate()
+        again = sim.simulate(one.system(), z, w, t_end=5.0, tol=1e-6)
+        assert run.z.tolist() == again.z.tolist()

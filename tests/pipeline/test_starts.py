@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from stickslip.pipeline import SceneError, StoreError, expand, load_scene, parse_scene, query, run_ensemble
+from stickslip.pipeline import SceneError, StoreError, ends, expand, load_scene, parse_scene, query, run_ensemble
 from stickslip.workflows.commands import main
 from tests.scenes import COULOMB, ensemble
 
@@ -147,6 +147,16 @@ def test_a_dataset_that_changed_is_another_start(first):
     run_ensemble(load_scene(first / "first.toml"), first / "runs" / "first", workers=0)
     with pytest.raises(StoreError, match=r"start\.ends: sha256 [0-9a-f]{12} here, sha256 [0-9a-f]{12} there"):
         run_ensemble(load_scene(first / "next.toml"), first / "runs" / "next", workers=0)
+
+
+def test_a_dataset_that_changed_since_the_scene_was_read_starts_nothing(first):
+    (first / "next.toml").write_text(scene(GOES_ON))
+    following = load_scene(first / "next.toml")
+    (first / "first.toml").write_text(scene(rest="[record]\nend = true").replace("matrices = 2", "matrices = 3"))
+    run_ensemble(load_scene(first / "first.toml"), first / "runs" / "first", workers=0)
+    ends._opened.cache_clear()  # as in a worker, which opens it later
+    with pytest.raises(SceneError, match=r"as it was when the scene was read .* got another"):
+        expand(following)[0].start()
 
 
 BAD = {

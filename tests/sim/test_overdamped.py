@@ -116,6 +116,7 @@ def beside(rng, damping):
     return stiffness, rng.uniform(0, 2, n), np.where(is_idle, 0.0, rng.uniform(0.5, 2, n))
 
 
+@pytest.mark.filterwarnings("ignore:.* while blocks slip")
 def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
     """Beside a heavily damped one in closed form; coupled or not, v = 0, and the first stays on its side."""
     for _ in range(30):
