@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import glob
 import hashlib
+import importlib.abc
+import importlib.machinery
 import importlib.util
 import os
 import pickle
@@ -12,7 +14,7 @@ import stat
 import sys
 import threading
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -33,8 +35,8 @@ BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 #: Seconds that a function has for two systems when a scene is read.
 LONGEST_TRIAL = 40.0
 
-#: The modules beside a scene that this process has loaded, as they were then.
-_held: dict[Path, str] = {}
+#: Held while a function makes a system: what a process has loaded is one table.
+_alone = threading.RLock()
 
 
 class ChangedError(SceneError):
@@ -136,7 +138,7 @@ def look_again(origin: SystemFile | SystemFunction) -> None:
     else:
         module = origin.name.partition(":")[0]
         _module_file(module, origin.at, origin.sha256)
-        _beside_again(_root(origin.at, origin.beside), origin.beside)
+        _check_beside(_root(origin.at, origin.beside), origin.beside)
 
 
 def _digest(content: bytes) -> str:
@@ -255,7 +257,7 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
     SceneError
         If the module or the function is gone, or not what it was; or what it returned is no such system.
     """
-    with _found_first(function.at):
+    with _alone, _own_modules(function):
         try:
             found = _function(function.name, function.at, function.sha256, function.beside)(n, rng, **parameters)
         except (SystemExit, GeneratorExit) as error:  # which would end a worker
@@ -335,16 +337,20 @@ def _no_fork(event: str, _: tuple[Any, ...]) -> None:
 
 def _beside(function: SystemFunction, names: set[str]) -> dict[str, str]:
     """The sha256 of each of some modules that lies in the scene's folder or below, by its path there."""
-    root, installed = Path(function.at), Path(sys.prefix).resolve()
+    root = Path(function.at)
     files = {Path(file).resolve() for name in names if (file := getattr(sys.modules.get(name), "__file__", None))}
-    files = {file for file in files if file.is_relative_to(root) and not file.is_relative_to(installed)}
-    ours = Path(__file__).resolve().parents[1]
-    found = {f.relative_to(root).as_posix(): _digest(_content(f)) for f in files if not f.is_relative_to(ours)}
+    found = {f.relative_to(root).as_posix(): _digest(_content(f)) for f in files if _is_beside(f, root)}
     return dict(sorted(found.items()))
 
 
-def _beside_again(root: Path, beside: tuple[tuple[str, str], ...]) -> None:
-    """See that the modules that a function loads are as they were; what this process has of others is forgotten."""
+def _is_beside(file: Path, root: Path) -> bool:
+    """Whether a module's file lies in a scene's folder or below, and is not of this package or an installed one."""
+    others = (Path(sys.prefix).resolve(), Path(__file__).resolve().parents[1])
+    return file.is_relative_to(root) and not any(file.is_relative_to(place) for place in others)
+
+
+def _check_beside(root: Path, beside: tuple[tuple[str, str], ...]) -> None:
+    """See that the modules that a function loads are as they were."""
     for name, sha256 in beside:
         file = root / name
         if not file.is_file() or _digest(_content(file)) != sha256:
@@ -353,10 +359,6 @@ def _beside_again(root: Path, beside: tuple[tuple[str, str], ...]) -> None:
                 f"(sha256 {sha256[:12]}), found {'another' if file.is_file() else 'none'}; if it was changed, run "
                 f"the scene into another directory"
             )
-        if _held.setdefault(file, sha256) != sha256:
-            for key in [k for k, one in sys.modules.items() if getattr(one, "__file__", None) == str(file)]:
-                del sys.modules[key]
-            _held[file] = sha256
 
 
 def _module_file(module: str, at: str, sha256: str) -> Path:
@@ -378,7 +380,7 @@ def _function(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ..
     """The function, of a module that is loaded under a name of its own, so that what is on disk is what is called."""
     module, _, attribute = name.partition(":")
     file = _module_file(module, at, sha256)
-    _beside_again(_root(at, beside), beside)
+    _check_beside(_root(at, beside), beside)
     loaded = types.ModuleType(f"_own_{module}_{sha256[:12]}")
     loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
     sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own
@@ -410,11 +412,68 @@ def _file_of(module: str, folder: Path) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
+class _Source(importlib.machinery.SourceFileLoader):
+    """Compiles what is on disk.
+
+    Python would take compiled code for that of any file of the same size that was written in the same second.
+    """
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
+class _FromSource(importlib.abc.MetaPathFinder):
+    """Finds modules as Python does; those beside a scene are read by `_Source`."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
+        if (
+            spec is not None
+            and isinstance(spec.loader, importlib.machinery.SourceFileLoader)
+            and _is_beside(Path(spec.loader.path).resolve(), self._root)
+        ):
+            spec.loader = _Source(fullname, spec.loader.path)
+        return spec
+
+
+@lru_cache(maxsize=8)
+def _modules(root: Path, beside: tuple[tuple[str, str], ...]) -> dict[str, types.ModuleType]:
+    """The modules beside a scene that this process has loaded for its function, by name; filled by `_own_modules`."""
+    return {}
+
+
 @contextlib.contextmanager
-def _found_first(folder: str) -> Iterator[None]:
-    """Within: what a module imports is looked for beside it first."""
-    sys.path.insert(0, folder)
+def _own_modules(function: SystemFunction) -> Iterator[None]:
+    """Within: what a function imports is looked for beside its scene first.
+
+    The modules there are the function's own: others of their names, of another scene or of the caller, are set aside.
+    """
+    root = _root(function.at, function.beside)
+    own, finder = _modules(root, function.beside), _FromSource(root)
+    names = _names(name for name, _ in function.beside)
+    aside = {name: sys.modules.pop(name) for name in names & set(sys.modules)}
+    sys.modules.update(own)
+    sys.path.insert(0, str(root))
+    sys.meta_path.insert(sys.meta_path.index(importlib.machinery.PathFinder), finder)
     try:
         yield
     finally:
-        sys.path.remove(folder)
+        sys.path.remove(str(root))
+        sys.meta_path.remove(finder)
+        own.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
+        sys.modules.update(aside)
+
+
+def _names(files: Iterable[str]) -> set[str]:
+    """The names of modules by their files, and of the packages that they lie in: `a.b` and `a` of a/b.py."""
+    names: set[str] = set()
+    for file in files:
+        path = Path(file).with_suffix("")
+        parts = path.parts[:-1] if path.name == "__init__" else path.parts
+        names.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
+    return names
