@@ -159,9 +159,7 @@ NAMES = ("<b>&--a", "a$x_$b", "$a")
 
 def test_files_with_any_name_leave_pages_and_figures_that_open(rng, tmp_path, capsys):
     (tmp_path / "K").mkdir()
-    for name, strength in zip(
-        NAMES, (0.01, 0.2, 0.2), strict=True
-    ):  # some die at once: figures of how long they live
+    for name, strength in zip(NAMES, (0.01, 0.2, 0.2), strict=True):  # some die at once, which makes figures
         u = rng.uniform(-strength, strength, (20, 20))
         np.save(tmp_path / "K" / f"{name}.npy", (u - u.T) / 2 + 0.1 * np.eye(20))
     scene, out = tmp_path / "s.toml", tmp_path / OUT
