@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import resource
 import signal
 import socket
 import tempfile
@@ -136,11 +137,35 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
             with blocked():
                 loop.start()
             opened.callback(loop.stop)
+            opened.enter_context(_files_for(workers))
             cluster = _local_cluster(workers, dashboard, loop, opened)
             client = Client(cluster, set_as_default=False)
             opened.callback(_close, client, cluster)
             opened.callback(_kill, cluster)
         yield client
+
+
+@contextlib.contextmanager
+def _files_for(workers: int) -> Iterator[None]:
+    """Within: this process may open as many files as workers take, 23 and 12 for each; without them dask hangs.
+
+    Raises
+    ------
+    ScheduleError
+        If it may not.
+    """
+    needed = 32 + 16 * workers
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise ScheduleError(
+            f"workers: expected a limit of {needed} or more open files, for {workers} of them, got {hard} "
+            f"(`ulimit -n`); raise it, or use fewer workers"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft == resource.RLIM_INFINITY else max(soft, needed), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def _look_at(client: Client) -> None:

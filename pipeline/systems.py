@@ -260,11 +260,11 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
     with _alone, _own_modules(function):
         try:
             found = _function(function.name, function.at, function.sha256, function.beside)(n, rng, **parameters)
-        except (SystemExit, GeneratorExit) as error:  # which would end a worker
-            raise RuntimeError(foreign(error)) from error
-        except KeyboardInterrupt as error:
-            if threading.current_thread() is threading.main_thread():  # it may be the user's
-                raise
+        except Exception:
+            raise
+        except BaseException as error:  # it would end a worker
+            if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+                raise  # it may be the user's
             raise RuntimeError(foreign(error)) from error
     if not isinstance(found, System) or found.n != n:
         got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import re
+import resource
 import socket
 import stat
 import threading
@@ -18,7 +19,7 @@ from distributed import Security
 from distributed.core import rpc
 from distributed.utils import LoopRunner
 
-from stickslip.pipeline import AddressError, cluster, run_ensemble
+from stickslip.pipeline import AddressError, ScheduleError, cluster, run_ensemble
 
 
 def listening(pids):
@@ -125,3 +126,20 @@ def test_what_is_no_scheduler_is_refused(monkeypatch):
         (worker,) = client.run(lambda dask_worker: dask_worker.address).values()
         with dask.config.set(tls), pytest.raises(AddressError, match="a QuietWorker answers there"):
             cluster.check_address(worker)
+
+
+def test_workers_that_may_not_open_enough_files_are_refused_and_a_soft_limit_is_raised(monkeypatch):
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (30, 30))
+    refused = pytest.raises(ScheduleError, match=r"workers: expected a limit of 64 or more open files, .* got 30")
+    with refused, cluster.local(2):
+        pass
+    monkeypatch.undo()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (40, limits[1]))  # too few for what is open by now
+    try:
+        with cluster.local(2) as client:
+            client.wait_for_workers(2, timeout=60)
+            assert len(list(Path("/proc/self/fd").iterdir())) > 40
+        assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == 40
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)

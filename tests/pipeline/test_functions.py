@@ -311,7 +311,7 @@ def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, 
     assert len(str(refusal.value)) < 600
 
 
-@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt"])
+@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt", "BaseException(7)"])
 def test_a_function_that_ends_its_worker_fails_its_members_alone(error, tmp_path):
     lines = f"if gap == 1.0: raise {error}\n    return System(np.eye(n), 0.1)"
     head = "import numpy as np\nfrom stickslip import System\n"
