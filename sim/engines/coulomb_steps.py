@@ -159,7 +159,8 @@ def root(law, i, series, forces, at, mode, zeros, side, order, h, poly, found): 
             is_found = True
         return h, is_found
     force = law.damping[i] * v + forces[0, at]
-    for sigma in (-1, 1):
+    first = h
+    for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:
             continue
         skip = zeros if side in (sigma, UNDECIDED_BOTH) else 0
@@ -175,9 +176,9 @@ def root(law, i, series, forces, at, mode, zeros, side, order, h, poly, found): 
             poly[k] = sigma * forces[k + skip, at] * power
             power *= h
         if poly[0] != 0.0 and roots(poly, degree, found) > 0:
-            h *= found[0]
+            first = min(first, h * found[0])
             is_found = True
-    return h, is_found
+    return first, is_found
 
 
 @inner

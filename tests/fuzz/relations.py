@@ -521,6 +521,16 @@ class _Measure:
         shortest = np.sqrt(self.setup.tol) / s.rates[i]  # contract, rule 7
         return any(0 < np.diff([t for t, *_ in one[1:]]).min(initial=np.inf) < shortest for one in (mine, its))
 
+    def _rounded(self) -> NDArray[np.bool_]:
+        """Blocks that begin on their belts with |F| at static friction, to rounding: who slips is then a choice."""
+        s, t = self.setup.system, self.setup.t_start
+        k, z, v = s.stiffness, self.setup.z, s.belt_speed_at(t)
+        damping = np.diag(s.damping) if s.cross_damping is None else _full(s)
+        given = np.sum([np.zeros(s.n), *(f.at(t) for f in s.force)], axis=0)
+        size = abs(k) @ np.abs(z) + np.abs(damping) @ np.abs(v) + s.most_force + s.static
+        excess = np.abs(k @ z + damping @ v - given) - s.static
+        return (self.setup.w == v) & (np.abs(excess) <= 64 * _EPS * size)
+
     def _series(self, told: Told, image: Image, ratio: float) -> tuple[str, float, str]:
         ends = [run.t_end for run in (self.told, *self.changed) if run.outcome == "diverged"]
         if told.outcome == "diverged":  # when that is certain, is known at steps only
@@ -533,7 +543,15 @@ class _Measure:
         )
         shortest = 10 * np.sqrt(error)
         worst, words = "same", ""
+        settings = self.setup.settings
+        layer = settings.get("eps", 0.0) * float(np.min(settings.get("ratio", 1.0)))
+        if settings.get("stick") == "threshold" and error > 0.01 * layer:
+            return "undecided", ratio, ""  # a threshold is a place in a layer that is as thin as an error of w
+        rounded, frictionless = self._rounded(), self.setup.system.static == 0
         for i in range(self.setup.system.n):
+            if rounded[i] or (frictionless[i] and any(mode == 0 for one in (mine, its) for _, mode, _ in one[i])):
+                worst = "undecided"  # rounding alone holds a block without friction
+                continue
             cut = [[stretch for stretch in one[i] if stretch[0] <= until] for one in (mine, its, *others)]
             its_moves = [(t, mode, 1.0) for t, mode, _ in cut[1]]
             kind, said = compare(cut[0], its_moves, cut[2:], error, shortest, until)

@@ -235,6 +235,23 @@ def test_mirror_images_on_a_belt_at_rest():
     assert run.z[0] == pytest.approx(-run.z[1], abs=1e-12)
 
 
+@pytest.mark.parametrize("store", [np.asarray, scipy.sparse.csr_array])
+def test_a_mirror_image_has_the_same_bytes_where_either_edge_of_friction_may_come_first(rng, store):
+    """Without damping, and with K of a few entries, both edges have a root within a step."""
+    n_events = 0
+    for _ in range(300):
+        n = int(rng.integers(2, 6))
+        stiffness = np.triu(rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5), 1)
+        system = System(store(stiffness), 0.0, rng.random(n), 0.0)
+        z, w = 3 * rng.normal(size=n), rng.normal(size=n)
+        run, mirror = simulate(system, z, w, 5.0, tol=1e-10), simulate(system, -z, -w, 5.0, tol=1e-10)
+        assert run.events.t.tolist() == mirror.events.t.tolist()
+        assert run.events.block.tolist() == mirror.events.block.tolist()
+        np.testing.assert_array_equal(run.z, -mirror.z)
+        n_events += len(run.events)
+    assert n_events > 300
+
+
 # Where a run begins and ends
 
 
