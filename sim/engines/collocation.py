@@ -191,7 +191,8 @@ def _probe(rows: Rows, law: Law) -> Lane:
 
     A polynomial is suspect whose hull goes deeper into the layer than any place that was looked at; and one that
     comes to a peak and errs by more than a share of it, or of the distance. Where |F| lies between kinetic and static
-    friction the layer holds a block, but behind it nothing contradicts a step that missed it.
+    friction the layer holds a block, but behind it nothing contradicts a step that missed it. A force beside which
+    friction is rounding is held by none.
     """
     h, u0, steep, mu, damping = rows[H], rows[U0], rows[STEEP], rows[FRICTION], rows[DAMPING]
     stages = range(STAGES)
@@ -227,7 +228,11 @@ def _probe(rows: Rows, law: Law) -> Lane:
         peak = rows[PEAK]
         away = less(absolute(absolute(u0) - peak), absolute(absolute(u[-1]) - peak))
         allowed = greater(less(peak * _OF_PEAK, away * _OF_DISTANCE), peak * rows[AT_PEAK])
-        suspect = suspect | ((low < peak * NEAR_PEAK) & (high > peak * -NEAR_PEAK) & (error > allowed))
+        least = absolute(rows[F])
+        for k in range(1, STAGES):
+            least = less(least, absolute(rows[F + k]))
+        may_hold = rows[STATIC] > least * _ROUNDING
+        suspect = suspect | ((low < peak * NEAR_PEAK) & (high > peak * -NEAR_PEAK) & (error > allowed) & may_hold)
     rows[SUSPECT] = where(suspect, h * 0.0 + 1.0, 0.0)
     return (error < _allowed(rows, law)) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.arguments import Floats
-from stickslip.sim.engines.arithmetic import copy, largest
+from stickslip.sim.engines.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.outside import begin, may_change, take_off
 from stickslip.sim.engines.panels import ROUGH
@@ -44,6 +44,8 @@ PASSED_ON = 0.002
 #: The share of the tolerance that products in float32 may leave out. What is smaller than _TINY would leave float32.
 _ROUNDED_OFF = 0.05
 _TINY = 1e-200
+#: A coefficient of this size is not used, nor those behind it: they would leave float64.
+_HUGE = 1e250
 
 #: An event is decided by a series if the force is this many times its error away from another decision.
 _DOUBT = 10.0
@@ -82,6 +84,16 @@ class Expansion(NamedTuple):
 
 
 @inner
+def _is_lost(fall, law, expansion, i):  # type: ignore[no-untyped-def]
+    """Whether what a block's friction may fall by is lost in the rounding of its other forces.
+
+    Such a block passes its belt in so short a time that friction, as a series in time, leaves float64.
+    """
+    force = law.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
+    return law.friction[i] * (1.0 - fall.far[i]) <= ROUNDING * abs(force)
+
+
+@inner
 def _shape(fall, law, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
     series, shape, mode = expansion.series, expansion.shape, expansion.mode
@@ -90,6 +102,8 @@ def _shape(fall, law, expansion, k):  # type: ignore[no-untyped-def]
         for i in range(n):
             x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
             shape[0, i] = math.exp(-x) if fall.is_exponential else 1.0 / (1.0 + x)
+            if _is_lost(fall, law, expansion, i):
+                shape[0, i] = 0.0  # and with it all others
         return
     shape[k] = 0.0
     for j in range(1, k + 1):
@@ -137,7 +151,7 @@ def _falls_off(fall, law, expansion, order, h, allowed):  # type: ignore[no-unty
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
         drop = law.friction[i] * (1.0 - fall.far[i]) * h
-        if mode[i] == 0 or drop == 0.0:
+        if mode[i] == 0 or drop == 0.0 or _is_lost(fall, law, expansion, i):
             continue
         change, power = 0.0, fall.steepness
         for k in range(1, order):
@@ -239,6 +253,9 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
+        if order > ORDER_MIN and not size < _HUGE:  # the step is then as short as the terms before make it
+            order -= 1
+            break
         if pushed > 0.0:  # what a force leaves out counts where it moves a block, and where friction holds it
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
@@ -258,7 +275,6 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         before = last
         last = size
     h = target
-    order = ORDER_MAX
     if last > 0.0:
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:

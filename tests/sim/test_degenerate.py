@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse
 from scipy.linalg import expm
 
-from stickslip.sim import IntegrationError, System, draw_system, simulate
+from stickslip.sim import IntegrationError, Rational, Stribeck, System, draw_system, simulate
 from stickslip.sim.engines import certificates
 
 from .reference import follow
@@ -308,6 +308,25 @@ def test_a_run_that_is_to_go_on_ends_only_where_numbers_do(engine):
     assert (far.outcome, "block 0" in far.reason) == ("diverged", True)
     assert "block 0 passed 1e+100 at" in far.reason
     assert 110 < far.t_end < 120
+
+
+@pytest.mark.parametrize("weakening", [None, Rational(0.5), Stribeck(0.3)])
+@pytest.mark.parametrize(("engine", "tol"), [("coulomb", 1e-8), ("sigmoid", 1e-5)])
+def test_blocks_that_swing_for_ever_wider_are_followed_to_where_numbers_end(rng, engine, tol, weakening):
+    """With |w| they pass their belts in no time, and are linear to rounding: friction is no part of 1e20."""
+    n = int(rng.integers(1, 4))
+    springs = rng.normal(size=(n, n))
+    system = System(springs @ springs.T + np.eye(n), -1.0, 1.0, 0.0, static=1.5, weakening=weakening)
+    times = np.arange(0.0, 430.0, 5.0)
+    run = simulate(system, rng.uniform(2, 4, n), 0.0, 1000.0, t_eval=times, engine=engine, stop_early=False)
+    assert (run.outcome, "passed 1e+100" in run.reason) == ("diverged", True)
+    assert 420 < run.t_end < 500
+    state = np.hstack([run.samples.z, run.samples.w])
+    large = np.abs(state).max(axis=1) > 1e13
+    expected = state @ expm(5.0 * system.slip_matrix()).T
+    error = np.abs(state[1:] - expected[:-1]).max(axis=1) / np.abs(state[1:]).max(axis=1)
+    assert large.sum() > 60
+    assert error[large[:-1]].max() < tol
 
 
 def test_riding_the_belt_is_no_escape():
