@@ -142,7 +142,8 @@ _STEP, _KEPT, _SLOW, _JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 #: Rows that a block keeps in steps of its own.
 _OF_BLOCK = (
-    U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED, PASSED, AT_PEAK, STATIC,
+    U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED, PASSED, AT_PEAK,
+    STATIC,
 )  # fmt: skip
 
 _products, _single_products = products(STAGES), products(STAGES, single=True)

@@ -545,15 +545,18 @@ class _Measure:
         worst, words = "same", ""
         settings = self.setup.settings
         layer = settings.get("eps", 0.0) * float(np.min(settings.get("ratio", 1.0)))
-        if settings.get("stick") == "threshold" and error > 0.01 * layer:
-            return "undecided", ratio, ""  # a threshold is a place in a layer that is as thin as an error of w
+        moves = 1.0
+        if settings.get("stick") == "threshold":  # a place in the layer, where w hardly moves
+            if error > layer:
+                return "undecided", ratio, ""
+            moves = max(1.0, 1.0 / layer)
         rounded, frictionless = self._rounded(), self.setup.system.static == 0
         for i in range(self.setup.system.n):
             if rounded[i] or (frictionless[i] and any(mode == 0 for one in (mine, its) for _, mode, _ in one[i])):
                 worst = "undecided"  # rounding alone holds a block without friction
                 continue
             cut = [[stretch for stretch in one[i] if stretch[0] <= until] for one in (mine, its, *others)]
-            its_moves = [(t, mode, 1.0) for t, mode, _ in cut[1]]
+            its_moves = [(t, mode, moves) for t, mode, _ in cut[1]]
             kind, said = compare(cut[0], its_moves, cut[2:], error, shortest, until)
             if kind == "graze" and image.until == until and not image.is_event:
                 ends = [one[-1][1] for one in cut[1:]]
