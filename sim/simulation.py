@@ -47,6 +47,7 @@ def simulate(
     modes : array_like of int, shape (n,), optional
         For the exact engine, each block's mode at `t_start`: 0 sticks, +1 or -1 slips. They matter to blocks at the
         belt's speed that slip with |F| above kinetic and not above static friction; default: such blocks stick.
+        Where |F| is at static friction to the tolerance, as where a run was cut at an event, the state decides.
     stop_early : bool
         Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
         that escapes ends.
