@@ -459,11 +459,11 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
     """ValueError if a block cannot start in the mode that was asked for, by more than the tolerance."""
     if (asked == found).all():
         return
-    s, z, v = task.system, task.z0, task.system.belt_speed_at(task.t_start)
-    drag, pull, given = s.damping * v, s.stiffness @ z, s.force_at(task.t_start)
-    size = np.abs(drag) + s.row_sums * np.abs(z).max() + np.abs(given) + s.static
+    s, z, t = task.system, task.z0, task.t_start
+    v, given = s.belt_speed_at(t), np.abs(s.force_at(t))
+    size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + given + s.static
     # a run that was cut at an event has |F| at static friction to its own tolerance
-    excess = np.abs(np.abs(drag + pull - given) - s.static)
+    excess = np.abs(np.abs(s.holding_force(z, task.w0, t)) - s.static)
     is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (excess <= _AT_EVENTS * tol * size)
     if ((asked != found) & ~is_at_edge).any():
         block = int(np.argmax((asked != found) & ~is_at_edge))
