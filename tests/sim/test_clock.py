@@ -269,3 +269,21 @@ def test_a_force_that_turns_at_static_friction_moves_nothing(rng, settings, v):
             run = simulate(system, 0.0, v, t_end, t_start=start, **settings)
             assert len(run.events) == 0
             assert run.n_stick(t_end) == 1
+
+
+def test_a_run_on_a_ramp_goes_on_from_any_event_with_the_modes_there(rng):
+    """Where it is cut, |F| with the ramp's part m v' is at static friction to the tolerance, above it or below."""
+    for start in (0.0, *rng.uniform(0.0, 1e3, 4)):
+        belt = Piecewise([start, start + 50.0], [-0.2, -0.2 - 50.0 * rng.uniform(0.002, 0.01)])
+        stiffness = np.diag(rng.uniform(1.1, 2.6, 3)) - 0.3 * (np.eye(3, k=1) + np.eye(3, k=-1))
+        system = System(stiffness, 0.0, 1.0, belt, static=rng.uniform(1.2, 2.0), weakening=Stribeck(0.5))
+        end, z = start + 30.0, rng.uniform(-0.3, 0.3, 3)
+        whole = simulate(system, z, -0.2, end, t_start=start)
+        assert len(whole.events) > 3
+        for k, t in enumerate(whole.events.t):
+            part = simulate(system, z, -0.2, t, t_start=start)
+            rest = simulate(system, part.z, part.w, end, t_start=t, modes=part.events.mode_at(t))
+            assert len(rest.events) - (len(whole.events) - k - 1) in (0, 1)  # it may leave an instant later
+            np.testing.assert_allclose([*rest.z, *rest.w], [*whole.z, *whole.w], atol=1e-6)
+        with pytest.raises(ValueError, match="modes: expected what the state allows, got 1 for block 0"):
+            simulate(system, z, -0.2, end, t_start=start, modes=[1, 0, 0])
