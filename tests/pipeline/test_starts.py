@@ -77,6 +77,20 @@ def test_the_state_at_the_end_is_that_of_simulate(first):
             assert row["mode_end"] == last.tolist()
 
 
+def test_what_slips_at_the_end_does_so_to_a_side_of_the_belt_as_it_then_goes(tmp_path):
+    text = scene(rest="[record]\nend = true").replace(
+        "[start]", "belt_speed = {times = [0, 12], values = [-1, 1]}\n[start]"
+    )
+    run_ensemble(parse_scene(text.encode()), tmp_path / "out", workers=0)
+    slips = 0
+    for row in query.table(tmp_path / "out").to_pylist():
+        w, mode = np.array(row["w_end"]), np.array(row["mode_end"])
+        assert row["outcome"] == "finished"
+        assert (np.sign(w - 1.0)[mode != 0] == mode[mode != 0]).all()
+        slips += np.count_nonzero((mode != 0) & (np.abs(w) < 1.0))  # between the belt's first speed and its last
+    assert slips > 0
+
+
 def test_a_run_goes_on_where_another_ended(first, content):
     """Two halves are one run, with its modes; on workers too, and the state is found by who moved both."""
     (first / "next.toml").write_text(scene(GOES_ON))
@@ -163,6 +177,11 @@ BAD = {
     "no dataset": (GOES_ON.replace("first", "none"), "", ["start.dataset", "runs/none", "no such directory"]),
     "other matrices": (GOES_ON, "seed = 1", ["start.dataset", "the same system as n4-m000-e", "seed, n, matrices"]),
     "end of none": ('[start]\nz = "end"\nw = "end"', "", ["start.dataset", '"end"']),
+    "draws of none": (
+        f"{GOES_ON}\ndraws = 3",
+        "",
+        ["start.dataset", "the same system as n4-m000-s0-e", "and draws must"],
+    ),
     "a start beside": (f"{GOES_ON}\nz = 0.0\nw = 0.0", "", ["start.dataset", 'z or w = "end"']),
     "a word": ('[start]\nz = 0.0\nw = "bolt"', "", ["start.w", "'bolt'"]),
     "z on the belt": ('[start]\nz = "belt"\nw = 0.0', "", ["start.z", "'belt'"]),
