@@ -173,6 +173,16 @@ def test_a_dataset_that_changed_since_the_scene_was_read_starts_nothing(first):
         expand(following)[0].start()
 
 
+def test_a_run_that_did_not_come_to_its_end_starts_nothing(tmp_path):
+    away = ("n = [4, 6]", "n = [4, 6]\nkappa = 5.0\nrho = 0.1")
+    (tmp_path / "first.toml").write_text(scene(rest="[record]\nend = true").replace(*away))
+    run_ensemble(load_scene(tmp_path / "first.toml"), tmp_path / "runs" / "first", workers=0)
+    assert set(query.members(tmp_path / "runs" / "first").outcome) == {"diverged"}
+    (tmp_path / "next.toml").write_text(scene(GOES_ON).replace(*away))
+    with pytest.raises(SceneError, match=r"members that came to their end, got n4-m000-.*, which is diverged"):
+        load_scene(tmp_path / "next.toml")
+
+
 BAD = {
     "no dataset": (GOES_ON.replace("first", "none"), "", ["start.dataset", "runs/none", "no such directory"]),
     "other matrices": (GOES_ON, "seed = 1", ["start.dataset", "the same system as n4-m000-e", "seed, n, matrices"]),
