@@ -148,9 +148,13 @@ def test_a_sample_is_the_planted_one(planted):
             planted.member("m4", 4),
             planted.member("m5", 5, outcome="diverged", t_stop=200.0),
             planted.member("m6", 6, outcome="failed", t_stop=None),
+            planted.member("m2 again", 2, outcome="diverged", t_stop=200.0),  # shares have the first run of a matrix
+            planted.member("m7", 7, outcome="failed", t_stop=None),
+            planted.member("m7 again", 7, outcome="collapsed", t_stop=310.0),  # that did not fail
         ]
     )
-    series = {f"m{k}": (t, a + 2 * wave) for k, a in enumerate((10, 12, 20))} | {f"m{k}": quiet for k in (3, 4, 5)}
+    series = {f"m{k}": (t, a + 2 * wave) for k, a in enumerate((10, 12, 20))}
+    series |= {name: quiet for name in ("m3", "m4", "m5", "m2 again", "m7 again")}
     study = Study(Data(members, series), SETTINGS)
     found = sample(study.groups[0])
     matrices, rows = found.rows("mean n_stick")
@@ -162,8 +166,8 @@ def test_a_sample_is_the_planted_one(planted):
     assert total == 2 * count
     shares = {name: found.rows(name)[1][:, 0].tolist() for name in found.sums if name.startswith("share")}
     assert shares == {
-        "share gone quiet": [0, 0, 0, 1, 1, 0],  # the failed run is in none
-        "share run away": [0, 0, 0, 0, 0, 1],
+        "share gone quiet": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
+        "share run away": [0, 0, 0, 0, 0, 1, 0],
     }
 
 

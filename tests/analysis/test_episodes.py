@@ -184,6 +184,16 @@ def test_slips_either_way_all_count(planted_episodes, strict, rng):
     assert found.facts["lead"]["n_episodes"] == (data.episodes["start"] >= 200.0).sum()
 
 
+def test_an_episode_whose_slips_cancel_is_in_no_statistic(planted_episodes, strict):
+    """As on belts that go opposite ways: it has no magnitude."""
+    data = planted_episodes(EXACT)
+    none = data.episodes.iloc[::40].assign(start=lambda table: table["start"] + 0.01, moment=0.0)
+    more = pd.concat([data.episodes, none]).sort_values(["member_id", "start"], ignore_index=True)
+    found, known = (episodes.answer(Study(replace(data, episodes=one), strict)) for one in (more, data.episodes))
+    assert found.facts["lead"] == known.facts["lead"]
+    assert found.facts["least"] == known.facts["least"]
+
+
 def test_regularity(planted_episodes, settings, rng):
     found = {
         name: episodes.answer(Study(planted_episodes(EXACT, gaps=gaps), settings)).facts["lead"]["regularity"]

@@ -32,6 +32,14 @@ def test_survival_against_the_textbook():
     assert (half.low, half.high) == (13, None)  # 13 is the first time with a lower end of half or less
 
 
+def test_the_interval_of_a_median_ends_where_that_of_the_share_no_longer_holds_one_half():
+    """One half at an end of it is held: Brookmeyer and Crowley keep what a test does not refuse."""
+    t, share = np.arange(5.0), np.array([1.0, 0.7, 0.5, 0.3, 0.2])
+    low, high = np.array([0.9, 0.5, 0.4, 0.2, 0.1]), np.array([1.0, 0.9, 0.7, 0.5, 0.4])
+    found = median(t, share, low, high)
+    assert (found.value, found.low, found.high) == (2.0, 1.0, 4.0)
+
+
 @pytest.mark.parametrize("has_ended", [False, True])
 def test_none_or_all_ended_have_an_interval(has_ended):
     _, share, low, high = kaplan_meier(np.full(20, 5.0), np.full(20, has_ended), 0.95)

@@ -10,6 +10,7 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.questions import sweep
+from stickslip.analysis.stats import enough
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -116,6 +117,16 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
     assert answer.facts["told"][0]["quantity"] == sweep.MOVING
     mean = changes(answer)["belt_speed"]
     assert (mean["first_value"], mean["verdict"]) == ("-0.2", sweep.STAYS), "against the first that has runs"
+
+
+def test_as_many_units_as_are_needed_are_enough(swept, settings):
+    """Of the first value one run less is known than an interval needs, of the others just as many."""
+    data = swept({"belt_speed": [-0.3, -0.2, -0.1]}, lambda at, matrix: matrix, n_matrices=enough.LEAST_MATRICES)
+    data.members.loc[data.members["member_id"] == "m0-0", ["outcome", "t_stop"]] = "collapsed", 50.0
+    found = changes(sweep.answer(Study(data, settings)))["belt_speed"]
+    assert (found["first_value"], found["second_value"]) == ("-0.2", "-0.1")
+    assert found["n_first"] == found["n_second"] == enough.LEAST_MATRICES
+    assert found["p_different"] is not None
 
 
 def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted, swept, settings):

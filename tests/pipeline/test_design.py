@@ -163,25 +163,39 @@ def test_each_draw_is_numpys_own_under_its_key(source):
     assert w == pytest.approx(-0.4 + by[1], rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    "room", ["sim/engines/loop.py", "sim/new/deeper.py", "pipeline/design.py", "pipeline/tables.py"]
-)
-def test_the_programs_digest_covers_all_that_determines_numbers(room, tmp_path):
+#: What a member is, from the file of the scene on, and what of its run becomes which column.
+DETERMINING = (
+    "design", "ends", "engine_table", "quantity", "scene", "schema", "system_files", "system_table", "systems",
+    "tables", "worker",
+)  # fmt: skip
+
+
+def test_the_programs_digest_covers_all_that_determines_numbers(tmp_path):
     """Data of two sets of draws are never mixed: a change of any of these sources is another program."""
     shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)
     for folder in ("sim", "pipeline"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
 
-    def program():
-        asked = [sys.executable, "-c", "from stickslip.pipeline.worker import program; print(program())"]
-        found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
-        return found.stdout
-
-    before = program()
-    (tmp_path / room).parent.mkdir(exist_ok=True)
-    with (tmp_path / room).open("a") as source:
-        source.write("\nCHANGED = 1\n")
-    assert program() != before
+    rooms = ["sim/engines/loop.py", "sim/new/deeper.py", *(f"pipeline/{name}.py" for name in DETERMINING)]
+    asked = """
+import sys
+from pathlib import Path
+from stickslip.pipeline.worker import program
+from stickslip.sim.engines.sources import source_digest
+print(program())
+for room in map(Path, sys.argv[1:]):
+    room.parent.mkdir(exist_ok=True)
+    with room.open("a") as source:
+        source.write("\\nCHANGED = 1\\n")
+    source_digest.cache_clear()
+    print(program())
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", asked, *rooms], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120
+    )
+    programs = found.stdout.split()
+    assert len(programs) == len(rooms) + 1
+    assert [room for room, *pair in zip(rooms, programs, programs[1:], strict=False) if pair[0] == pair[1]] == []
 
 
 def test_settings_reach_the_engine(source):

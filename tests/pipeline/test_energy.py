@@ -110,6 +110,17 @@ def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_pat
     assert [one.member_id for one in expand(plain)] == [one.member_id for one in expand(ensemble)]
 
 
+def test_a_run_that_diverged_has_no_energy_and_keeps_all_else(tmp_path):
+    source = SOURCE.replace('"chain"', '"antisymmetric"').replace("kappa = 2.0\nleaf = 1.0", "kappa = 5.0")
+    run_ensemble(scene("dry", source), tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    exact = table[table.engine == "coulomb"]
+    assert (exact.outcome == "diverged").all()
+    assert (exact.n_events > 0).all()
+    assert table[[f"{name}_end" for name in STORED] + [*GIVEN, *TAKEN]].isna().all(axis=None)
+    assert query.episodes(tmp_path / "out").energy.isna().all()
+
+
 def test_a_run_too_long_to_sum_keeps_all_else(tmp_path, monkeypatch):
     monkeypatch.setattr("stickslip.sim.energy._MOST", 10)
     run_ensemble(scene("dry"), tmp_path / "out", workers=0)

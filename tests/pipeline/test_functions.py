@@ -292,6 +292,10 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
             "import os; return System(gap * np.frombuffer(os.urandom(n * n), np.uint8).reshape(n, n), 0.1)",
             "that differ",
         ),
+        (
+            "import os; return System(np.eye(n), 0.1, 1.0 + int.from_bytes(os.urandom(6), 'big'))",
+            "that differ",
+        ),
         ("import os; os.fork(); return System(np.eye(n), 0.1)", "may not fork"),
         ("raise KeyboardInterrupt", "KeyboardInterrupt"),
         ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),

@@ -176,6 +176,7 @@ def test_columns_that_share_a_name_are_told_apart(finished):
     twice = query.sql(finished, "SELECT member_id, *, n AS member_id_1 FROM members")
     assert list(twice) == ["member_id", "member_id_2", *list(once)[1:], "member_id_1"]
     assert list(twice["member_id"]) == list(twice["member_id_2"]) == list(once["member_id"])
+    assert list(query.sql(finished, "SELECT n, n, seed, n FROM members")) == ["n", "n_1", "seed", "n_2"]
     joined = query.sql(finished, "SELECT * FROM n_stick a JOIN n_stick b USING (t) WHERE a.t = 0")
     assert list(joined) == ["member_id", "t", "n_stick", "member_id_1", "n_stick_1"]
 

@@ -108,6 +108,28 @@ def test_the_last_time_is_not_lost_by_rounding(tmp_path):
     assert {len(distance) for _, distance in separations(tmp_path / "out").values()} == {4}
 
 
+def test_a_run_that_ends_early_is_kept_up_to_there(tmp_path):
+    """Blocks with little damping and stiff springs run away, a copy earlier than the other or later."""
+    text = ensemble(4, 30.0, 3, COULOMB, SIGMOID, rest="[twins]\nsizes = [0.1]\n[record]\nseparation = 0.02")
+    scene = parse_scene(text.replace("n = 4", "n = 4\nkappa = [0.5, 5.0]\nrho = [0.1, 3.5]").encode())
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    rows, distances = members(tmp_path / "out").set_index("member_id"), separations(tmp_path / "out")
+    assert set(rows.outcome) == {"finished", "collapsed", "diverged"}
+    firsts = set()
+    for member in expand(scene):
+        row, run = rows.loc[member.member_id], member.simulate()
+        ended = {"finished": 30.0, "collapsed": run.t_collapse, "diverged": run.t_end}
+        assert row.t_stop == ended[run.outcome]
+        assert (row.n_steps, row.n_rejected, row.n_products) == (
+            run.stats.n_steps, run.stats.n_rejected, run.stats.n_products,
+        )  # fmt: skip
+        if member.base is not None:
+            reached = [one.t_end for one in (run, member.base.simulate())]
+            assert len(distances[member.member_id][1]) == math.floor(min(reached) / 0.02) + 1
+            firsts.add(np.sign(reached[0] - reached[1]))
+    assert firsts == {-1.0, 0.0, 1.0}
+
+
 def test_a_scene_that_grows_keeps_its_step(kept):
     text = SOURCE.replace(b"matrices = 2", b"matrices = 3").replace(b"separation = 2.5", b"separation = 5.0")
     with pytest.raises(StoreError, match=r"record\.separation: 5\.0 here, 2\.5 there"):

@@ -77,6 +77,20 @@ def test_the_state_at_the_end_is_that_of_simulate(first):
             assert row["mode_end"] == last.tolist()
 
 
+def test_what_slips_at_the_end_does_so_to_a_side_of_the_belt_as_it_then_goes(tmp_path):
+    text = scene(rest="[record]\nend = true").replace(
+        "[start]", "belt_speed = {times = [0, 12], values = [-1, 1]}\n[start]"
+    )
+    run_ensemble(parse_scene(text.encode()), tmp_path / "out", workers=0)
+    slips = 0
+    for row in query.table(tmp_path / "out").to_pylist():
+        w, mode = np.array(row["w_end"]), np.array(row["mode_end"])
+        assert row["outcome"] == "finished"
+        assert (np.sign(w - 1.0)[mode != 0] == mode[mode != 0]).all()
+        slips += np.count_nonzero((mode != 0) & (np.abs(w) < 1.0))  # between the belt's first speed and its last
+    assert slips > 0
+
+
 def test_a_run_goes_on_where_another_ended(first, content):
     """Two halves are one run, with its modes; on workers too, and the state is found by who moved both."""
     (first / "next.toml").write_text(scene(GOES_ON))
@@ -159,10 +173,25 @@ def test_a_dataset_that_changed_since_the_scene_was_read_starts_nothing(first):
         expand(following)[0].start()
 
 
+def test_a_run_that_did_not_come_to_its_end_starts_nothing(tmp_path):
+    away = ("n = [4, 6]", "n = [4, 6]\nkappa = 5.0\nrho = 0.1")
+    (tmp_path / "first.toml").write_text(scene(rest="[record]\nend = true").replace(*away))
+    run_ensemble(load_scene(tmp_path / "first.toml"), tmp_path / "runs" / "first", workers=0)
+    assert set(query.members(tmp_path / "runs" / "first").outcome) == {"diverged"}
+    (tmp_path / "next.toml").write_text(scene(GOES_ON).replace(*away))
+    with pytest.raises(SceneError, match=r"members that came to their end, got n4-m000-.*, which is diverged"):
+        load_scene(tmp_path / "next.toml")
+
+
 BAD = {
     "no dataset": (GOES_ON.replace("first", "none"), "", ["start.dataset", "runs/none", "no such directory"]),
     "other matrices": (GOES_ON, "seed = 1", ["start.dataset", "the same system as n4-m000-e", "seed, n, matrices"]),
     "end of none": ('[start]\nz = "end"\nw = "end"', "", ["start.dataset", '"end"']),
+    "draws of none": (
+        f"{GOES_ON}\ndraws = 3",
+        "",
+        ["start.dataset", "the same system as n4-m000-s0-e", "and draws must"],
+    ),
     "a start beside": (f"{GOES_ON}\nz = 0.0\nw = 0.0", "", ["start.dataset", 'z or w = "end"']),
     "a word": ('[start]\nz = 0.0\nw = "bolt"', "", ["start.w", "'bolt'"]),
     "z on the belt": ('[start]\nz = "belt"\nw = 0.0', "", ["start.z", "'belt'"]),

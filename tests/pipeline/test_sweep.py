@@ -216,6 +216,16 @@ def test_each_draw_is_numpys_own_under_its_key(seed):
     assert np.array_equal(other.start()[0], z)
 
 
+def test_twins_of_starts_that_are_drawn_are_moved_each_its_own_way(seed):
+    members = expand(scene_of(DRAWN.replace("SEED", str(seed)), ("[run]", "[twins]\nsizes = [1e-3, 1e-5]\n[run]")))
+    twins = [member for member in members if member.twin_size is not None]
+    assert {member.start_draw for member in twins} == {0, 1, 2}
+    for member in twins:
+        moved = np.array(member.start()) - np.array(np.broadcast_arrays(*member.base.start(), np.empty(3))[:2])
+        by = drawn(3, seed, 3, member.matrix, member.start_draw).standard_normal((2, 3))
+        np.testing.assert_allclose(moved, by * member.twin_size / np.sqrt((by**2).sum() / 3), rtol=0, atol=1e-15)
+
+
 def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
     source = DRAWN.replace("SEED", str(seed)).encode()
     run_ensemble(parse_scene(source), tmp_path / "out", workers=0)

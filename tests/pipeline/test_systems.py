@@ -104,6 +104,18 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
         assert np.array_equal(dense, k), name
 
 
+@pytest.mark.parametrize(("symmetry", "sign"), [("symmetric", 1.0), ("skew-symmetric", -1.0)])
+def test_what_a_matrix_market_file_says_of_symmetry_is_done(symmetry, sign, tmp_path, arrays):
+    k = arrays["stiffness"] + sign * arrays["stiffness"].T
+    scipy.io.mmwrite(tmp_path / "a.mtx", k, symmetry=symmetry)
+    scipy.io.mmwrite(tmp_path / "b.mtx", scipy.sparse.coo_array(k), symmetry=symmetry)
+    (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "[ab].mtx").replace('"file"\nw', "0.0\nw"))
+    found = {member.origin.name: member.system().stiffness for member in expand(load_scene(tmp_path / "mine.toml"))}
+    assert len(found) == 2
+    assert np.array_equal(found["a.mtx"], k)
+    assert np.array_equal(found["b.mtx"].toarray(), k)
+
+
 def test_entries_of_a_sparse_file_may_be_in_any_order_and_add_up(tmp_path, rng):
     rows, values = np.concatenate([rng.permutation(4), rng.permutation(4)]), rng.uniform(1.0, 2.0, 8)
     rows[1] = rows[0]
@@ -168,6 +180,21 @@ def test_the_digest_is_of_all_bytes_of_a_file(tmp_path, rng):
             systems.read(expand(scene)[0].origin)
         with pytest.raises(StoreError, match=r"system\.files\.K\.npy: sha256"):
             run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
+
+
+@pytest.mark.parametrize(("how", "got"), [("ab", "others"), ("wb", "none")])
+def test_a_file_that_is_written_while_it_is_read_is_refused(how, got, tmp_path, arrays, monkeypatch):
+    file, own = written(tmp_path, arrays), os.fstat
+
+    def writes_on(descriptor):
+        facts = own(descriptor)
+        with open(tmp_path / "K.npz", how) as stream:
+            stream.write(b"more" if how == "ab" else b"")
+        return facts
+
+    monkeypatch.setattr(os, "fstat", writes_on)
+    with pytest.raises(SceneError, match=rf"expected \d+ bytes in .*K\.npz, got {got}; write the file before it is"):
+        load_scene(file)
 
 
 def test_what_a_file_claims_is_held_against_memory_before_it_is_read(tmp_path, monkeypatch):

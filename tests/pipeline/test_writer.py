@@ -476,6 +476,16 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     assert read_manifest(copy).recorded_from is None
 
 
+def test_the_digest_of_a_dataset_is_of_every_shard_and_its_content(finished):
+    manifest = read_manifest(finished)
+    assert manifest.digest == read_manifest(finished).digest
+    for name, shard in manifest.shards.items():
+        rest = {other: one for other, one in manifest.shards.items() if other != name}
+        spoilt = rest | {name: shard.model_copy(update={"sha256": shard.sha256[::-1]})}
+        for shards_left in (rest, spoilt):
+            assert manifest.model_copy(update={"shards": shards_left}).digest != manifest.digest
+
+
 def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, source):
     manifest = json.loads((copy / "manifest.json").read_text())
     del manifest["check"]  # which version 2 had not
@@ -503,6 +513,15 @@ def test_another_version_of_the_program_is_refused_unless_told(copy, scene, sour
     assert {name: text for name, text in content(copy).items() if name != "manifest.json"} == {
         name: text for name, text in complete.items() if name != "manifest.json"
     }
+
+
+def test_data_that_are_all_gone_are_none_to_mix_with(copy, scene, monkeypatch):
+    for room in ("writer", "worker", "driver"):
+        monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
+    for shard in shards(copy):
+        shard.unlink()
+    assert run_ensemble(scene, copy, workers=0).is_complete
+    assert read_manifest(copy).programs == ["9.9.9-0123"]
 
 
 # ------------------------------------------------------------------------------------------ growth and failures
@@ -542,6 +561,14 @@ def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_p
     shards(copy)[0].unlink()
     assert run_ensemble(grown, copy, workers=0).is_complete
     assert rows(copy) == rows(tmp_path / "anew")
+
+
+def test_a_scene_that_somebody_put_there_is_not_what_a_dataset_grew_from(copy, source):
+    (copy / "scene.toml").write_bytes(source.replace(b"matrices = 3", b"matrices = 2"))
+    before = listing(copy)
+    with pytest.raises(StoreError, match=r"expected the dataset of this scene .*, or of a part of it, got that of"):
+        run_ensemble(parse_scene(source.replace(b"matrices = 3", b"matrices = 4")), copy, workers=0)
+    assert listing(copy) == before
 
 
 def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(

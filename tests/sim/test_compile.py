@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from stickslip.sim.engines import kept
 from stickslip.sim.engines.compile import kernel
 from stickslip.sim.engines.kept import KernelFiles, cache_directory
 
@@ -25,6 +28,18 @@ def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):
     assert KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
     files.flush()
     assert again.load(("int64", "x86")) is None
+
+
+def test_who_waits_for_a_kernel_takes_the_one_that_was_compiled_meanwhile(files, tmp_path, monkeypatch):
+    waits, saved = threading.Event(), threading.Event()
+    monkeypatch.setattr(kept.time, "sleep", lambda _: (waits.set(), saved.wait(60)))
+    assert files.load("key") is None  # who asks first compiles it
+    with ThreadPoolExecutor() as other:
+        found = other.submit(KernelFiles(tmp_path, "a").load, "key")
+        waits.wait(60)
+        files.save("key", "compiled")
+        saved.set()
+        assert found.result() == "compiled"
 
 
 def test_whatever_is_damaged_is_not_loaded(files, tmp_path):

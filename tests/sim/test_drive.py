@@ -349,6 +349,16 @@ def test_an_escape_is_certain_whatever_the_force():
     assert simulate(system.changed(force=1e6), 1.0, -0.1, 3.0).z[0] > 1e5
 
 
+def test_a_block_that_a_force_swings_far_out_comes_back():
+    """It is let go of at the rate 0.01; the force moves it 2 / 0.15^2 out and back, which friction hardly minds."""
+    system = System([[-1e-4]], 0.0, 1e-3, -0.2, force=Harmonic(1.0, 0.15))
+    turn = 2 * np.pi / 0.15
+    run = simulate(system, 0.0, 0.0, turn, t_eval=[0.5 * turn])
+    assert run.outcome == "finished"
+    assert run.samples.z[0] == pytest.approx([2 / 0.15**2], rel=0.15)
+    assert abs(run.z[0]) < 0.2 * run.samples.z[0]
+
+
 def test_a_nearly_free_block_slips_where_its_belt_brakes(rng):
     """R is too small to matter: it slips ahead, and friction brakes it by mu / m to the new speed of the belt."""
     mu, m, brake, slow = rng.uniform(0.5, 1.0), rng.uniform(1.0, 3.0), rng.uniform(0.02, 0.1), rng.uniform(0.0, 0.2)

@@ -151,6 +151,15 @@ def test_the_balance_closes_where_damping_has_all_scales(terms, rng):
     assert len(found.t) < 100 * len(run.events) + system.changed(damping=0.05).rates.max() * t_end + 1000
 
 
+def test_heavy_is_damping_beside_the_root_of_a_springs_stiffness(rng):
+    """Not beside the stiffness itself: segments are as many as the spring alone asks for, two for each 1 / rate."""
+    pull, t_end = 1e4, 10.0
+    system = System([[pull]], rng.uniform(2e3, 8e3), 1.0, -1.0)
+    _, found = run_with_energy(system, 0.0, -1.0, t_end, tol=1e-13)
+    assert np.abs(found.imbalance).max() < 1e-12 * (found.damping[-1] + found.heat[-1])
+    assert len(found.t) < 0.5 * np.sqrt(pull) * t_end + 100
+
+
 def test_a_run_of_too_many_segments_is_refused():
     """It collapses, and goes on without steps: 5e7 units of time take it a millisecond."""
     system = draw_system("antisymmetric", 5, 0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from stickslip import System, draw_system, simulate
 
@@ -45,6 +46,23 @@ def test_sparse_and_dense_have_the_same_events(trial, rng):
     np.testing.assert_array_equal(modes, wanted)
     np.testing.assert_allclose(times, known, atol=1e-6)  # tol, and what T amplifies it by
     np.testing.assert_allclose(few.z, all_.z, atol=1e-6)
+
+
+def test_what_rests_at_its_bound_leaves_with_the_block_that_it_is_tied_to():
+    """Three in a row on a belt at rest: F of the first is -mu until the second leaves, pulled by the third.
+
+    That one moves from 1 at the speed 4, friction and a force of z - 1 from the second against it.
+    """
+    stiffness = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    start = np.array([-1.0, 0.0, 1.0]), np.array([0.0, 0.0, 4.0])
+    for k in (stiffness, csr_array(stiffness)):
+        system = System(k, 0.0, 1.0, 0.0)
+        run = simulate(system, *start, 0.6, tol=TOL)
+        # z = -1 + 2 cos t + 4 sin t comes to 2, where F of the second is -mu
+        leaves = np.arctan2(4.0, 2.0) - np.arccos(3.0 / np.sqrt(20.0))
+        np.testing.assert_allclose(run.events.t, [leaves, leaves], atol=1e-9)
+        assert sorted(run.events.block) == [0, 1]
+        assert run.events.mode.tolist() == [1, 1]
 
 
 def test_samples_and_a_split_run_change_nothing(rng):

@@ -127,8 +127,12 @@ def test_a_layer_passed_at_speed_is_seen(case):
 
 @pytest.mark.parametrize("tol", [1e-6, 1e-8])
 def test_a_block_that_its_belt_tears_off_leaves_in_time(tol, rng):
-    """F jumps beyond friction by m v', and one step may pass the layer: w was off by up to 230 tolerances."""
-    for _ in range(8):
+    """F jumps beyond friction by m v', and one step may pass the layer: w was off by up to 230 tolerances.
+
+    By 10 where the error of such a step counts for more, in one draw of four by more than 1; by 0.3 in short steps
+    from the layer on.
+    """
+    for _ in range(16):
         friction, stiffness = rng.uniform(0.5, 1.5), 10 ** rng.uniform(-1, 1)
         delta, held, over = tol**0.85 * 10 ** rng.uniform(0.3, 2), rng.uniform(0.0, 0.8), rng.uniform(1.02, 1.5)
         gain = (over - held) * friction
@@ -143,7 +147,7 @@ def test_a_block_that_its_belt_tears_off_leaves_in_time(tol, rng):
             expected = solve_ivp(rates, span, expected, method="Radau", rtol=1e-11, atol=1e-13).y[:, -1]
         error = np.abs([run.z[0], run.w[0]] - expected).max() / (tol * (1.0 + np.abs(expected).max()))
         print(system, delta, error)
-        assert error < 0.5 * BOUND
+        assert error < 0.05 * BOUND
 
 
 @pytest.mark.parametrize("tol", [1e-7, 1e-8])

@@ -325,15 +325,32 @@ def test_a_block_that_its_belt_does_not_hold_leaves_a_thin_layer_in_time(falls):
         assert error < 40
 
 
-def test_a_barred_side_holds_in_the_limit():
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_barred_side_holds_in_the_limit(side):
     """What is pulled ahead of its belt with 30 times its friction creeps there, by 30 eps, and sticks."""
-    system = System([[1.0]], 0.0, 1.0, -0.2, back_slip=False)
+    v, z = side * 0.2, side * -30.0
+    system = System([[1.0]], 0.0, 1.0, v, back_slip=False)
     for eps in (1e-2, 1e-3, 1e-4):
-        run = simulate(system, 30.0, -0.2, 1.0, eps=eps, **FINE)
+        run = simulate(system, z, v, 1.0, eps=eps, **FINE)
         assert (len(run.events), run.events.initial_mode[0]) == (0, 0)
-        assert run.w[0] + 0.2 == pytest.approx(-run.z[0] * eps, rel=0.01)
-        away = simulate(system.changed(back_slip=True), 30.0, -0.2, 1.0, eps=eps, **FINE)
-        assert away.events.mode_at(1.0)[0] == -1
+        assert run.w[0] - v == pytest.approx(-run.z[0] * eps, rel=0.01)
+        away = simulate(system.changed(back_slip=True), z, v, 1.0, eps=eps, **FINE)
+        assert away.events.mode_at(1.0)[0] == side
+
+
+@pytest.mark.parametrize("law", [None, Rational(2.0)])
+def test_the_mirror_image_of_a_smoothed_run_with_a_barred_side_has_the_same_bytes(law, rng):
+    system = draw_system("chain", 6, int(rng.integers(2**32)), kappa=0.5, leaf=1.0, rho=0.1, static=1.5)
+    system, z = system.changed(weakening=law, back_slip=False), rng.uniform(-0.5, 0.5, 6)
+    mirror = system.changed(belt_speed=0.2, back_slip=False)
+    more = {"eps": 1e-2, "thresholds": (2.0,), **FINE}
+    run, image = simulate(system, z, -0.2, 20.0, **more), simulate(mirror, -z, 0.2, 20.0, **more)
+    for one, other in ((run.events, image.events), (run.by_threshold[2.0], image.by_threshold[2.0])):
+        assert len(one) > 0
+        np.testing.assert_array_equal(other.t, one.t)
+        np.testing.assert_array_equal(other.mode, -one.mode)
+        np.testing.assert_array_equal(other.initial_mode, -one.initial_mode)
+    np.testing.assert_array_equal(image.z, -run.z)
 
 
 def test_a_barred_side_needs_friction_to_smooth():
@@ -341,12 +358,14 @@ def test_a_barred_side_needs_friction_to_smooth():
         simulate(System(np.eye(2), 0.1, [1.0, 0.0], back_slip=False), 0.0, -0.2, 1.0, engine="sigmoid")
 
 
-def test_thresholds_of_sticking_see_the_open_side_alone():
-    system = System([[1.0]], 0.0, 1.0, -0.2, weakening=Rational(2.0), back_slip=False)
-    run = simulate(system, 3.0, -0.2, 25.0, eps=1e-3, stick="threshold", thresholds=(2.0,), **FINE)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_thresholds_of_sticking_see_the_open_side_alone(side):
+    v, z = side * 0.2, side * -3.0
+    system = System([[1.0]], 0.0, 1.0, v, weakening=Rational(2.0), back_slip=False)
+    run = simulate(system, z, v, 25.0, eps=1e-3, stick="threshold", thresholds=(2.0,), **FINE)
     for threshold, series in ((1.0, run.events), (2.0, run.by_threshold[2.0])):
         assert series.initial_mode.tolist() == [0]
-        assert series.mode.tolist()[:1] == [1]  # when it has come to F = -mu tanh(threshold), not before
+        assert series.mode.tolist()[:1] == [-side]  # when it has come to F = -mu tanh(threshold), not before
         assert series.t[0] == pytest.approx((3.0 + np.tanh(threshold)) / 0.2, abs=0.3)
 
 

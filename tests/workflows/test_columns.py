@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 import xarray
 
-from stickslip.pipeline import parse_scene, query, run_ensemble
+from stickslip.pipeline import design, parse_scene, query, run_ensemble
 from stickslip.pipeline.schema import ASKED_BY, RECORDED, SCHEMA
 from stickslip.workflows.commands import main
 from stickslip.workflows.netcdf import _SAMPLES
@@ -32,7 +32,10 @@ SOURCE = ensemble(
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     path = tmp_path_factory.mktemp("columns") / "out"
-    run_ensemble(parse_scene(SOURCE.encode()), path, workers=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "TARGET_COST", 1e-9)
+        run_ensemble(parse_scene(SOURCE.encode()), path, workers=0)
+    assert len(list((path / "data").iterdir())) == 6  # a member each
     return path
 
 
@@ -83,6 +86,10 @@ def test_every_column_has_its_place_on_the_page_and_in_the_file():
     assert lists == {*_SAMPLES, "by_threshold"}
 
 
-def test_a_file_in_the_dataset_is_refused(kept, capsys):
-    assert main(["export", str(kept), "--netcdf", str(kept / "out.nc")]) == 2
+@pytest.mark.parametrize("out", ["{kept}/out.nc", "out.nc", "data/../out.nc", "{link}/out.nc"])
+def test_a_file_in_the_dataset_is_refused(out, kept, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(kept)
+    (tmp_path / "link").symlink_to(kept)
+    assert main(["export", str(kept), "--netcdf", out.format(kept=kept, link=tmp_path / "link")]) == 2
     assert "outside the dataset" in capsys.readouterr().err
+    assert not (kept / "out.nc").exists()
