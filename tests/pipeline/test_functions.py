@@ -92,6 +92,16 @@ def test_what_the_scene_gives_takes_the_place_of_the_functions(tmp_path):
         assert (system.friction == 0.5).all() or (system.friction >= 1.0).all()
 
 
+def test_blocks_may_start_on_the_belt_that_a_function_made(tmp_path):
+    file = written(tmp_path, SCENE.replace("w = -0.4", 'w = "belt"'))
+    assert {member.start()[1] for member in expand(load_scene(file))} == {-0.3}
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert verify(tmp_path / "out") == []
+    table = query.members(tmp_path / "out")
+    assert (table.outcome != "failed").all()
+    assert table.w0.isna().all()
+
+
 def test_a_dataset_of_a_function_is_the_same_on_workers_and_has_its_parameters(tmp_path, content):
     file = written(tmp_path / "here")
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)

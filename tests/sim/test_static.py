@@ -192,10 +192,14 @@ def test_a_run_goes_on_from_its_end(rng):
     assert len(first.events) + len(second.events) == len(whole.events)
 
 
+@pytest.mark.parametrize("delta", [0.06, 0.4])
 @pytest.mark.parametrize("ratio", [1.0, 1.02, 1.5])
-def test_what_the_law_strays_from_its_tangent_is_bounded(ratio):
-    """The limit of a certificate against that by the largest stray on a fine grid of speeds, for one block."""
-    speed, delta, mu, c = 0.2, 0.06, 0.8, float(hidden_term(ratio))
+def test_what_the_law_strays_from_its_tangent_is_bounded(ratio, delta):
+    """The limit of a certificate against that by the largest stray on a fine grid of speeds, for one block.
+
+    In a layer wider than the belt's speed the law strays more on the side away from the belt.
+    """
+    speed, mu, c = 0.2, 0.8, float(hidden_term(ratio))
     system = System([[1.0]], 3.0, mu, -speed)
 
     def law(u):
@@ -216,7 +220,7 @@ def test_what_the_law_strays_from_its_tangent_is_bounded(ratio):
         return collapse.certify(np.array([z + share * limit * q / 2]), np.zeros(1)).is_certain
 
     assert not is_certain(1.01)
-    assert is_certain(0.5)
+    assert is_certain(0.4)
 
 
 def test_a_block_with_static_friction_alone_is_refused():
