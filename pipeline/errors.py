@@ -10,7 +10,11 @@ def printable(text: str) -> str:
 
 def foreign(error: BaseException, most: int = 300) -> str:
     """What code that is not ours raised, in one line for a terminal and a table, of at most so many characters."""
-    text = printable(" ".join(f"{type(error).__name__}: {error}".split())).removesuffix(":")
+    try:
+        words = str(error)
+    except BaseException as another:  # noqa: BLE001  its own words are foreign code too
+        words = f"its message cannot be had ({type(another).__name__})"
+    text = printable(" ".join(f"{type(error).__name__}: {words}".split())).removesuffix(":")
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 

@@ -456,7 +456,7 @@ class Scene(StrictTable):
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Read a scene file, and look at the files that it names; a function that makes systems is tried once.
+    """Read a scene file, and look at the files that it names; a function that makes systems is tried.
 
     Raises
     ------

@@ -28,6 +28,9 @@ _MAX_HEADER = 1000
 #: Bytes for each entry of a dense array of at most eight bytes a number: the file's, `System`'s and a kernel's copy.
 _BYTES_OF_ENTRY = 24
 
+#: Bytes of a number for each block are fewer, whatever its type.
+_MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
+
 #: Less than this fits any machine, and the memory that there is need not be looked up, which loads Dask.
 _SMALL = 1e8
 
@@ -99,22 +102,29 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
                 raise ValueError(f"{key}: expected a compression that NumPy writes, got number {info.compress_type}")
             members[key] = info
 
-        def read(key: str, kinds: str = "iuf") -> np.ndarray:
+        def read(key: str, kinds: str = "iuf", is_by_block: bool = False) -> np.ndarray:
+            size = members[key].file_size
+            if is_by_block and size > _MOST_OF_BLOCKS:
+                raise ValueError(f"{key}: expected one for each of at most {MAX_BLOCKS} blocks, got {size} bytes")
             with archive.open(members[key]) as stream:
-                return _npy(key, stream, members[key].file_size, kinds)
+                return _npy(key, stream, size, kinds)
 
         is_sparse = members.keys() >= _SPARSE.keys()
         if len(members) == 1:
-            return {"stiffness": read(*members)}
+            return {"stiffness": read(next(iter(members)))}
         names = members.keys() - ({*_SPARSE, "_is_array"} if is_sparse else {"stiffness"})
         if not names <= {*beside} or not (is_sparse or "stiffness" in members):
             raise ValueError(
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
                 f"{', '.join(beside)}, got {', '.join(sorted(members)) or 'nothing'}"
             )
-        arrays: dict[str, Any] = {name: read(name) for name in sorted(names)}
+        arrays: dict[str, Any] = {
+            name: read(name, is_by_block=name != "damping")
+            for name in sorted(names)  # that may be a matrix
+        }
         if is_sparse:
-            return arrays | {"stiffness": _compressed({key: read(key, kinds) for key, kinds in _SPARSE.items()})}
+            parts = {key: read(key, kinds, key not in ("data", "indices")) for key, kinds in _SPARSE.items()}
+            return arrays | {"stiffness": _compressed(parts)}
         return arrays | {"stiffness": read("stiffness")}
 
 

@@ -15,6 +15,7 @@ import sys
 import threading
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -34,6 +35,9 @@ BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
 #: Seconds that a function has for two systems when a scene is read.
 LONGEST_TRIAL = 40.0
+
+#: How the names begin under which modules of functions are loaded.
+_OWN = "_own_"
 
 #: Held while a function makes a system: what a process has loaded is one table.
 _alone = threading.RLock()
@@ -249,15 +253,22 @@ def look_at_module(name: str, folder: Path) -> str:
     return _digest(_content(file))
 
 
-def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters: Mapping[str, float]) -> System:
+def make(
+    function: SystemFunction,
+    n: int,
+    rng: np.random.Generator,
+    parameters: Mapping[str, float],
+    is_trial: bool = False,
+) -> System:
     """A system of n blocks by a function of the user's.
 
     Raises
     ------
     SceneError
-        If the module or the function is gone, or not what it was; or what it returned is no such system.
+        If the module or the function is gone, or not what it was; or what it returned is no such system; or it takes
+        from beside the scene what it did not when it was tried.
     """
-    with _alone, _own_modules(function):
+    with _alone, _own_modules(function, is_trial):
         try:
             found = _function(function.name, function.at, function.sha256, function.beside)(n, rng, **parameters)
         except Exception:
@@ -266,6 +277,8 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
             if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
                 raise  # it may be the user's
             raise RuntimeError(foreign(error)) from error
+    # modules stay as they were loaded; other files are read again
+    _check_beside(_root(function.at, function.beside), [one for one in function.beside if not _module_of(one[0])])
     if not isinstance(found, System) or found.n != n:
         got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__
         raise SceneError(
@@ -275,19 +288,24 @@ def make(function: SystemFunction, n: int, rng: np.random.Generator, parameters:
 
 
 def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
-    """What a scene says of a function once it has made a system, twice, in a process of its own, as plain values.
+    """What a scene says of a function once it has made a system, twice and in another process, as plain values.
 
     Raises
     ------
     SceneError
-        If that goes wrong, the two differ, or it takes longer than `LONGEST_TRIAL`.
+        If that goes wrong, the systems differ, or it takes longer than `LONGEST_TRIAL`.
     """
     call = f"system.coupling: {function.name}({n}, rng{''.join(f', {k}={v!r}' for k, v in parameters.items())})"
-    with Child(_try) as child:
-        limit = threading.Timer(LONGEST_TRIAL, child.kill)
-        limit.start()
+    with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as other:
+        limits = [threading.Timer(LONGEST_TRIAL, each.kill) for each in (child, other)]
+        for limit in limits:
+            limit.start()
         try:
-            problem, found = child((function, n, dict(parameters)))
+            # what a module draws when it is loaded, and what hangs on the order of a set, is another in each process
+            again = aside.submit(other, (function, n, dict(parameters), 1))
+            problem, found = child((function, n, dict(parameters), 2))
+            if not problem and found.pop("digest") != again.result()[1].get("digest"):
+                problem, found = again.result()[0] or _DIFFER, {}
         except ChildDied as death:
             problem, found = (
                 f"{call}: expected a stickslip.System within {LONGEST_TRIAL:g} s, its process died "
@@ -295,7 +313,8 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
                 {},
             )
         finally:
-            limit.cancel()
+            for limit in limits:
+                limit.cancel()
     if problem:
         raise SceneError(
             problem if problem.startswith("system.coupling") else f"{call}: {problem}; correct the function"
@@ -303,62 +322,118 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
     return found
 
 
-def _try(task: tuple[SystemFunction, int, dict[str, float]]) -> tuple[str, dict[str, Any]]:
-    """In a child: what is wrong with a function, or else what it made and loaded."""
-    function, n, parameters = task
-    before = set(sys.modules)
-    sys.addaudithook(_no_fork)
+def _try(task: tuple[SystemFunction, int, dict[str, float], int]) -> tuple[str, dict[str, Any]]:
+    """In a child: what is wrong with a function, or else what it made, so many times, and read."""
+    function, n, parameters, times = task
+    watch = _Watch()
+    sys.addaudithook(watch)
     try:
-        systems = [make(function, n, np.random.default_rng(0), parameters) for _ in range(2)]
+        systems = [make(function, n, np.random.default_rng(0), parameters, is_trial=True) for _ in range(times)]
     except SceneError as error:
         return str(error), {}
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
         return f"expected a stickslip.System, got {foreign(error)}", {}
-    if pickle.dumps(_parts(systems[0])) != pickle.dumps(_parts(systems[1])):
-        return "expected the same system each time for the same rng, got two that differ; draw from rng alone", {}
+    digests = {_digest(pickle.dumps(_parts(system))) for system in systems}
+    if len(digests) > 1:
+        return _DIFFER, {}
     stiffness = systems[0].stiffness
-    is_sparse = not isinstance(stiffness, np.ndarray)
-    loaded = _beside(function, set(sys.modules) - before)
-    return "", {"is_sparse": is_sparse, "entries_by_block": stiffness.size / n, "beside": loaded}
+    return "", {
+        "is_sparse": not isinstance(stiffness, np.ndarray),
+        "entries_by_block": stiffness.size / n,
+        "beside": _beside(function, watch),
+        "digest": digests.pop(),
+    }
+
+
+_DIFFER = "expected the same system each time for the same rng, got two that differ; draw from rng alone"
 
 
 def _parts(system: System) -> list[Any]:
     """All that a system is given."""
     stiffness = system.stiffness
     dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
-    rest = [getattr(system, name) for name in (*OF_BLOCKS, "force", "weakening", "back_slip")]
+    rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "weakening", "back_slip")]
     return [dense, *rest]
 
 
-def _no_fork(event: str, _: tuple[Any, ...]) -> None:
-    if event in ("os.fork", "os.forkpty"):
-        raise RuntimeError("a function that makes systems may not fork")
+class _Watch:
+    """Hears by Python's audit what a function does while it is tried: it may not fork, and what it reads is kept."""
+
+    def __init__(self) -> None:
+        self.read: set[str] = set()
+        self.written: set[str] = set()
+        self._modules = set(sys.modules)
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        match event, arguments:
+            case (("os.fork" | "os.forkpty"), _):
+                raise RuntimeError("a function that makes systems may not fork")
+            case "open", (str() | bytes() as file, _, int() as flags):
+                paths = self.read if flags & os.O_ACCMODE == os.O_RDONLY else self.written
+                paths.add(os.path.abspath(os.fsdecode(file)))
+
+    @property
+    def files(self) -> set[str]:
+        """What was read, and not written; compiled modules are loaded without a word."""
+        modules = [sys.modules.get(name) for name in set(sys.modules) - self._modules]
+        loaded = {file for module in modules if (file := getattr(module, "__file__", None))}
+        return (self.read | loaded) - self.written
 
 
-def _beside(function: SystemFunction, names: set[str]) -> dict[str, str]:
-    """The sha256 of each of some modules that lies in the scene's folder or below, by its path there."""
-    root = Path(function.at)
-    files = {Path(file).resolve() for name in names if (file := getattr(sys.modules.get(name), "__file__", None))}
-    found = {f.relative_to(root).as_posix(): _digest(_content(f)) for f in files if _is_beside(f, root)}
+def _beside(function: SystemFunction, watch: _Watch) -> dict[str, str]:
+    """The sha256 of each file that was read and lies in the scene's folder or below, by its path there."""
+    root, found = Path(function.at), {}
+    for name in {name for file in watch.files if (name := _name_beside(file, root)) is not None}:
+        with contextlib.suppress(SceneError):  # it is gone, or no plain file
+            found[name] = _digest(_content(root / name))
     return dict(sorted(found.items()))
 
 
-def _is_beside(file: Path, root: Path) -> bool:
-    """Whether a module's file lies in a scene's folder or below, and is not of this package or an installed one."""
-    others = (Path(sys.prefix).resolve(), Path(__file__).resolve().parents[1])
-    return file.is_relative_to(root) and not any(file.is_relative_to(place) for place in others)
+def _name_beside(file: str, root: Path) -> str | None:
+    """The path in a scene's folder of a file there or below; None: of another, an installed or a hidden one."""
+    if "__pycache__" in file:
+        try:
+            file = importlib.util.source_from_cache(file)
+        except ValueError:
+            return None
+    if _is_installed(Path(file).resolve()):
+        return None
+    # a link there that leads out of it is there
+    for path in (Path(file), Path(file).parent.resolve() / Path(file).name):
+        if path.is_relative_to(root):
+            name = path.relative_to(root)
+            return None if any(part.startswith(".") for part in name.parts) else name.as_posix()
+    return None
 
 
-def _check_beside(root: Path, beside: tuple[tuple[str, str], ...]) -> None:
-    """See that the modules that a function loads are as they were."""
+def _is_installed(file: Path) -> bool:
+    """Whether a file is of this package, of one that is installed, or of Python, which may lie in the user's home."""
+    places = (Path(__file__).resolve().parents[1], Path(sys.prefix), Path(sys.base_prefix))
+    is_package = not {"site-packages", "dist-packages"}.isdisjoint(file.parts)
+    return is_package or any(file.is_relative_to(place.resolve()) for place in places)
+
+
+def _check_beside(root: Path, beside: Iterable[tuple[str, str]]) -> None:
+    """See that the files that a function reads are as they were."""
     for name, sha256 in beside:
         file = root / name
-        if not file.is_file() or _digest(_content(file)) != sha256:
+        if not file.is_file() or _digest_now(file) != sha256:
             raise (ChangedError if file.is_file() else SceneError)(
-                f"system.coupling: expected {file}, which the function loads, as it was when the scene was read "
+                f"system.coupling: expected {file}, which the function reads, as it was when the scene was read "
                 f"(sha256 {sha256[:12]}), found {'another' if file.is_file() else 'none'}; if it was changed, run "
                 f"the scene into another directory"
             )
+
+
+def _digest_now(file: Path) -> str:
+    """The sha256 of a file, which is read again if it may have changed."""
+    facts = file.stat()
+    return _digest_once(file, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns)
+
+
+@lru_cache(maxsize=64)
+def _digest_once(file: Path, *_: int) -> str:
+    return _digest(_content(file))
 
 
 def _module_file(module: str, at: str, sha256: str) -> Path:
@@ -381,7 +456,7 @@ def _function(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ..
     module, _, attribute = name.partition(":")
     file = _module_file(module, at, sha256)
     _check_beside(_root(at, beside), beside)
-    loaded = types.ModuleType(f"_own_{module}_{sha256[:12]}")
+    loaded = types.ModuleType(f"{_OWN}{module}_{sha256[:12]}")
     loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
     sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own
     exec(compile(_content(file), str(file), "exec"), loaded.__dict__)
@@ -435,7 +510,7 @@ class _FromSource(importlib.abc.MetaPathFinder):
         if (
             spec is not None
             and isinstance(spec.loader, importlib.machinery.SourceFileLoader)
-            and _is_beside(Path(spec.loader.path).resolve(), self._root)
+            and _name_beside(spec.loader.path, self._root) is not None
         ):
             spec.loader = _Source(fullname, spec.loader.path)
         return spec
@@ -448,32 +523,60 @@ def _modules(root: Path, beside: tuple[tuple[str, str], ...]) -> dict[str, types
 
 
 @contextlib.contextmanager
-def _own_modules(function: SystemFunction) -> Iterator[None]:
+def _own_modules(function: SystemFunction, is_trial: bool) -> Iterator[None]:
     """Within: what a function imports is looked for beside its scene first.
 
     The modules there are the function's own: others of their names, of another scene or of the caller, are set aside.
+
+    Raises
+    ------
+    SceneError
+        If modules there were loaded that were not when it was tried, and which nobody would miss if they changed.
     """
     root = _root(function.at, function.beside)
     own, finder = _modules(root, function.beside), _FromSource(root)
-    names = _names(name for name, _ in function.beside)
-    aside = {name: sys.modules.pop(name) for name in names & set(sys.modules)}
+    names, before = _names(name for name, _ in function.beside), set(sys.modules)
+    aside = {name: sys.modules.pop(name) for name in names & before}
     sys.modules.update(own)
     sys.path.insert(0, str(root))
     sys.meta_path.insert(sys.meta_path.index(importlib.machinery.PathFinder), finder)
+    late: dict[str, str] = {}
     try:
         yield
     finally:
         sys.path.remove(str(root))
         sys.meta_path.remove(finder)
+        if not is_trial:
+            late = _loaded_beside(set(sys.modules) - before - names, root)
+        for name in late:
+            sys.modules.pop(name, None)
         own.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
         sys.modules.update(aside)
+    if late:
+        raise SceneError(
+            f"system.coupling: {function.name}: expected it to load {min(late.values())} when it is tried, with the "
+            f"least n and the first parameters, got it loaded later; import it at the top of the module"
+        )
+
+
+def _loaded_beside(names: Iterable[str], root: Path) -> dict[str, str]:
+    """The files of those of some modules that lie beside the scene, but for the function's own."""
+    files = {name: getattr(sys.modules.get(name), "__file__", None) for name in names if not name.startswith(_OWN)}
+    return {name: file for name, file in files.items() if file and _name_beside(file, root) is not None}
 
 
 def _names(files: Iterable[str]) -> set[str]:
     """The names of modules by their files, and of the packages that they lie in: `a.b` and `a` of a/b.py."""
     names: set[str] = set()
     for file in files:
-        path = Path(file).with_suffix("")
+        path = Path(_module_of(file))
         parts = path.parts[:-1] if path.name == "__init__" else path.parts
         names.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
     return names
+
+
+def _module_of(file: str) -> str:
+    """The name of a file without what modules end with; "" if it is none."""
+    endings = sorted(importlib.machinery.all_suffixes(), key=len, reverse=True)
+    ending = next(filter(file.endswith, endings), None)
+    return "" if ending is None else file.removesuffix(ending)

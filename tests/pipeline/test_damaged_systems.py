@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import io
 import secrets
 from collections import Counter
 
+import numpy as np
 import pytest
+import scipy.sparse
 
+from stickslip.pipeline import system_files, systems
 from stickslip.pipeline.processes import Child
 from tests.damaged import DAMAGE, NO_FILES, judge
 
@@ -32,3 +36,22 @@ def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, tmp_path):
         print(f"{kind:20}", dict(count))
     assert sum(count["refused"] for count in counts.values()) > n_files / 3
     assert sum(count["as it was"] for count in counts.values()) > 0
+
+
+@pytest.mark.parametrize("name", ["friction", "indptr"])
+def test_an_array_that_is_longer_than_there_may_be_blocks_is_not_unpacked(name, monkeypatch):
+    K = scipy.sparse.csc_array(np.eye(3))
+    arrays = {"data": K.data, "indices": K.indices, "indptr": K.indptr, "shape": K.shape, "format": b"csc"}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **(arrays | {name: np.zeros(1_000_000)}))
+    read = system_files._npy
+
+    def reads(one, *rest):
+        assert one != name
+        return read(one, *rest)
+
+    monkeypatch.setattr(system_files, "_npy", reads)
+    with pytest.raises(
+        ValueError, match=f"{name}: expected one for each of at most 100000 blocks, got 8000128 bytes"
+    ):
+        system_files.arrays_of(stream.getvalue(), systems.BY_BLOCK)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -257,14 +258,24 @@ def test_a_system_is_the_functions_own(tmp_path):
 
 
 LAZY = OWN.replace("    K = ", "    from late.part import STIFF as late\n    stiff = late\n    K = ")
+BY_PATH = OWN.replace(
+    "    K = ",
+    "    from importlib import util\n    from pathlib import Path\n"
+    "    spec = util.spec_from_file_location('any', Path(__file__).parent / 'late' / 'part.py')\n"
+    "    part = util.module_from_spec(spec)\n    spec.loader.exec_module(part)\n    stiff = part.STIFF\n    K = ",
+)
+DATA = OWN.replace("    K = ", "    stiff = np.loadtxt(__file__.replace('own.py', 'data.txt'), usecols=2)\n    K = ")
 
 
-@pytest.mark.parametrize(("own", "name"), [(OWN, "beside.py"), (LAZY, "late/part.py")])
+@pytest.mark.parametrize(
+    ("own", "name"), [(OWN, "beside.py"), (LAZY, "late/part.py"), (BY_PATH, "late/part.py"), (DATA, "data.txt")]
+)
 def test_a_module_that_the_function_loads_is_part_of_the_scene(own, name, tmp_path, content, monkeypatch):
     monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     (tmp_path / "late").mkdir()
     (tmp_path / "late" / "part.py").write_text("STIFF = 1.5\n")
+    (tmp_path / "data.txt").write_text("STIFF = 1.5\n")
     scene = load_scene(written(tmp_path, own=own))
     assert name in scene.system.module.beside
     written_at = os.stat(tmp_path / name).st_mtime_ns
@@ -273,13 +284,55 @@ def test_a_module_that_the_function_loads_is_part_of_the_scene(own, name, tmp_pa
     before = content(tmp_path / "out")
     file = written(tmp_path, SCENE.replace("matrices = 2", "matrices = 3"), own)
     (tmp_path / name).write_text("STIFF = 2.5\n")  # of the same size, and in the same second
-    os.utime(tmp_path / name, ns=(written_at, written_at))
+    later = 2_000_000_000 if own is BY_PATH else 0  # which Python loads by itself, and so from what it compiled then
+    os.utime(tmp_path / name, ns=(written_at + later,) * 2)
     with pytest.raises(StoreError, match=r"system\.beside"):
         run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == before
     (problem,) = verify(tmp_path / "out")
-    assert f"{name}, which the function loads, as it was" in problem
+    assert f"{name}, which the function reads, as it was" in problem
     assert all(2.4 <= member.system().stiffness[0, 0] <= 2.6 for member in expand(load_scene(file)))
+
+
+def test_a_link_beside_the_scene_is_beside_it(tmp_path):
+    file = written(tmp_path / "scene")
+    (tmp_path / "scene" / "beside.py").rename(tmp_path / "shared.py")
+    (tmp_path / "scene" / "beside.py").symlink_to("../shared.py")
+    scene = load_scene(file)
+    assert "beside.py" in scene.system.module.beside
+    (tmp_path / "shared.py").write_text("STIFF = 2.5\n")
+    with pytest.raises(SceneError, match=r"beside\.py, which the function reads, as it was"):
+        expand(scene)[0].system()
+
+
+def test_a_file_that_is_read_for_each_system_is_looked_at_for_each(tmp_path):
+    (tmp_path / "data.txt").write_text("STIFF = 1.5\n")
+    first, *_, last = expand(load_scene(written(tmp_path, own=DATA)))
+    assert first.system().stiffness[0, 0] < 2.0
+    (tmp_path / "data.txt").write_text("STIFF = 2.5\n")
+    with pytest.raises(SceneError, match=r"data\.txt, which the function reads, as it was"):
+        last.system()
+
+
+def test_what_is_loaded_only_later_fails_its_members(tmp_path):
+    later = OWN.replace("    K = ", "    if gap == 1.0:\n        from other import STIFF as stiff\n    K = ")
+    file = written(tmp_path, own=later)
+    (tmp_path / "other.py").write_text("STIFF = 2.5\n")
+    done = run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert done.outcomes["failed"] == 4
+    table = query.members(tmp_path / "out", filters=[("outcome", "=", "failed")])
+    assert all("other.py" in reason and "import it at the top" in reason for reason in table.reason)
+    assert "other" not in sys.modules
+
+
+def test_what_is_installed_is_not_beside_a_scene_above_it():
+    import statistics  # of Python, which may lie in the user's home as the scene does
+
+    from stickslip.pipeline import systems
+
+    for module in (statistics, pytest):
+        file = Path(module.__file__).resolve()
+        assert systems._name_beside(str(file), Path(file.anchor)) is None
 
 
 def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch):
@@ -306,7 +359,13 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
             "import os; return System(np.eye(n), 0.1, 1.0 + int.from_bytes(os.urandom(6), 'big'))",
             "that differ",
         ),
+        (
+            "return System(np.eye(n), np.eye(n) + int.from_bytes(os.urandom(6)) * (1.0 - np.eye(n)))",
+            "that differ",
+        ),
+        ("return System(SEED * np.eye(n), 0.1)", "that differ"),
         ("import os; os.fork(); return System(np.eye(n), 0.1)", "may not fork"),
+        ("raise type('Odd', (Exception,), {'__str__': lambda self: 7})", "Odd: its message cannot be had (Type"),
         ("raise KeyboardInterrupt", "KeyboardInterrupt"),
         ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),
         ("import time; time.sleep(60)", "within 3 s, its process died (signal SIGKILL)"),
@@ -317,7 +376,7 @@ def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, 
     from stickslip.pipeline import systems
 
     monkeypatch.setattr(systems, "LONGEST_TRIAL", 3.0 if "sleep" in line else 40.0)
-    head = "import numpy as np\nfrom stickslip import System\n"
+    head = "import os\nimport numpy as np\nfrom stickslip import System\nSEED = 1.0 + int.from_bytes(os.urandom(6))\n"
     with pytest.raises(SceneError) as refusal:
         load_scene(written(tmp_path, own=own(line, head)))
     assert words in str(refusal.value)
@@ -325,14 +384,17 @@ def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, 
     assert len(str(refusal.value)) < 600
 
 
-@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt", "BaseException(7)"])
+ODD = "type('BaseOdd', (Exception,), {'__str__': lambda self: 7})"
+
+
+@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt", "BaseException(7)", ODD])
 def test_a_function_that_ends_its_worker_fails_its_members_alone(error, tmp_path):
     lines = f"if gap == 1.0: raise {error}\n    return System(np.eye(n), 0.1)"
     head = "import numpy as np\nfrom stickslip import System\n"
     done = run_ensemble(load_scene(written(tmp_path, own=own(lines, head))), tmp_path / "out", workers=1)
     assert done.outcomes["failed"] == 4
     table = query.members(tmp_path / "out", filters=[("outcome", "=", "failed")])
-    assert all(error[:10] in reason for reason in table.reason)
+    assert all(("BaseOdd" if error == ODD else error[:10]) in reason for reason in table.reason)
 
 
 def test_a_function_goes_on_where_a_dataset_ended(tmp_path):

@@ -1,5 +1,7 @@
 """Arrays as users have them: the same numbers in any layout are the same system, and a mask is not lost."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -77,3 +79,9 @@ masked = np.ma.masked_array([1.0, 2.0], [False, True])
 def test_a_masked_array_is_refused_by_name(name, call):
     with pytest.raises(TypeError, match=f"^{name}: .*masked array"):
         call()
+
+
+@pytest.mark.parametrize("value", [np.longdouble("1e4000"), np.frombuffer(b"\x01\x00\xa0\x7f", np.float32)[0]])
+def test_what_float64_does_not_hold_is_told_in_an_error_alone(value):
+    with warnings.catch_warnings(action="error"), pytest.raises(ValueError, match="expected finite entries"):
+        System(np.full((2, 2), value), damping=0.1)
