@@ -292,11 +292,15 @@ def _with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike
     return case
 
 
+def sort_of(number: int) -> tuple[str, Literal["coulomb", "sigmoid"]]:
+    """Family and engine of case `number` of any seed."""
+    return list(FAMILIES)[number % len(FAMILIES)], _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
+
+
 def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
     """Case `number` of a seed, with some of the terms."""
     rng = np.random.default_rng([seed, number])
-    family = list(FAMILIES)[number % len(FAMILIES)]
-    engine = _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
+    family, engine = sort_of(number)
     n = _size(rng)
     k = FAMILIES[family](rng, n)
     speeds = [-0.2, 0.2, -1.0, 1.0, 0.0, 30.0, -30.0, rng.normal()]
