@@ -57,12 +57,12 @@ def compare(
     for length in (0.0, *(shortest * 10.0**k for k in range(-5, 1))):
         mine, its, *others = (without(one, length, t_end) for one in (seen, expected, *changed))
         steady = [other for other in others if _modes(other) == _modes(its)]
-        certain = len(its) if len(steady) == len(others) else min(_agreeing(its, other) for other in others)
+        certain = len(its) if len(steady) == len(others) else min(agreeing(its, other) for other in others)
         late = [0.0] * len(its)
         for other in steady:
             late = [max(a, abs(b[0] - c[0])) for a, b, c in zip(late, its, other, strict=True)]
         removed = len(mine) < len(seen) or len(its) < len(expected)
-        k = _agreeing(mine, its, [error * b[2] + length * removed + 10 * x for b, x in zip(its, late, strict=True)])
+        k = agreeing(mine, its, [error * b[2] + length * removed + 10 * x for b, x in zip(its, late, strict=True)])
         if k == len(mine) == len(its):
             return "same" if length <= 1e-9 else "graze", ""
         if k >= certain and len(steady) < len(others):
@@ -75,7 +75,7 @@ def _modes(stretches: Stretches) -> list[int]:
     return [stretch[1] for stretch in stretches]
 
 
-def _agreeing(one: Stretches, other: Stretches, late: Sequence[float] | None = None) -> int:
+def agreeing(one: Stretches, other: Stretches, late: Sequence[float] | None = None) -> int:
     """How many stretches from the start have the same mode, and begin no further apart than `late`."""
     for k, (a, b) in enumerate(zip(one, other, strict=False)):
         if a[1] != b[1] or (late is not None and abs(a[0] - b[0]) > late[k]):
