@@ -50,6 +50,8 @@ ENGINE_KEYS = (
     *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
     *TOLERANCES,
 )
+#: Columns that are null unless friction hangs on the speed of slip.
+HANG_ON_SPEED = ("eps", "weakening_rate", "weakening_speed")
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
     *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),
@@ -356,7 +358,7 @@ def with_rates(members: pd.DataFrame) -> pd.DataFrame:
 
     It is the rate of the state in which all blocks slip under constant friction. Smoothing and weakening change it.
     """
-    hangs = members[["eps", "weakening_rate", "weakening_speed"]].notna().any(axis=1)
+    hangs = members[list(HANG_ON_SPEED)].notna().any(axis=1)
     return members.assign(growth_rate=members["growth_rate"].astype("float64").mask(hangs))
 
 

@@ -17,7 +17,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.effective import tau
@@ -50,10 +50,15 @@ FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
 }  # fmt: skip
+#: What runs from different starts do at the end: their fates, and how they are drawn.
+SLIDES = (COLLAPSED, QUIET)
+KINDS = {
+    "slides": (SLIDES, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"), "ran away": ((DIVERGED,), GREY, "^"),
+}  # fmt: skip
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
-    **{f"{name}{end}": F for name in ("moving", "ended", "median", "mean", "drift") for end in ("", "_low", "_high")},
+    **{f"{name}{end}": F for name in ("moving", "slide", "median", "mean", "drift") for end in ("", "_low", "_high")},
     "effective_samples": F, "basis": S,
 }  # fmt: skip
 _CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F}
@@ -89,7 +94,8 @@ def answer(study: Study) -> Answer:
         "below": _ended(systems, runs, is_below=True),
         "above": _ended(systems, runs, is_below=False),
         "linear": _linear(watched),
-        "untold": sum(row["fate"] == QUIET and row["growth_rate"] is None for row in runs),
+        "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
+        "has_ends": any(row["fate"] in ENDS for row in runs),
         "basin": _basin(watched),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
@@ -124,7 +130,8 @@ def _figures(
             systems = facts["systems"]
             counts = {name: [row[f"n_{name}"] for row in systems] for name in FATES}
             shown["fates"] = partial(shares, *_by_system(systems), counts)
-        shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
+        if facts["has_ends"]:
+            shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
             shown["growth"] = partial(growth, facts["systems"], known)
@@ -143,6 +150,7 @@ def _runs(group: Group) -> Iterator[Row]:
     """Fate of each run, and when its motion ended or until when it was watched."""
     table = group.members
     setting = tuple(value for name, value in group.key.items() if name not in ("z0", "w0"))
+    hangs = any(group.key[name] is not None for name in HANG_ON_SPEED)
     columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
     rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
     for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
@@ -152,6 +160,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "times": (float(last[0]), float(t_stop), float(t_end)),
             "t": None if how == FAILED else ends_at(how, float(last[0]), float(t_stop), float(t_end))[0],
             "growth_rate": None if pd.isna(rate) else float(rate),
+            "untold": "law" if hangs else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
             "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
             "setting": (*setting, int(matrix)),
@@ -194,10 +203,16 @@ def _share(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Esti
     return bounded_share(np.array(list(counts.values())), confidence)
 
 
-def _basin(watched: Sequence[Row]) -> Row | None:
-    """Where the runs of one system started, by fate, if starts are given by two numbers and both vary; else None.
+def _seen(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Estimate:
+    """Share of runs with some fates, the quiet ones as they are seen: without a stick in the last quarter."""
+    plain = [row | {"fate": SUSTAINED if row["fate"] not in of else COLLAPSED} for row in watched]
+    return _share(plain, (COLLAPSED,), confidence)
 
-    Of several such systems, or laws, the one with the most runs.
+
+def _basin(watched: Sequence[Row]) -> Row | None:
+    """Where the runs of one system started, if starts are given by two numbers and both vary; else None.
+
+    By what they do at the end, where that differs: `KINDS`. Of several such systems, or laws, the one with most runs.
     """
     by_setting: dict[tuple[object, ...], list[Row]] = {}
     for row in watched:
@@ -205,12 +220,13 @@ def _basin(watched: Sequence[Row]) -> Row | None:
     found = []
     for rows in by_setting.values():
         known = [row for row in rows if row["z_start"] is not None and row["w_start"] is not None]
-        if all(len({row[name] for row in known}) > 1 for name in ("z_start", "w_start", "fate")):
-            points: dict[str, list[tuple[float, float]]] = {name: [] for name in FATES}
-            for row in known:
-                points[row["fate"]].append((row["z_start"], row["w_start"]))
-            drawn = {name: some for name, some in points.items() if some}
-            found.append({"points": drawn, "n": len(known), "of": len(rows), "group": known[0]["group"]})
+        points = {
+            kind: [(row["z_start"], row["w_start"]) for row in known if row["fate"] in fates]
+            for kind, (fates, _, _) in KINDS.items()
+        }
+        varies = all(len({row[name] for row in known}) > 1 for name in ("z_start", "w_start"))
+        if varies and sum(map(bool, points.values())) > 1:
+            found.append({"points": points, "n": len(known), "of": len(rows), "group": known[0]["group"]})
     return max(found, key=lambda one: one["n"], default=None)
 
 
@@ -222,11 +238,11 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half = Estimate() if curve is None else median(*curve)
-    share, ended = _share(watched, MOVING, level), _share(watched, ENDS, level)
+    share, slide = _share(watched, MOVING, level), _seen(watched, SLIDES, level)
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
-        **_counts(own), **named("moving", share), **named("ended", ended),
+        **_counts(own), **named("moving", share), **named("slide", slide),
         "n_held": sum(row["is_held"] for row in own),
         "half": half, **named("median", half),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
@@ -322,13 +338,13 @@ def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
 
 @panel()
 def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-    """Starts in their plane, a mark a run, by fate."""
+    """Starts in their plane, a mark a run, by what it does at the end."""
     size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # a field of marks, no gaps
-    for name, some in points.items():
-        label, colour, marker = FATES[name]
-        # thousands of marks: a picture inside the SVG keeps the report small
-        ax.plot(*zip(*some, strict=True), marker, color=colour, markersize=size, markeredgewidth=0, label=label,
-                rasterized=True)  # fmt: skip
+    for kind, some in points.items():
+        if some:
+            # thousands of marks: a picture inside the SVG keeps the report small
+            ax.plot(*zip(*some, strict=True), KINDS[kind][2], color=KINDS[kind][1], markersize=size,
+                    markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
     ax.margins(0.01)
     ax.set(xlabel="displacement at t = 0, z", ylabel="velocity at t = 0, w")
     ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, markerscale=4.0 / size, handletextpad=0.2)
