@@ -28,15 +28,16 @@ from stickslip.analysis.stats.compare import (
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, fate
+from stickslip.analysis.stats.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
 SHORT_WINDOW = "short window"  # a reason beside those of `stats.enough` and of the estimates
 #: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
 SHARE_MARGIN = 0.2
-#: The sigmoid certifies no collapse: runs are compared in what went quiet, certified or not.
-_ENDS = {"share gone quiet": (COLLAPSED, SILENT), "share run away": (DIVERGED,)}
+#: Laws certify a collapse more or less often: runs are compared in what is seen of all, whether a block sticks in the
+#: last quarter.
+ALL_SLIP, RUN_AWAY = "share all slipping", "share run away"
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,
@@ -98,21 +99,21 @@ def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTIT
 
 def shares() -> list[Statistic]:
     """Shares of runs by how they ended."""
-    return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in _ENDS]
+    return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in (ALL_SLIP, RUN_AWAY)]
 
 
 def sample(group: Group) -> Sample:
     """What the runs of a filled group give."""
-    ends: dict[int, str] = {}
-    columns = (group.members[name] for name in ("unit", "outcome", "t_end"))
-    for unit, outcome, t_end, last in zip(*columns, group.last, strict=True):
-        if outcome != "failed" and int(unit) not in ends:
-            ends[int(unit)] = fate(str(outcome), (last[:1], last[1:]), float(t_end))
     found = Sample({
         QUANTITIES[name].label: dict(zip(group.units, rows, strict=True)) for name, rows in group.quantities.items()
     })  # fmt: skip
-    for name, some in _ENDS.items():
-        found.sums[name] = {unit: np.array([end in some, 1.0]) for unit, end in ends.items()}
+    columns = (group.members[name] for name in ("unit", "t_end"))
+    for unit, t_end, how, last in zip(*columns, group.fates, group.last, strict=True):
+        if how != FAILED:
+            away = how == DIVERGED
+            slips = not away and is_all_slip((last[0], last[1]), float(t_end))
+            for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
+                found.sums.setdefault(name, {}).setdefault(int(unit), np.array([has, 1.0]))
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found

@@ -1,7 +1,8 @@
 """An ensemble as the statistics see it, and its members sorted into groups of like members.
 
 A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
-Only members in motion at t_end enter a statistic; the others are counted, with outcome and reason.
+Only members in motion at t_end enter a statistic, those in a lull too (`stats.fates`): to leave these out would
+select the runs by how they ended. The others are counted, with outcome and reason.
 
 The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
 there is one matrix and several starts they are the starts, and what is inferred holds over starts of this system. A K
@@ -26,7 +27,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes, window
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
-from stickslip.analysis.stats.fates import SUSTAINED, fate
+from stickslip.analysis.stats.fates import MOVING, QUIET, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
@@ -49,6 +50,8 @@ ENGINE_KEYS = (
     *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
     *TOLERANCES,
 )
+#: Columns that are null unless friction hangs on the speed of slip.
+HANG_ON_SPEED = ("eps", "weakening_rate", "weakening_speed")
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
     *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),
@@ -76,7 +79,8 @@ class Data:
     Attributes
     ----------
     members : DataFrame
-        One row a member; the columns in `REQUIRED`, null where a setting does not apply. `with_units` adds its own.
+        One row a member; the columns in `REQUIRED`, null where a setting does not apply. `with_units` and
+        `with_starts` add their own, `with_rates` makes null what does not hold.
     series : mapping to ChangePoints
         Of every member that did not fail.
     events : mapping to Events
@@ -98,14 +102,16 @@ class Data:
 
     def __post_init__(self) -> None:
         absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in self.members]
-        object.__setattr__(self, "members", with_units(self.members.assign(**dict.fromkeys(absent))))
+        whole = self.members.assign(**dict.fromkeys(absent))
+        object.__setattr__(self, "members", with_rates(with_starts(with_units(whole))))
 
 
 @dataclass
 class Group:
     """Members alike in everything but what is drawn, with what their runs in motion give, a row a unit.
 
-    In motion are those that finished and did not go quiet (`stats.fates`): a run at rest has no steady state.
+    In motion are those that finished and stick in the last quarter, or are in a lull there (`stats.fates`): a run at
+    rest has no steady state, and of a quiet one nobody knows whether it is at rest.
 
     Attributes
     ----------
@@ -124,12 +130,14 @@ class Group:
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 4)
         `effective.row`, of several runs of one unit their mean.
+    fates : list of str
+        Of each member, as `stats.fates.fate` has it.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     moving : DataFrame
         The members in motion.
     n_quiet : int
-        Finished, but gone quiet.
+        Finished, but quiet.
     n_short : int
         In motion, but too short for a correlation time.
     """
@@ -142,6 +150,7 @@ class Group:
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
     histograms: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    fates: list[str] = field(default_factory=list)
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     moving: pd.DataFrame = field(default_factory=pd.DataFrame)
     n_quiet: int = 0
@@ -214,6 +223,18 @@ class Study:
     def unit(self) -> str:
         """What most groups have for units."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
+
+    def fate(self, member_id: str) -> str:
+        """Fate of a member, as `stats.fates.fate` has it."""
+        outcome, t_end, rate = self._fated[member_id]
+        points = None if outcome == "failed" else self.data.series[member_id]
+        return fate(outcome, points, t_end, rate)
+
+    @cached_property
+    def _fated(self) -> Mapping[str, tuple[str, float, float]]:
+        """Outcome, t_end and growth rate of each member."""
+        columns = (self.data.members[name] for name in ("member_id", "outcome", "t_end", "growth_rate"))
+        return {name: (outcome, float(t_end), rate) for name, outcome, t_end, rate in zip(*columns, strict=True)}
 
     @cached_property
     def ends(self) -> Mapping[str, tuple[str, float]]:
@@ -320,6 +341,27 @@ def with_units(members: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
+def with_starts(members: pd.DataFrame) -> pd.DataFrame:
+    """Members with the columns `z_start` and `w_start`, where every block starts; null where blocks differ.
+
+    What is drawn tells no groups apart: `z0` and `w0` are null where `drawn` says from what.
+    """
+    found = members.assign(z_start=members["z0"].astype("float64"), w_start=members["w0"].astype("float64"))
+    drawn = found["drawn"].fillna("").astype(str)
+    for key, column in (("z", "z0"), ("w", "w0")):
+        found[column] = found[column].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
+    return found
+
+
+def with_rates(members: pd.DataFrame) -> pd.DataFrame:
+    """Members with `growth_rate` as a number, null where friction hangs on the speed of slip.
+
+    It is the rate of the state in which all blocks slip under constant friction. Smoothing and weakening change it.
+    """
+    hangs = members[list(HANG_ON_SPEED)].notna().any(axis=1)
+    return members.assign(growth_rate=members["growth_rate"].astype("float64").mask(hangs))
+
+
 def unchanged(members: pd.DataFrame) -> pd.DataFrame:
     """Members with the constants and the start of the original of their matrix; all of them where none has."""
     changed = (members["perturbation_size"] > 0) | members["twin_size"].notna()
@@ -385,21 +427,17 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     group.last = np.full((len(group.members), 2), np.nan)
-    is_moving = np.zeros(len(group.members), dtype=bool)
     row_of = {unit: row for row, unit in enumerate(group.units)}
-    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end"))
-    for k, (unit, member_id, outcome, t_end) in enumerate(zip(*columns, strict=True)):
-        if outcome == "failed":
+    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end", "growth_rate"))
+    for k, (unit, member_id, outcome, t_end, rate) in enumerate(zip(*columns, strict=True)):
+        points = None if outcome == "failed" else series[member_id]
+        group.fates.append(fate(outcome, points, float(t_end), rate))
+        if points is None:
             continue
-        points = series[member_id]
         group.last[k] = points[0][-1], points[1][-1]
-        if outcome != "finished":
+        if group.fates[k] not in MOVING:
             continue
         row, win = row_of[int(unit)], _window(points, str(member_id), settings.t_burn, float(t_end))
-        is_moving[k] = fate("finished", points, float(t_end)) == SUSTAINED
-        if not is_moving[k]:
-            group.n_quiet += 1
-            continue
         given = {name: quantity.sums(win) for name, quantity in QUANTITIES.items()}
         for name, two in given.items():
             group.quantities[name][row] += two
@@ -410,7 +448,9 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
         group.n_short += not is_known or is_short(win, tau)
         found = sizes(win, EVENTS)
         group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
-    group.moving, kept = group.members[is_moving], np.flatnonzero(group.means[:, 4])
+    group.n_quiet = group.fates.count(QUIET)
+    group.moving = group.members[[how in MOVING for how in group.fates]]
+    kept = np.flatnonzero(group.means[:, 4])
     group.units, group.histograms = [group.units[k] for k in kept], [group.histograms[k] for k in kept]
     group.means, group.quantities = group.means[kept], {name: of[kept] for name, of in group.quantities.items()}
     group.effective = group.effective[kept] / group.means[:, 4:]

@@ -114,13 +114,14 @@ def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recordin
         if name in recording.parameters:
             return [given[name] for given in parameters]
         if name in OF_MEMBER:
-            return [_plain(getattr(member, name)) for member in members]
+            return [one.get(name, _plain(getattr(member, name))) for member, one in zip(members, found, strict=True)]
         return [one.get(name) for one in rest]
 
     return {name: column(name) for name in recording.schema.names}
 
 
-#: The columns that a member is known by before it runs: its own attributes. The others come of settings and the run.
+#: The columns that a member is known by before it runs: its own attributes. The others come of settings and the run;
+#: so do the numbers of a start that is drawn.
 OF_MEMBER = frozenset(COLUMNS) & {*(one.name for one in fields(Member)), "file", "drawn"}
 _NO_NUMBER = (Distribution, Course, Named)
 
@@ -222,6 +223,7 @@ def _kept(
         "n_rejected": run.stats.n_rejected,
         "n_products": run.stats.n_products,
     }
+    found |= _drawn_start(member)
     if "growth_rate" in recording.parts:
         found["growth_rate"] = _growth_rate(system)
     if "end" in recording.parts:
@@ -240,6 +242,14 @@ def _kept(
         changes = zip(run.by_threshold, summaries([*run.by_threshold.values()]), strict=True)
         found["by_threshold"] = [{"threshold": c, "t": one.t, "n_stick": one.n_stick} for c, one in changes]
     return run.events, found
+
+
+def _drawn_start(member: Member) -> dict[str, float]:
+    """z0 and w0 of a start that is drawn or read, not moved: those that one number gives for every block."""
+    if not any(isinstance(one, _NO_NUMBER) for one in (member.z0, member.w0)):
+        return {}
+    found = zip(("z0", "w0"), map(np.unique, replace(member, twin_size=None).start()), strict=True)
+    return {name: float(values[0]) for name, values in found if len(values) == 1}
 
 
 def _energy(

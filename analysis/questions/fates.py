@@ -1,4 +1,8 @@
-"""Fates of runs: how many stay in motion, how the others end and when, and whether motion that lasts is steady."""
+"""Fates of runs: how many stay in motion, how the others end and when, and whether motion that lasts is steady.
+
+Survival is that of Kaplan and Meier. Certified runs and runaways ended (`stats.fates.ends_at` says when); all others
+are censored at t_end, be they in motion, in a lull or quiet.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.cascades import Window
-from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.fates import (
@@ -24,33 +27,45 @@ from stickslip.analysis.stats.fates import (
     DIVERGED,
     ENDS,
     FAILED,
-    SILENT,
+    LULL,
+    MOVING,
+    QUIET,
     SUSTAINED,
+    WATCHED,
     Curve,
-    fate,
+    bounded_share,
+    ends_at,
     is_held,
-    kaplan_meier,
+    is_unstable,
     median,
+    survival,
 )
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, panel
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
 
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 _DRAWN = ("n", "coupling", "file")  # what draws depend on: along other keys they are shared
 FATES = {
-    COLLAPSED: ("slips for good", BLUE, "s"), SILENT: ("went quiet", "#56B4E9", "D"),
-    SUSTAINED: ("in motion", GREEN, "o"), DIVERGED: ("ran away", ORANGE, "^"),
+    COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
+    SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
 }  # fmt: skip
-_COUNTS = tuple(f"n_{name}" for name in (*ENDS, SUSTAINED, FAILED))
+#: What runs from different starts do at the end: their fates, and how they are drawn.
+SLIDES = (COLLAPSED, QUIET)
+KINDS = {
+    "slides": (SLIDES, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"), "ran away": ((DIVERGED,), GREY, "^"),
+}  # fmt: skip
+_COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
-    "sustained": F, "low": F, "high": F, "median": F, "median_low": F, "median_high": F,
-    "mean": F, "mean_low": F, "mean_high": F, "drift": F, "drift_low": F, "drift_high": F, "effective_samples": F,
-    "basis": S,
+    **{f"{name}{end}": F for name in ("moving", "slide", "median", "mean", "drift") for end in ("", "_low", "_high")},
+    "effective_samples": F, "basis": S,
 }  # fmt: skip
 _CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F}
-_RUN = {"group": S, "n": I, "kappa_n": F, "matrix": I, "unit": I, "member_id": S, "fate": S, "t": F, "growth_rate": F}
+_RUN = {
+    "group": S, "n": I, "kappa_n": F, "matrix": I, "unit": I, "member_id": S, "fate": S, "t": F, "growth_rate": F,
+    "z_start": F, "w_start": F,
+}  # fmt: skip
 
 
 def answer(study: Study) -> Answer:
@@ -59,30 +74,29 @@ def answer(study: Study) -> Answer:
     runs = [row for group in study.groups for row in _runs(group)]
     curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
     groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
-    moving = sorted((row for row in groups if row[f"n_{SUSTAINED}"]), key=lambda row: -row["n"])
+    moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_law = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.members
     failed = members[members["outcome"] == FAILED]
-    total = Counter(row["fate"] for row in runs)
+    watched = [row for row in runs if row["fate"] != FAILED]
     facts: dict[str, Any] = {
         "systems": systems,
         "groups": groups,
         "moving": moving,
-        "total": {
-            **{name: total[name] for name in (*ENDS, SUSTAINED, FAILED)},
-            "runs": total.total() - total[FAILED],
-            "held": sum(row["n_held"] for row in groups),
-        },
-        "share": _share([row for row in runs if row["fate"] != FAILED], level),
+        "total": {**_counts(runs), "runs": len(watched), "held": sum(row["n_held"] for row in groups)},
+        "share": _share(watched, MOVING, level),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
         "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
         "is_one_law": is_one_law,
-        "partly": [row for row in systems if 0 < row["n_sustained"] < row["n_runs"]],
-        "lasting": [row for row in systems if is_one_law and row["n_sustained"] == row["n_runs"]],
+        "partly": [row for row in systems if 0 < row["n_moving"] < row["n_runs"]],
+        "lasting": [row for row in systems if is_one_law and row["n_moving"] == row["n_runs"]],
         "below": _ended(systems, runs, is_below=True),
         "above": _ended(systems, runs, is_below=False),
-        "linear": _linear(runs),
+        "linear": _linear(watched),
+        "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
+        "has_ends": any(row["fate"] in ENDS for row in runs),
+        "basin": _basin(watched),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
@@ -110,16 +124,19 @@ def _figures(
 ) -> dict[str, Any]:
     """Of runs of which some ended, shares and times; of motion that lasts, n_stick of all runs of a group."""
     shown = {}
-    if facts["total"][SUSTAINED] < facts["total"]["runs"]:
+    if facts["total"]["n_moving"] < facts["total"]["runs"]:
         some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
         if len(facts["systems"]) > 1 or facts["linear"]:
             systems = facts["systems"]
             counts = {name: [row[f"n_{name}"] for row in systems] for name in FATES}
             shown["fates"] = partial(shares, *_by_system(systems), counts)
-        shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
+        if facts["has_ends"]:
+            shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
             shown["growth"] = partial(growth, facts["systems"], known)
+        if facts["basin"] is not None:
+            shown["basin"] = partial(basin, facts["basin"]["points"])
     else:
         most = max(
             (group for group in study.groups if group.n_runs), key=lambda group: int(group.key["n"]), default=None
@@ -130,19 +147,24 @@ def _figures(
 
 
 def _runs(group: Group) -> Iterator[Row]:
-    """Fate of each run, and when its motion ended; for a runaway, when it left every bound."""
+    """Fate of each run, and when its motion ended or until when it was watched."""
     table = group.members
-    columns = (table[name] for name in ("member_id", "matrix", "unit", "outcome", "t_end", "t_stop", "growth_rate"))
-    for member_id, matrix, unit, outcome, t_end, t_stop, rate, last in zip(*columns, group.last, strict=True):
-        how = fate(str(outcome), (last[:1], last[1:]), float(t_end))
-        t = None if how == FAILED else float(last[0])
+    setting = tuple(value for name, value in group.key.items() if name not in ("z0", "w0"))
+    hangs = any(group.key[name] is not None for name in HANG_ON_SPEED)
+    columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
+    rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
+    for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
         yield {
             "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
-            "t": {DIVERGED: t_stop, SUSTAINED: t_end}.get(how, t),
+            "times": (float(last[0]), float(t_stop), float(t_end)),
+            "t": None if how == FAILED else ends_at(how, float(last[0]), float(t_stop), float(t_end))[0],
             "growth_rate": None if pd.isna(rate) else float(rate),
+            "untold": "law" if hangs else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
             "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
+            "setting": (*setting, int(matrix)),
+            "z_start": None if pd.isna(z) else float(z), "w_start": None if pd.isna(w) else float(w),
         }  # fmt: skip
 
 
@@ -154,40 +176,73 @@ def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None
             first.setdefault(row["unit"], row)
     if not first:
         return None
-    times = np.array([row["t"] for row in first.values()], dtype=np.float64)
-    return kaplan_meier(times, np.array([row["fate"] in ENDS for row in first.values()]), confidence)
+    t_last, t_stop, t_end = np.array([row["times"] for row in first.values()]).T
+    return survival([row["fate"] for row in first.values()], t_last, t_stop, t_end, confidence)
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None else key["n"] * key["kappa"]
 
 
-def _share(runs: Sequence[Row], confidence: float) -> Row:
-    """Share of runs in motion at the end; the runs of one unit, at each point of a grid, are not independent."""
-    if not runs:
-        return {"sustained": None, "low": None, "high": None}
+def _counts(runs: Sequence[Row]) -> dict[str, int]:
+    """Runs by fate, and those in motion."""
+    how = Counter(row["fate"] for row in runs)
+    return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
+
+
+def _share(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Estimate:
+    """Share of runs with some fates; the runs of one unit, at each point of a grid, are not independent."""
+    if not watched:
+        return Estimate(reason="no run was watched")
     counts: dict[tuple[object, ...], list[int]] = {}
-    for row in runs:
-        held = counts.setdefault(row["drawn"], [0, 0])
-        held[0] += row["fate"] == SUSTAINED
-        held[1] += 1
-    share, low, high, _ = share_over_matrices(np.array(list(counts.values())), confidence)
-    return {"sustained": share, "low": low, "high": high}
+    for row in watched:
+        held = counts.setdefault(row["drawn"], [0, 0, 0])
+        held[0] += row["fate"] in of
+        held[1] += row["fate"] == QUIET
+        held[2] += 1
+    return bounded_share(np.array(list(counts.values())), confidence)
+
+
+def _seen(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Estimate:
+    """Share of runs with some fates, the quiet ones as they are seen: without a stick in the last quarter."""
+    plain = [row | {"fate": SUSTAINED if row["fate"] not in of else COLLAPSED} for row in watched]
+    return _share(plain, (COLLAPSED,), confidence)
+
+
+def _basin(watched: Sequence[Row]) -> Row | None:
+    """Where the runs of one system started, if starts are given by two numbers and both vary; else None.
+
+    By what they do at the end, where that differs: `KINDS`. Of several such systems, or laws, the one with most runs.
+    """
+    by_setting: dict[tuple[object, ...], list[Row]] = {}
+    for row in watched:
+        by_setting.setdefault(row["setting"], []).append(row)
+    found = []
+    for rows in by_setting.values():
+        known = [row for row in rows if row["z_start"] is not None and row["w_start"] is not None]
+        points = {
+            kind: [(row["z_start"], row["w_start"]) for row in known if row["fate"] in fates]
+            for kind, (fates, _, _) in KINDS.items()
+        }
+        varies = all(len({row[name] for row in known}) > 1 for name in ("z_start", "w_start"))
+        if varies and sum(map(bool, points.values())) > 1:
+            found.append({"points": points, "n": len(known), "of": len(rows), "group": known[0]["group"]})
+    return max(found, key=lambda one: one["n"], default=None)
 
 
 def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | None) -> Row:
     level = study.settings.confidence
     own = [row for row in runs if row["group"] == group.label]
-    how = Counter(row["fate"] for row in own)
     watched = [row for row in own if row["fate"] != FAILED]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half = Estimate() if curve is None else median(*curve)
+    share, slide = _share(watched, MOVING, level), _seen(watched, SLIDES, level)
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
-        **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED, FAILED)}, **_share(watched, level),
+        **_counts(own), **named("moving", share), **named("slide", slide),
         "n_held": sum(row["is_held"] for row in own),
         "half": half, **named("median", half),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
@@ -213,28 +268,21 @@ def _brief(groups: Sequence[Row]) -> list[Row]:
 
 def _ended(systems: Sequence[Row], runs: Sequence[Row], is_below: bool) -> Row | None:
     """How runs end at all n smaller (or larger) than where every run lasts; None if none do, or in opposite ways."""
-    lasting = [row["n"] for row in systems if row["n_sustained"] == row["n_runs"]]
+    lasting = [row["n"] for row in systems if row["n_moving"] == row["n_runs"]]
     watched = [row for row in runs if row["fate"] != FAILED] if lasting else []
     some = [row for row in watched if (row["n"] < min(lasting) if is_below else row["n"] > max(lasting))]
     ends = Counter(row["fate"] for row in some if row["fate"] in ENDS)
-    if not ends or (DIVERGED in ends and len(ends) > 1):
-        return None
-    return {"end": SILENT if SILENT in ends else next(iter(ends)), "n": ends.total(), "n_runs": len(some)}
+    return {"end": next(iter(ends)), "n": ends.total(), "n_runs": len(some)} if len(ends) == 1 else None
 
 
-def _linear(runs: Sequence[Row]) -> list[Row]:
+def _linear(watched: Sequence[Row]) -> list[Row]:
     """Fates by the sign of the linear growth rate of the state in which all blocks slip; empty without the rates."""
-    known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
+    known = [row for row in watched if row["growth_rate"] is not None]
     found = []
-    for state, some in (
-        ("stable", [row for row in known if row["growth_rate"] <= 0]),
-        ("unstable", [row for row in known if row["growth_rate"] > 0]),
-    ):
-        how = Counter(row["fate"] for row in some)
+    for state, has in (("stable", False), ("unstable", True)):
+        some = [row for row in known if is_unstable(row["growth_rate"]) == has]
         if some:
-            found.append(
-                {"state": state, "n_runs": len(some), **{f"n_{name}": how[name] for name in (*ENDS, SUSTAINED)}}
-            )
+            found.append({"state": state, "n_runs": len(some), **_counts(some)})
     return found
 
 
@@ -289,8 +337,22 @@ def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
 
 
 @panel()
+def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+    """Starts in their plane, a mark a run, by what it does at the end."""
+    size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # a field of marks, no gaps
+    for kind, some in points.items():
+        if some:
+            # thousands of marks: a picture inside the SVG keeps the report small
+            ax.plot(*zip(*some, strict=True), KINDS[kind][2], color=KINDS[kind][1], markersize=size,
+                    markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
+    ax.margins(0.01)
+    ax.set(xlabel="displacement at t = 0, z", ylabel="velocity at t = 0, w")
+    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, markerscale=4.0 / size, handletextpad=0.2)
+
+
+@panel()
 def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float) -> None:
-    """Share of runs in motion against time, a curve a group; with their intervals where there are two at most."""
+    """Share of runs that have not ended against time, a curve a group; with intervals where there are two at most."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
     for (label, (times, *shares)), colour in zip(curves, colours, strict=True):
         some = np.unique(np.linspace(0, len(times) - 1, MOST_STEPS).astype(np.int64))
@@ -299,7 +361,7 @@ def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float)
         ax.step(t, alive, where="post", color=colour, label=label)
         if len(curves) <= 2:
             ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share in motion")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share not ended")
     ax.figure.legend(loc="outside upper center", ncols=2, fontsize=7, handlelength=1.2)
 
 

@@ -19,7 +19,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.compare import AGREE, DIFFER, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.fates import SUSTAINED, fate
+from stickslip.analysis.stats.fates import MOVING
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
@@ -97,11 +97,11 @@ class _Judged:
         self.sums: dict[str, np.ndarray] = {}
         halves, n_cascades = [], 0
         for member in self.members:
-            if study.ends[member][0] != "finished":
+            if study.fate(member) not in MOVING:
                 continue
             win = study.window(member, t_end)
             found = _sums(win)
-            if found is None or fate("finished", study.data.series[member], t_end) != SUSTAINED:
+            if found is None:
                 continue
             self.sums[member] = found
             if member in bases:

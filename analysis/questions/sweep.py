@@ -22,25 +22,24 @@ from stickslip.analysis import contrast
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
-from stickslip.analysis.questions.fates import shares
+from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, FAILED, SILENT, SUSTAINED, fate
+from stickslip.analysis.stats.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
 RISES, FALLS, STAYS, UNKNOWN = "rises", "falls", "stays", "cannot be told"
-MOVING = "share in motion"
+IN_MOTION = "share in motion"
+AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
 MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
 MOST_LINES = 6  # in one figure
 #: What tells the runs of a sweep apart that is not swept.
 _FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
-_FATES = (SUSTAINED, SILENT, COLLAPSED, DIVERGED)
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
-    "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*_FATES, FAILED)},
+    "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*WATCHED, FAILED)},
     **_ESTIMATES, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
@@ -103,6 +102,8 @@ def answer(study: Study) -> Answer | None:
         "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
         "n_tests": sum(row["p_different"] is not None for row in contrasts),
+        "n_quiet": sum(row[f"n_{QUIET}"] for row in rows),
+        "n_runs": sum(row["n_runs"] for row in rows),
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
     }
@@ -197,13 +198,11 @@ def _kind(axis: Axis, k: int) -> str:
 
 
 def _point(study: Study, group: Group, at: dict[Axis, tuple[Value, ...]]) -> Point:
-    found = Point(group, at, fates=dict.fromkeys((*_FATES, FAILED), 0))
-    columns = (group.members[name] for name in ("unit", "outcome", "t_end"))
-    for unit, outcome, t_end, last in zip(*columns, group.last, strict=True):
-        how = fate(str(outcome), (last[:1], last[1:]), float(t_end))
-        found.fates[how] += 1
+    found = Point(group, at, fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
+    for unit, how in zip(group.members["unit"], group.fates, strict=True):
         if how != FAILED:
-            found.sample.add(MOVING, int(unit), [how == SUSTAINED, 1.0])
+            found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])
+            found.sample.add(AT_MOST, int(unit), [how in (*MOVING, QUIET), 1.0])
     found.sample.sums[MEAN] = dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True))
     if group.basis(study.settings.confidence).code in enough.JUDGED:
         found.sample.sums[GAMMA] = dict(zip(group.units, group.sums, strict=True))
@@ -212,7 +211,7 @@ def _point(study: Study, group: Group, at: dict[Axis, tuple[Value, ...]]) -> Poi
 
 def _statistics(study: Study) -> list[Statistic]:
     return [*contrast.statistics(study.settings.margins, ("mean", "gamma")),
-            Statistic(MOVING, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
+            Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
 
 
 def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], study: Study) -> Iterator[Row]:
@@ -226,14 +225,36 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
             for point in points:
                 before = tuple((point.at | {axis: base}).values())
                 if point.at[axis] == value and before in by_place:
-                    _add_common(one.name, by_place[before], point, first, second)
+                    for name in (IN_MOTION, AT_MOST) if one.is_share else (one.name,):
+                        _add_common(name, by_place[before], point, first, second)
             if one.is_share and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=study.settings.confidence)
+            if one.is_share:
+                row |= _either_way(row, one, first, second, study.settings.confidence)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": said(base), "second_value": said(value),
                 "is_last": value == others[-1],
             }  # fmt: skip
+
+
+def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
+    """What holds of a contrast of shares in motion whatever quiet runs do: the weaker tests, the wider interval."""
+    corners = [
+        contrast.contrast(
+            one, Sample({one.name: first.sums[a]}), Sample({one.name: second.sums[b]}), paired=True,
+            confidence=confidence,
+        )
+        for a, b in ((AT_MOST, IN_MOTION), (IN_MOTION, AT_MOST))
+    ]  # fmt: skip
+    if row["difference"] is None or any(corner["difference"] is None for corner in corners):
+        return {}
+    found: Row = {name: max(corner[name] for corner in corners) for name in ("p_absolute", "difference_high")}
+    found["difference_low"] = min(corner["difference_low"] for corner in corners)
+    if corners[0]["difference"] <= 0 <= corners[1]["difference"]:
+        found["p_absolute"] = 1.0
+    return found | {"p_equivalent": max((_known(corner["p_equivalent"], corner["p_absolute"]) for corner in corners),
+                                        key=lambda p: -1.0 if p is None else p)}  # fmt: skip
 
 
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
@@ -296,7 +317,7 @@ def _known(*p: float | None) -> float | None:
 def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
     """The statistics as they are told: shares of runs first if one changes beyond the margin, else mean n_stick."""
     moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
-    return (MOVING, MEAN, GAMMA) if moved else (MEAN, GAMMA, MOVING)
+    return (IN_MOTION, MEAN, GAMMA) if moved else (MEAN, GAMMA, IN_MOTION)
 
 
 def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: float) -> Row:
@@ -305,7 +326,7 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: flo
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
     return {
         "setting": setting, "group": point.group.label, "at": ", ".join(map(said, point.at.values())), **keys,
-        "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in _FATES),
+        "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
@@ -313,24 +334,24 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: flo
 
 
 #: How the axes of figures are named.
-_AXIS = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$", MOVING: MOVING}
+_AXIS = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$", IN_MOTION: IN_MOTION}
 _OF = {
     "mean": Statistic(MEAN, ratio, 0.0),
     "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0),
-    "moving": Statistic(MOVING, ratio, 0.0, is_share=True),
+    "moving": Statistic(IN_MOTION, ratio, 0.0, is_share=True),
 }
 
 
 def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic of some points of a grid together."""
     both = Sample()
-    for point in points:
-        for unit, row in point.sample.sums.get(of.name, {}).items():
-            both.add(of.name, unit, list(row))
+    for point, name in product(points, (of.name, AT_MOST) if of.is_share else (of.name,)):
+        for unit, row in point.sample.sums.get(name, {}).items():
+            both.add(name, unit, list(row))
     _, rows = both.rows(of.name)
     if of.is_share and len(rows):
-        share, low, high, _ = share_over_matrices(rows, confidence)
-        return Estimate(share, low, high)
+        at_most = both.rows(AT_MOST)[1][:, 0]
+        return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
     return over_matrices(of.of, rows, confidence)
 
 
@@ -345,7 +366,7 @@ def _figures(
     ticks = axes[0].x, [said(value) for value in axes[0].values]
     found: dict[str, Any] = {}
     if len(axes) > 1:
-        of = _OF["moving" if leading[0] == MOVING else "mean"]
+        of = _OF["moving" if leading[0] == IN_MOTION else "mean"]
         cells = [
             [estimate(of, _at(_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
             for y in axes[1].values
@@ -353,10 +374,10 @@ def _figures(
         across, up = ((axis.name, [said(value) for value in axis.values]) for axis in axes[:2])
         found["sweep_map"] = partial(heat_map, _AXIS[of.name], across, up, cells)
     for name in leading:
-        if name == MOVING:
+        if name == IN_MOTION:
             at_value = [[point.fates for point in _at(main, axes[0], value)] for value in axes[0].values]
-            counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in _FATES}
-            if any(any(some) for end, some in counts.items() if end != SUSTAINED):
+            counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in FATES}
+            if any(any(some) for end, some in counts.items() if end not in MOVING):
                 found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
             continue
         lines = _lines(points, lead, axes, next(of for of in _OF.values() if of.name == name), level)

@@ -1,21 +1,30 @@
 """Fates of runs, and how long motion lasts.
 
-A collapse is one that is certified. A run whose blocks all slip for the last quarter without a certificate is kept
-apart as silent: such runs have been seen to stick again after thousands of units. A runaway is a fate of its own and
-never a collapse.
+An end is certain: a collapse is certified, a runaway left every bound. A run in which no block sticks over the last
+quarter has not ended for that: such runs stick again after thousands of units. Where the linear growth rate of the
+state in which all blocks slip is positive, that state does not last and the run is in a lull, a part of its motion.
+Where the rate is not positive or not known the run is quiet: whether a block sticks again cannot be told.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from stickslip.analysis.stats.estimates import Estimate
 
-COLLAPSED, SILENT, DIVERGED, SUSTAINED, FAILED = "collapsed", "silent", "diverged", "sustained", "failed"
-ENDS = (COLLAPSED, SILENT, DIVERGED)
-QUIET_SHARE = 0.25  # of a run: silent if no block sticks in this last part of it, held if all do throughout
+COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
+    "collapsed", "diverged", "sustained", "lull", "quiet", "failed",
+)  # fmt: skip
+ENDS = (COLLAPSED, DIVERGED)
+MOVING = (SUSTAINED, LULL)
+WATCHED = (*ENDS, QUIET, *MOVING)  # all but failed
+LAST_SHARE = 0.25  # of a run: a lull or quiet if no block sticks in this last part of it, held if all do throughout
+#: A growth rate beyond this is positive: rounding moves a double eigenvalue of a matrix of order one by as much.
+RATE_ROUNDING = 1e-8
 
 
 #: Of `kaplan_meier`: times, share that has not ended, and the ends of its interval, each (m,), each from its time on.
@@ -53,6 +62,35 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
     return t, share, low, high
 
 
+def survival(
+    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+) -> Curve:
+    """Share of runs that have not ended by a time, as `kaplan_meier`, of what `ends_at` says of each.
+
+    The lower end of the interval is that where quiet runs ended at their last events, the upper where they did not.
+
+    Parameters
+    ----------
+    fates : sequence of str
+        Of runs that did not fail.
+    t_last, t_stop, t_end : ndarray, shape (m,)
+        Last event of each, when it was certified or left every bound, and the end that was asked for.
+    """
+    found = [ends_at(*one) for one in zip(fates, t_last, t_stop, t_end, strict=True)]
+    times, ended = np.array([t for t, _ in found], dtype=np.float64), np.array([is_end for _, is_end in found])
+    curve = kaplan_meier(times, ended, confidence)
+    is_quiet = np.array([how == QUIET for how in fates])
+    if not is_quiet.any():
+        return curve
+    least = kaplan_meier(np.where(is_quiet, t_last, times), ended | is_quiet, confidence)
+    t = np.union1d(curve[0], least[0])
+    (share, high), (low,) = (
+        [one[np.searchsorted(of[0], t, side="right") - 1] for one in some]
+        for of, some in ((curve, (curve[1], curve[3])), (least, (least[2],)))
+    )
+    return t, share, low, high
+
+
 def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) -> Estimate:
     """Time by which half have ended, of what `kaplan_meier` returns; None where half are never seen to.
 
@@ -69,12 +107,51 @@ def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) 
     return Estimate(value, first(low <= 0.5), first(high < 0.5), reason)
 
 
-def fate(outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float) -> str:
-    """Fate of a run, from its outcome and, if it finished, from the last of its change points."""
+def is_unstable(growth_rate: float | None) -> bool:
+    """Whether the state in which all blocks slip is known to be linearly unstable; None: the rate is not known."""
+    return growth_rate is not None and growth_rate > RATE_ROUNDING
+
+
+def fate(
+    outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float, growth_rate: float | None = None
+) -> str:
+    """Fate of a run, one of `WATCHED` or `FAILED`.
+
+    Parameters
+    ----------
+    outcome : str
+        "finished", "collapsed", "diverged" or "failed".
+    series : tuple of ndarray, shape (m,) each
+        Its change points, t and n_stick, of which the last decides.
+    t_end : float
+    growth_rate : float, optional
+        The linear growth rate of the state in which all blocks slip, where it is known.
+    """
     if outcome != "finished" or series is None:
         return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
     t, n_stick = series
-    return SILENT if n_stick[-1] == 0 and t[-1] <= (1 - QUIET_SHARE) * t_end else SUSTAINED
+    if not is_all_slip((t[-1], n_stick[-1]), t_end):
+        return SUSTAINED
+    return LULL if is_unstable(growth_rate) else QUIET
+
+
+def ends_at(how: str, t_last: float, t_stop: float, t_end: float) -> tuple[float, bool]:
+    """When a watched run ended, or until when it was watched, and whether it ended: what `kaplan_meier` takes.
+
+    A collapsed run ends at `t_last`, its last event: its certificate, at `t_stop`, comes later, when the engine asks
+    and the motion has decayed far enough. A runaway ends at `t_stop`, when it left every bound. All others are
+    censored at t_end. A run that ended and is not certified by then is quiet, or, if that was in the last quarter,
+    seems in motion: there shares are too high; before, the interval of `survival` takes the quiet ones either way.
+    """
+    if how == COLLAPSED:
+        return t_last, True
+    return (t_stop, True) if how == DIVERGED else (t_end, False)
+
+
+def is_all_slip(last: tuple[float, float], t_end: float) -> bool:
+    """Whether no block sticks throughout the last quarter, from the last change point: t and n_stick."""
+    t, n_stick = last
+    return n_stick == 0 and t <= (1 - LAST_SHARE) * t_end
 
 
 def is_held(last: tuple[float, float], n: int, t_end: float) -> bool:
@@ -83,4 +160,22 @@ def is_held(last: tuple[float, float], n: int, t_end: float) -> bool:
     Such a run counts as in motion: a belt may load its blocks until one lets go. On a belt at rest it is at rest.
     """
     t, n_stick = last
-    return n_stick == n and t <= (1 - QUIET_SHARE) * t_end
+    return n_stick == n and t <= (1 - LAST_SHARE) * t_end
+
+
+def bounded_share(counts: np.ndarray, confidence: float) -> Estimate:
+    """Share of runs with a property, where some runs cannot be told.
+
+    The value counts these as without it. The interval goes from the lower end of that share to the upper end of the
+    share that counts them as with it, each end that of `compare.share_over_matrices`.
+
+    Parameters
+    ----------
+    counts : ndarray, shape (G, 3)
+        One row a matrix: runs with the property, runs that cannot be told, and all.
+    confidence : float
+    """
+    has, untold, n_runs = np.asarray(counts, dtype=np.float64).T
+    share, low, _, _ = share_over_matrices(np.column_stack([has, n_runs]), confidence)
+    _, _, high, _ = share_over_matrices(np.column_stack([has + untold, n_runs]), confidence)
+    return Estimate(share, low, high)

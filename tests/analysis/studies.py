@@ -8,7 +8,7 @@ python -m tests.analysis.studies --seed 1 --ensembles 500
 import argparse
 import secrets
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from scipy import signal, special, stats
@@ -549,6 +549,35 @@ def escape_study(rng, ensembles):
             yield judged("escape: median", f"{middle:g}, {n_runs} runs", middle, found)
 
 
+def survival(rng, n_runs, rate, t_end, delay):
+    """Kaplan and Meier of runs that end at a constant rate and are watched for t_end, as the question `fates` has it.
+
+    Certificates come some exponential delay after the end, none after t_end: what ended without one is quiet, or
+    seems in motion. Three in ten of the runs that go on are in a lull at t_end.
+    """
+    ended = rng.exponential(1 / rate, n_runs)
+    certified, goes_on = ended + rng.exponential(delay, n_runs), ended > t_end
+    where = np.where(rng.random(n_runs) < 0.3, rng.uniform(0.0, 0.75, n_runs), rng.uniform(0.75, 1.0, n_runs))
+    last = np.where(goes_on, where * t_end, ended)
+    hows = [
+        fates.fate("collapsed" if t_stop <= t_end else "finished", (np.array([t]), np.array([0])), t_end, growth_rate)
+        for t, t_stop, growth_rate in zip(last, certified, np.where(goes_on, 1e-4, -1e-4), strict=True)
+    ]
+    return fates.survival(hows, last, np.minimum(certified, t_end), np.full(n_runs, t_end), CONFIDENCE)
+
+
+def survival_study(rng, ensembles, delay=20.0):
+    """Share of runs that have not ended, at times before the last quarter, of 20 and 60 runs."""
+    for n_runs, rate in product((MATRICES, 60), (3e-4, 1e-3)):
+        curves = [survival(rng, n_runs, rate, 2000.0, delay) for _ in range(ensembles)]
+        for at in (500.0, 1000.0, 1400.0):
+            found = []
+            for t, *shares in curves:
+                k = np.searchsorted(t, at, side="right") - 1
+                found.append(Estimate(*(float(share[k]) for share in shares)))
+            yield judged("survival", f"rate {rate:g}, t = {at:g}, {n_runs} runs", float(np.exp(-rate * at)), found)
+
+
 def multiplicity_study(rng, ensembles):
     """Share of sets of tests without a false rejection, at least 95%: 3 primary and 20 others, some with effects."""
     ensembles = 10 * ensembles
@@ -603,6 +632,7 @@ STUDIES = {
     "escape": escape_study,
     "multiplicity": multiplicity_study,
     "drift": drift_study,
+    "survival": survival_study,
 }
 
 

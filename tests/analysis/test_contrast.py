@@ -158,7 +158,7 @@ def test_a_sample_is_the_planted_one(planted):
     study = Study(Data(members, series), SETTINGS)
     found = sample(study.groups[0])
     matrices, rows = found.rows("mean n_stick")
-    assert matrices.tolist() == [0, 1, 2]  # m4 went quiet and is in shares alone
+    assert matrices.tolist() == [0, 1, 2]  # m4 is quiet and in shares alone
     assert rows[:, 0] == pytest.approx([11, 13, 21])
     assert found.rows("variance of n_stick in time")[1][:3, 0] == pytest.approx([1, 1, 1])
     assert found.rows("exit rate")[1][:3, 0] == pytest.approx(2 / 5, rel=0.01)
@@ -166,7 +166,7 @@ def test_a_sample_is_the_planted_one(planted):
     assert total == 2 * count
     shares = {name: found.rows(name)[1][:, 0].tolist() for name in found.sums if name.startswith("share")}
     assert shares == {
-        "share gone quiet": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
+        "share all slipping": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
         "share run away": [0, 0, 0, 0, 0, 1, 0],
     }
 

@@ -1,4 +1,4 @@
-"""Fates and survival: textbook numbers, identities, and what is never called a collapse."""
+"""Fates and survival: textbook numbers, identities, planted hazards, and what is never called an end."""
 
 import re
 from dataclasses import replace
@@ -11,7 +11,20 @@ from stickslip.analysis import AnalysisSettings, Data, Study, build
 from stickslip.analysis.questions.fates import answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, ENDS, SILENT, SUSTAINED, fate, kaplan_meier, median
+from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.fates import (
+    COLLAPSED,
+    DIVERGED,
+    LULL,
+    QUIET,
+    SUSTAINED,
+    bounded_share,
+    ends_at,
+    fate,
+    kaplan_meier,
+    median,
+)
+from tests.analysis import studies
 
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
 WORDS = environment().get_template("fates.html").module
@@ -60,22 +73,51 @@ def test_ends_at_zero_count_once():
     assert median(*kaplan_meier(np.append(np.zeros(6), times[3:7]), np.arange(10) < 7, 0.95)).value == 0.0
 
 
-def test_fates_by_their_last_change():
-    silent, sticking = (np.array([0.0, 700.0]), np.array([3, 0])), (np.array([0.0, 700.0]), np.array([3, 1]))
-    assert fate("finished", silent, 1000.0) == SILENT
-    assert fate("finished", silent, 900.0) == SUSTAINED  # quiet for less than a quarter
+def test_fates_by_their_last_change_and_the_growth_rate():
+    slipping, sticking = (np.array([0.0, 700.0]), np.array([3, 0])), (np.array([0.0, 700.0]), np.array([3, 1]))
+    assert [fate("finished", slipping, 1000.0, rate) for rate in (1e-4, -1e-4, 0.0, 1e-12, np.nan, None)] == [
+        LULL, QUIET, QUIET, QUIET, QUIET, QUIET,
+    ]  # fmt: skip
+    assert fate("finished", slipping, 900.0) == SUSTAINED  # for less than a quarter
     assert fate("finished", sticking, 1000.0) == SUSTAINED
-    assert fate("collapsed", silent, 1000.0) == COLLAPSED
-    assert fate("diverged", silent, 1000.0) == DIVERGED
+    assert fate("collapsed", slipping, 1000.0) == COLLAPSED
+    assert fate("diverged", slipping, 1000.0) == DIVERGED
     assert fate("failed", None, 1000.0) == "failed"
+
+
+def test_only_what_is_certain_is_an_end():
+    assert ends_at(COLLAPSED, 150.0, 230.0, 1000.0) == (150.0, True)  # certified 80 units after its last event
+    assert ends_at(DIVERGED, 150.0, 230.0, 1000.0) == (230.0, True)
+    for how in (LULL, QUIET, SUSTAINED):
+        assert ends_at(how, 150.0, 1000.0, 1000.0) == (1000.0, False)
+
+
+def test_what_cannot_be_told_widens_the_interval_of_a_share():
+    """Wilson's of 5 in 20 begins at 0.112, that of 9 in 20 ends at 0.658."""
+    found = bounded_share(np.array([[1, 0, 1]] * 5 + [[0, 1, 1]] * 4 + [[0, 0, 1]] * 11), 0.95)
+    assert (found.value, found.low, found.high) == pytest.approx((0.25, 0.112, 0.658), abs=1e-3)
+
+
+def test_the_interval_of_survival_covers_a_planted_hazard(rng):
+    """Watched to t = 2,000, lulls censored there; `studies` has the whole study."""
+    rows = list(studies.survival_study(rng, 150))
+    assert not [row for row in rows if not row.is_covered() or not row.is_unbiased()]
+
+
+def test_the_interval_of_survival_covers_it_where_certificates_come_late(rng):
+    """By 1,000 units on average: many that ended are quiet at t_end, and the curve itself is too high."""
+    rows = list(studies.survival_study(rng, 150, delay=1000.0))
+    assert not [row for row in rows if not row.is_covered(high=1.0)]
+    assert rows[-1].bias > 0.1
 
 
 def data_of(planted, outcomes, n=200):
     rows, series = [], {}
     for matrix, outcome in enumerate(outcomes):
         stop = 400.0 if outcome == DIVERGED else 1000.0
-        real = "finished" if outcome in (SILENT, SUSTAINED) else outcome
-        rows.append(planted.member(f"{n}-{matrix}", matrix, n=n, outcome=real, t_stop=stop, growth_rate=0.01))
+        real = "finished" if outcome in (LULL, QUIET, SUSTAINED) else outcome
+        rate = -0.01 if outcome in (COLLAPSED, QUIET) else 0.01
+        rows.append(planted.member(f"{n}-{matrix}", matrix, n=n, outcome=real, t_stop=stop, growth_rate=rate))
         last = {SUSTAINED: 990.0, DIVERGED: 390.0}.get(outcome, 50.0 + matrix)
         series[f"{n}-{matrix}"] = np.array([0.0, last]), np.array([3, 0])
     return Data(pd.DataFrame(rows), series)
@@ -86,18 +128,62 @@ def asked(data):
 
 
 def test_fates_are_kept_apart(planted):
-    found = asked(data_of(planted, [COLLAPSED] * 4 + [SILENT] * 2 + [DIVERGED] * 3 + [SUSTAINED] * 11 + ["failed"]))
+    plan = [COLLAPSED] * 4 + [QUIET] * 2 + [DIVERGED] * 3 + [SUSTAINED] * 9 + [LULL] * 2 + ["failed"]
+    found = asked(data_of(planted, plan))
     row = found.tables["fates"].iloc[0]
-    assert [row[f"n_{end}"] for end in ENDS] == [4, 2, 3]
-    assert (row["n_runs"], row["n_failed"]) == (20, 1)
-    assert row["sustained"] == pytest.approx(11 / 20)
+    assert [row[f"n_{end}"] for end in (COLLAPSED, QUIET, DIVERGED, SUSTAINED, LULL)] == [4, 2, 3, 9, 2]
+    assert (row["n_moving"], row["n_runs"], row["n_failed"]) == (11, 20, 1)
+    assert row["moving"] == pytest.approx(11 / 20)
     said = WORDS.answer(found.facts)
-    assert "11 of 20 runs at n = 200 are in motion at t = 1000 (34% to 74%); " in said
-    assert "4 slip for good, 2 went quiet and 3 ran away" in said
+    # Wilson's of 11 in 20 begins at 0.342, that of 13 in 20 ends at 0.819
+    assert "11 of 20 runs at n = 200 are in motion at t = 1000 (34% to 82%); " in said
+    assert "4 slip for good, 3 ran away and 2 are quiet" in said
     alerts = WORDS.alerts(found.facts)
     assert "1 of 21 runs failed" in alerts
+    assert "2 of 11 runs in motion are in a lull: no block has stuck for the last quarter" in alerts
+    assert "2 runs of 20 are quiet: no block has stuck for the last quarter" in alerts
+    assert (
+        "cannot be told, as slipping all together is stable, but not certified to last. They are in no mean" in alerts
+    )
     assert "of survivors, the runs in motion at t = 1000: 11 of 20 at n = 200." in alerts
     assert 'class="ok"' not in alerts
+
+
+def test_survival_counts_certified_ends_and_run_away_alone(planted):
+    found = asked(data_of(planted, [COLLAPSED] * 4 + [SUSTAINED] * 5 + [DIVERGED] * 3 + [LULL] * 8))
+    curve = found.tables["survival_curves"]
+    assert curve["t"].tolist() == [0, 50, 51, 52, 53, 400]  # last events, and when three left every bound
+    assert curve["survival"].tolist() == pytest.approx([1, 0.95, 0.9, 0.85, 0.8, 0.65])
+    assert found.tables["runs"].groupby("fate")["t"].max().to_dict() == {
+        COLLAPSED: 53, DIVERGED: 400, LULL: 1000, SUSTAINED: 1000,
+    }  # fmt: skip
+
+
+def test_survival_takes_quiet_runs_either_way(planted):
+    """Four of ten ended by t = 53; five more did by t = 58, or not at all."""
+    curve = asked(data_of(planted, [COLLAPSED] * 4 + [QUIET] * 5 + [SUSTAINED])).tables["survival_curves"]
+    least, most = (kaplan_meier(np.arange(50.0, 60.0), np.arange(10) < n_ended, 0.95) for n_ended in (9, 4))
+    last = curve.iloc[-1]
+    assert (last["t"], last["survival"], last["low"], last["high"]) == (
+        58,
+        pytest.approx(0.6),
+        least[2][-1],
+        most[3][-1],
+    )
+
+
+def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
+    """Nor where friction hangs on the speed of slip, of which the rate says nothing."""
+    data = data_of(planted, [LULL] * 5 + [SUSTAINED] * 5)
+    constant = "as linear growth rates are those of constant friction"
+    for changes, why in (
+        ({"growth_rate": None}, "as no growth rate of the all-slip state is recorded"),
+        ({"weakening_speed": 0.5}, constant),
+        (planted.sigmoid, constant),
+    ):
+        found = asked(Data(data.members.assign(**changes), data.series))
+        assert found.tables["fates"][["n_quiet", "n_lull"]].iloc[0].tolist() == [5, 0]
+        assert f"cannot be told, {why}" in WORDS.alerts(found.facts)
 
 
 def test_what_all_runs_do_has_a_bound(planted):
@@ -134,7 +220,7 @@ def test_two_engines_on_one_matrix_are_one_system(planted):
     series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
     found = asked(Data(pd.concat([data.members, twice]), series))
     assert found.facts["total"]["runs"] == 40
-    assert found.facts["share"]["low"] == pytest.approx(0.839, abs=1e-3)
+    assert found.facts["share"].low == pytest.approx(0.839, abs=1e-3)
 
 
 def test_points_of_a_sweep_share_their_matrices(planted):
@@ -151,7 +237,7 @@ def test_the_fates_of_two_laws_are_not_added_up(planted):
     away = other.members.assign(member_id="s" + other.members["member_id"], **planted.sigmoid)
     series = dict(data.series) | {f"s{name}": points for name, points in other.series.items()}
     found = asked(Data(pd.concat([data.members, away]), series))
-    counts = {row["system"].split(", ")[1]: (row["n_sustained"], row["n_diverged"]) for row in found.facts["systems"]}
+    counts = {row["system"].split(", ")[1]: (row["n_moving"], row["n_diverged"]) for row in found.facts["systems"]}
     assert counts == {"exact": (12, 0), "sigmoid": (4, 8)}
     said = WORDS.answer(found.facts)
     assert (
@@ -161,39 +247,45 @@ def test_the_fates_of_two_laws_are_not_added_up(planted):
     assert "8 ran away" not in said
 
 
-def test_quiet_runs_are_in_no_mean_and_no_pool(planted, rng):
-    """Half of the runs go quiet at t = 300: what is left is as if they had not been."""
+@pytest.mark.parametrize(("rate", "how"), [(1e-4, LULL), (-1e-4, QUIET)])
+def test_a_lull_is_part_of_the_mean_and_a_quiet_run_is_not(planted, rng, rate, how):
+    """Half of the runs stop sticking at t = 300; their window begins at t = 100."""
     rows, series = [], {}
     for matrix in range(16):
         t, n_stick = planted.runs(rng, 4000, 0.69)
         n_stick = n_stick - n_stick.min() + 20
         if matrix % 2:
             t, n_stick = np.append(t[t < 300.0], 300.0), np.append(n_stick[t < 300.0], 0)
-        rows.append(planted.member(f"m{matrix}", matrix))
+        rows.append(planted.member(f"m{matrix}", matrix, growth_rate=rate))
         series[f"m{matrix}"] = t, n_stick
-    every, alone = (
-        Study(Data(pd.DataFrame(some), series), SETTINGS).groups[0] for some in (rows, rows[::2])
-    )  # fmt: skip
-    assert (len(every.finished), len(every.moving), every.n_quiet, every.n_runs) == (16, 8, 8, 8)
-    assert every.mean(0.95) == alone.mean(0.95)
-    assert every.units == alone.units
-    assert (every.sums == alone.sums).all()
+    every, alone, still = (
+        Study(Data(pd.DataFrame(some), series), SETTINGS).groups[0] for some in (rows, rows[::2], rows[1::2])
+    )
+    assert every.fates == [SUSTAINED, how] * 8
+    n_moving = 16 if how == LULL else 8
+    assert (len(every.finished), len(every.moving), every.n_quiet) == (16, n_moving, 16 - n_moving)
+    if how == QUIET:
+        assert every.mean(0.95) == alone.mean(0.95)
+        assert every.units == alone.units
+        assert (every.sums == alone.sums).all()
+    else:
+        assert still.mean(0.95).value < 0.3 * alone.mean(0.95).value  # it sticks for two ninths of the window
+        assert every.mean(0.95).value == pytest.approx((alone.mean(0.95).value + still.mean(0.95).value) / 2)
 
 
 def test_sizes_are_set_side_by_side_with_the_linear_growth_rate(planted):
-    plan = {20: [COLLAPSED] * 3 + [SILENT] * 2, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
+    plan = {20: [COLLAPSED] * 3 + [QUIET] * 2, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
     parts = [data_of(planted, outcomes, n) for n, outcomes in plan.items()]
     members = pd.concat([part.members for part in parts], ignore_index=True)
-    members.loc[members["n"] == 20, "growth_rate"] = -0.01
     found = asked(Data(members, {name: points for part in parts for name, points in part.series.items()}))
     said = WORDS.answer(found.facts)
     assert "motion lasts in every run at n = 100 (at least 57% of such systems)" in said
-    assert "of smaller groups 5 of 5 stop sticking, of larger ones 4 of 5 run away" in said
+    assert "of smaller groups 3 of 5 slip for good, of larger ones 4 of 5 run away" in said
     assert [(row["state"], row["n_runs"], row["n_collapsed"]) for row in found.facts["linear"]] == [
         ("stable", 5, 3),
         ("unstable", 10, 0),
     ]
-    assert found.tables["runs"]["fate"].tolist()[:5] == [COLLAPSED] * 3 + [SILENT] * 2
+    assert found.tables["runs"]["fate"].tolist()[:5] == [COLLAPSED] * 3 + [QUIET] * 2
     for recipe in found.figures.values():
         assert recipe().axes
 
@@ -222,3 +314,50 @@ def test_a_page_has_few_alerts_and_what_is_well_comes_last(planted):
     (alerts,) = re.findall(r'<ul class="alerts".*?</ul>', report.html, re.DOTALL)
     assert 1 <= alerts.count("<li") <= MOST_ALERTS
     assert "1 of 4 runs failed" in alerts
+
+
+def starts(planted, rng, n_starts, **columns):
+    """Starts of one block, drawn, of which those with |z| < 1 come to slide; half of these are certified."""
+    z, w = rng.uniform(-2, 2, n_starts), rng.uniform(0, 2, n_starts)
+    rows, series = [], {}
+    for k in range(n_starts):
+        outcome = "collapsed" if abs(z[k]) < 1 and k % 2 else "finished"
+        row = planted.member(f"s{k}", 0, n=1, outcome=outcome, start_draw=k, z0=z[k], w0=w[k])
+        rows.append(row | {"drawn": "z = uniform(-2, 2); w = uniform(0, 2)"} | columns)
+        series[f"s{k}"] = np.array([0.0, 50.0 if abs(z[k]) < 1 else 990.0]), np.array([1, 0])
+    return Data(pd.DataFrame(rows), series), z, w
+
+
+def test_starts_of_one_block_show_their_basin(planted, rng):
+    data, z, w = starts(planted, rng, 400)
+    found = asked(data)
+    assert len(found.tables["fates"]) == 1, "starts that are drawn tell no groups apart"
+    slides = np.abs(z) < 1
+    low, high = wilson(slides.sum(), 400, 0.95)
+    page = build(data, replace(SETTINGS, question=("fates",)), "Starts", "", {})
+    assert page.headline[1] == (
+        f"Of 400 starts {100 * slides.mean():.1f}% ({100 * low:.1f}% to {100 * high:.1f}%) slide, "
+        "without a stick in the last quarter of the time to t = 1000; the others stick and slip."
+    )
+    points = found.facts["basin"]["points"]
+    assert sorted(points["slides"]) == sorted(zip(z[slides], w[slides], strict=True))
+    assert sum(map(len, points.values())) == 400
+    (ax,) = found.figures["basin"]().axes
+    assert sorted(len(line.get_xdata()) for line in ax.lines) == sorted([slides.sum(), (~slides).sum()])
+    assert "it slides if no block sticks in the last quarter" in page.html
+    assert "basin" in page.figures
+
+
+def test_a_grid_of_starts_shows_its_basin_too(planted, rng):
+    """Swept, not drawn: each start is a group, and all are one picture; of n blocks that start alike as of one."""
+    data, *_ = starts(planted, rng, 30, n=20, drawn=None, start_draw=None)
+    basin = asked(data).facts["basin"]
+    assert (basin["n"], basin["of"]) == (30, 30)
+
+
+@pytest.mark.parametrize("columns", [{"z0": None, "w0": None}, {"w0": 0.5}])
+def test_starts_that_are_not_known_or_do_not_vary_show_no_basin(planted, rng, columns):
+    """Datasets of before have no numbers of starts that were drawn."""
+    page = build(starts(planted, rng, 50, **columns)[0], replace(SETTINGS, question=("fates",)), "Starts", "", {})
+    assert page.headline[1].startswith("Of 50 starts ")
+    assert "basin" not in page.figures

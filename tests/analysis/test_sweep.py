@@ -111,10 +111,10 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
     ends = data.members["belt_speed"] == -0.3
     data.members.loc[ends, ["outcome", "t_stop"]] = "collapsed", 50.0
     answer = sweep.answer(Study(data, settings))
-    row = changes(answer, sweep.MOVING)["belt_speed"]
+    row = changes(answer, sweep.IN_MOTION)["belt_speed"]
     assert (row["verdict"], row["first"], row["second"], row["difference"]) == (sweep.RISES, 0.0, 1.0, 1.0)
     assert 0.5 < row["difference_low"] < row["difference_high"] <= 1
-    assert answer.facts["told"][0]["quantity"] == sweep.MOVING
+    assert answer.facts["told"][0]["quantity"] == sweep.IN_MOTION
     mean = changes(answer)["belt_speed"]
     assert (mean["first_value"], mean["verdict"]) == ("-0.2", sweep.STAYS), "against the first that has runs"
 

@@ -216,3 +216,21 @@ def test_a_dataset_without_ends_is_refused(tmp_path):
     (tmp_path / "next.toml").write_text(scene(GOES_ON))
     with pytest.raises(SceneError, match=r"start\.dataset: expected .* with the ends of its runs, .*`end = true`"):
         load_scene(tmp_path / "next.toml")
+
+
+def test_of_one_block_the_numbers_that_were_drawn_are_kept(tmp_path):
+    """Of several blocks none fits all; a start that is moved has the numbers of the one that is not."""
+    drawn = '[start]\nz = {uniform = [-1, 1]}\nw = "belt"\ndraws = 3'
+    text = scene(drawn, rest="[twins]\nsizes = 1e-3").replace("n = [4, 6]", "n = [1, 4]")
+    (tmp_path / "one.toml").write_text(text)
+    members = {member.member_id: member for member in expand(load_scene(tmp_path / "one.toml"))}
+    run_ensemble(load_scene(tmp_path / "one.toml"), tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    one, four = table[table.n == 1], table[table.n == 4]
+    assert len(one) == len(four) > 0
+    for row in one[one.twin_size.isna()].itertuples():
+        assert (row.z0, row.w0) == (members[row.member_id].start()[0][0], row.belt_speed)
+    assert one.groupby(["matrix", "start_draw"])["z0"].nunique().eq(1).all()
+    assert one.groupby("matrix")["z0"].nunique().eq(3).all()
+    assert four.z0.isna().all()
+    assert set(table.drawn) == {"z = uniform(-1, 1)"}

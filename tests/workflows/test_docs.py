@@ -172,7 +172,7 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
         (row.n, fate(row.outcome, series[row.member_id], 200.0))
         for row in query.members(tmp_path / "mine").itertuples()
     )
-    assert fates == {(60, "collapsed"): 5, (60, "silent"): 7, (120, "silent"): 1, (120, "sustained"): 11}
+    assert fates == {(60, "collapsed"): 5, (60, "quiet"): 7, (120, "quiet"): 1, (120, "sustained"): 11}
 
 
 def test_the_questions_are_those_of_a_report():

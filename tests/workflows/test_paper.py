@@ -305,8 +305,10 @@ def test_fates_are_counted_with_wilsons_interval(judged, measured):
     ("fates", "verdict"),
     [
         (("sustained",) * 3, "cannot be told"),
-        (("sustained", "silent", "sustained"), "cannot be told"),  # 6 to 79%: it may be most
-        (("sustained",) * 9 + ("silent",), "reproduced"),
+        (("sustained", "collapsed", "sustained"), "cannot be told"),  # 6 to 79%: it may be most
+        (("sustained",) * 9 + ("collapsed",), "reproduced"),
+        (("sustained",) * 9 + ("lull",), "cannot be told"),  # a lull is not an end
+        (("sustained",) * 5 + ("quiet",) * 5, "cannot be told"),
         (("sustained", "diverged", "sustained"), "corrected"),
     ],
 )
@@ -321,8 +323,8 @@ def test_collapse_at_ten_percent_is_run_away_or_rest(judged, measured):
         rows = [row("dampings", fate, size=0.1, matrix=k, law="sigmoid", t_stop=80.0 + k) for k in range(8)]
         return judged(runs=[*others(measured, "dampings"), *rows])["collapse_at_strongest"]["verdict"]
 
-    assert [verdict(fate) for fate in ("diverged", "silent", "sustained")] == [
-        "corrected", "reproduced", "not reproduced",
+    assert [verdict(fate) for fate in ("diverged", "collapsed", "quiet", "sustained")] == [
+        "corrected", "reproduced", "cannot be told", "not reproduced",
     ]  # fmt: skip
 
 

@@ -13,7 +13,17 @@ from stickslip import sim
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
-from stickslip.analysis.stats.fates import COLLAPSED, DIVERGED, SILENT, SUSTAINED, kaplan_meier, median
+from stickslip.analysis.stats.fates import (
+    COLLAPSED,
+    DIVERGED,
+    FAILED,
+    LULL,
+    MOVING,
+    QUIET,
+    WATCHED,
+    kaplan_meier,
+    median,
+)
 from stickslip.workflows.charts.claims import (
     CONFIDENCE,
     CONTRADICTED,
@@ -39,8 +49,9 @@ NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
 SAME = 0.05  # of gamma: the paper's, within this share
+#: Fates as changed runs are compared in them: a lull is motion.
+_KINDS = {name: "moving" if name in MOVING else name for name in (*WATCHED, FAILED)}
 CLUSTERED = -0.05  # of gamma over ln 2: what clusters would at least take off
-_QUIET = (COLLAPSED, SILENT)
 
 
 def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
@@ -58,7 +69,9 @@ def _median(times: Sequence[float]) -> Estimate:
 
 
 def _share(rows: Sequence[Row], *of: str) -> Claim:
-    return share(sum(row.fate in of for row in rows), len(rows))
+    """Share of runs with some fates; its interval takes the quiet ones, which cannot be told, either way."""
+    found, quiet = (sum(row.fate in some for row in rows) for some in (of, (QUIET,)))
+    return share(found, len(rows)) | {"high": share(found + quiet, len(rows))["high"], "quiet": quiet}
 
 
 def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
@@ -108,13 +121,13 @@ def more_come_to_rest(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def _rest(rows: Sequence[Row]) -> Claim:
-    came, ends = _share(rows, *_QUIET), sorted(row.t_last for row in rows if row.fate in _QUIET)
-    certified = sum(row.fate == COLLAPSED for row in rows)
-    return came | {"verdict": told(came["low"], came["high"], MOST), "ends": ends, "certified": certified}
+    came, ends = _share(rows, COLLAPSED), sorted(row.t_last for row in rows if row.fate == COLLAPSED)
+    lulls = sum(row.fate == LULL for row in rows)
+    return came | {"verdict": told(came["low"], came["high"], MOST), "ends": ends, "lulls": lulls}
 
 
 def many_keep_on(scene: PaperScene, measured: Measured) -> Claim:
-    going, beyond = _share(_of(measured, "long", scene.n[-1]), SUSTAINED), _of(measured, "long", scene.beyond)
+    going, beyond = _share(_of(measured, "long", scene.n[-1]), *MOVING), _of(measured, "long", scene.beyond)
     return going | {
         "verdict": told(going["low"], going["high"], MOST),
         "n": scene.n[-1],
@@ -125,7 +138,7 @@ def many_keep_on(scene: PaperScene, measured: Measured) -> Claim:
 
 def some_collapse(scene: PaperScene, measured: Measured) -> Claim:
     rows = _of(measured, "long", scene.n[-1])
-    came, away = _share(rows, *_QUIET), _share(rows, DIVERGED)["found"]
+    came, away = _share(rows, COLLAPSED), _share(rows, DIVERGED)["found"]
     verdict = told(came["low"], came["high"], np.nextafter(0, 1), MOST)
     if away and not came["found"]:
         verdict = CORRECTED  # what collapses runs away
@@ -141,15 +154,17 @@ def _changed(scene: PaperScene, measured: Measured, study: str) -> list[Claim]:
 
 
 def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
-    fates, usual = Counter(row.fate for row in rows), Counter(bases[row.matrix].fate for row in rows)
+    fates, usual = (Counter(_KINDS[row.fate] for row in some) for some in (rows, [bases[row.matrix] for row in rows]))
     means = [(row.mean, bases[row.matrix].mean) for row in rows]
     pairs = np.array([(mean - base, base) for mean, base in means if mean is not None and base])
-    moved = over_matrices(ratio, pairs, CONFIDENCE) if fates[SUSTAINED] == len(rows) and len(pairs) else Estimate()
-    alike = told(moved.low, moved.high, -MARGIN, MARGIN)
+    moved = over_matrices(ratio, pairs, CONFIDENCE) if fates["moving"] == len(rows) and len(pairs) else Estimate()
+    untold = fates[QUIET] + usual[QUIET]
+    is_other = fates != usual and not untold
+    alike = UNTOLD if untold else told(moved.low, moved.high, -MARGIN, MARGIN)
     return {
-        "n_runs": len(rows), "quiet": sum(fates[end] for end in _QUIET), "sustained": fates[SUSTAINED],
-        "diverged": fates[DIVERGED], "moved": moved.value, "low": moved.low, "high": moved.high,
-        "is_other": fates != usual, "alike": CONTRADICTED if fates != usual else alike,
+        "n_runs": len(rows), **{kind: fates[kind] for kind in _KINDS.values()},
+        "moved": moved.value, "low": moved.low, "high": moved.high,
+        "is_other": is_other, "alike": CONTRADICTED if is_other else alike,
     }  # fmt: skip
 
 
@@ -165,14 +180,18 @@ def key_parameters(scene: PaperScene, measured: Measured) -> Claim:
 def details(scene: PaperScene, measured: Measured) -> Claim:
     """What is drawn otherwise, and the six readings of how K is drawn, by n: which end as figure 3 has it."""
     rows = _changed(scene, measured, "details")
-    wanted = [(COLLAPSED, SILENT)] * (len(scene.n) - 1) + [(SUSTAINED,)]
+    wanted = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
     readings: list[Claim] = []
     for coupling in sim.COUPLINGS:
         by_n = [[row for row in _of(measured, "readings", n) if row.setting == coupling] for n in scene.n]
-        fits = all(any(row.fate in ends for row in some) for some, ends in zip(by_n, wanted, strict=True))
+        fits, may_fit = (
+            all(any(row.fate in (*ends, *more) for row in some) for some, ends in zip(by_n, wanted, strict=True))
+            for more in ((), (QUIET,))
+        )
         counts = [Counter(row.fate for row in some) for some in by_n]
-        readings.append({"coupling": coupling, "fits": fits, "counts": counts})
-    verdicts = [row["alike"] for row in rows] + [verdict_of(one["fits"]) for one in readings]
+        verdict = verdict_of(fits, UNTOLD if may_fit else CONTRADICTED)
+        readings.append({"coupling": coupling, "fits": fits, "counts": counts, "verdict": verdict})
+    verdicts = [row["alike"] for row in rows] + [one["verdict"] for one in readings]
     return {"verdict": every(verdicts), "rows": rows, "readings": readings}
 
 
@@ -220,9 +239,9 @@ def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
     found = _dampings(scene, measured, STRONGEST)
     if found["found"] is None:
         return found | {"verdict": UNTOLD}
-    quiet = _share([row for row in _of(measured, "dampings") if row.size == STRONGEST], *_QUIET)
+    came = _share([row for row in _of(measured, "dampings") if row.size == STRONGEST], COLLAPSED)
     otherwise = CORRECTED if found["low"] > MOST else CONTRADICTED
-    return found | {"verdict": told(quiet["low"], quiet["high"], MOST, otherwise=otherwise)}
+    return found | {"verdict": told(came["low"], came["high"], MOST, otherwise=otherwise)}
 
 
 def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:

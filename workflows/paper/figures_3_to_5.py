@@ -96,7 +96,7 @@ def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
     for path in paths:
         ask, base = path.ask, bases.get(path.ask.n)
         is_changed = ask.matrix == 0 and ask.study in ("r", "constants", "dampings") and apart > 0
-        fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end)
+        fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end, path.growth_rate)
         mean = None
         if fate != fates.DIVERGED and path.t_stop > t_burn:
             mean = cascades.window(path.t, path.n_stick, t_burn, path.t_stop).time_mean()

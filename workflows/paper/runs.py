@@ -14,6 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from stickslip import sim
+from stickslip.analysis.stats.fates import is_all_slip
 from stickslip.pipeline.design import MATRIX, PERTURBATION
 from stickslip.pipeline.engine_table import TOLERANCES
 from stickslip.pipeline.processes import Child
@@ -72,13 +73,18 @@ class Ask:
 
 
 class Path(NamedTuple):
-    """n_stick of a run at its change points."""
+    """n_stick of a run at its change points, and when it ended.
+
+    `growth_rate` is that of the all-slip state, of a run by the exact law that has not ended but does not stick over
+    its last quarter.
+    """
 
     ask: Ask
     outcome: str
     t: Floats
     n_stick: np.ndarray
     t_stop: float
+    growth_rate: float | None = None
 
 
 def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterator[Path]:
@@ -140,7 +146,11 @@ def run(ask: Ask, seed: int, eps: float) -> Path:
         if one.cross_damping is not None:
             rtol = atol = _ESCAPE_TOLERANCE
         found = sim.simulate(one, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
-    return Path(ask, found.outcome, *found.events.change_points(), found.events.t_end)
+    t, n_stick = found.events.change_points()
+    rate = None
+    if ask.law == "coulomb" and found.outcome == "finished" and is_all_slip((t[-1], n_stick[-1]), ask.t_end):
+        rate = float(np.linalg.eigvals(one.slip_matrix()).real.max())
+    return Path(ask, found.outcome, t, n_stick, found.events.t_end, rate)
 
 
 def smoothed(
