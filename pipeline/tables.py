@@ -200,6 +200,7 @@ QuestionName = Literal[
     "cascades",
     "exponential",
     "definitions",
+    "rhythm",
     "clustering",
     "fates",
     "engines",

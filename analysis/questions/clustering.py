@@ -1,4 +1,4 @@
-"""Do exits cluster? A slow motion that blocks share, counts of exits in windows, and pairs of exits close in time."""
+"""Do exits cluster? Counts of exits in windows, pairs of exits close in time, variance and power of n_stick."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.stats import student
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel
 
-SLOW = 100.0  # the period above which motion is called slow: five of the blocks' own
+SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
-WINDOWS = (0.5, 1.0, 5.0, 20.0, 40.0, 80.0)  # of the Fano factors
+PRIMARY = 40.0  # the window of the primary question, about a block's own cycle
+WINDOWS = (0.5, 1.0, 5.0, 20.0, PRIMARY, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure
 SOON = 0.2  # of a mean gap between exits: an exit that another one sets off comes within so much
+POWERED = 0.8  # the chance of an effect that counts as one that would have been seen
 MOST_DRAWN = 2  # groups in the figure
 _CLUSTERING: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
@@ -68,33 +71,32 @@ def answer(study: Study) -> Answer:
     }
     lead, label = measured[0], measured[0].group.label
     of = {kind: [row for row in rows[label] if row["kind"] == kind] for kind in (POWER, VARIANCE, FANO, PAIRS)}
-    known = [row for row in spectra[label] if row["ratio"] is not None]
     facts = {
-        "group": label, "rows": rows[label], "of": of, "lead": _largest(rows[label]), "slow": SLOW,
-        "pairs": _code(of[PAIRS]), "close": _closest(of[PAIRS], lead),
+        "group": label, "rows": rows[label], "of": of, "lead": _largest(rows[label]),
+        "windows": sorted(of[FANO], key=lambda row: row["upto"]), "first": rows[label][0],
+        "pairs": _code(of[PAIRS]), "close": _closest(of[PAIRS], lead, level, len(rows[label]) - 1),
+        "powered": POWERED,
         "same": [row for other, some in rows.items() if other != label for row in some[:1]][:2],
-        "peak": max(known, key=lambda row: row["ratio"], default=None),
-        "n_slow": (float(lead.group.key["t_end"]) - study.settings.t_burn) / SLOW,
+        "is_drawn": any(row["ratio"] is not None for row in spectra[label]),
     }  # fmt: skip
     drawn = dict(list(spectra.items())[:MOST_DRAWN])
     return Answer(facts, tables=tables, figures={"spectrum": partial(spectrum, drawn)})
 
 
 def _parts(span: float, taus: Sequence[float]) -> list[Part]:
-    """What is tested: the power of slow motion first, if the window holds two such periods."""
+    """What is tested, the primary question first: exits in windows next to `PRIMARY`."""
     shortest, longest = periods(span)
-    slow = [Part(POWER, longest, SLOW)] if shortest <= SLOW <= longest / 2 else []
-    beside = (
-        [Part(POWER, BELOW_SLOW[1], BELOW_SLOW[0])] if shortest <= BELOW_SLOW[0] < BELOW_SLOW[1] <= longest else []
-    )
-    counts = [Part(FANO, length) for length in WINDOWS if length * LEAST_WINDOWS <= span]
-    return [*slow, *beside, Part(VARIANCE), *counts, *(Part(PAIRS, tau) for tau in taus if 2 * tau <= span)]
+    beside = [Part(POWER, BELOW_SLOW[1], BELOW_SLOW[0])] if shortest <= BELOW_SLOW[0] and longest >= SLOW else []
+    lengths = sorted((one for one in WINDOWS if one * LEAST_WINDOWS <= span), key=lambda one: abs(one - PRIMARY))
+    counts = [Part(FANO, length) for length in lengths]
+    return [*counts, *beside, Part(VARIANCE), *(Part(PAIRS, tau) for tau in taus if 2 * tau <= span)]
 
 
 def _measured(study: Study, group: Group) -> _Measured:
     span = float(group.key["t_end"]) - study.settings.t_burn
     parts = _parts(span, study.settings.tau)
     shortest, longest = periods(span)
+    longest = min(longest, SLOW)
     edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
     bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
     runs, n_exits, n_runs = np.zeros((len(group.units), len(parts) + len(bands), 2)), 0, 0
@@ -116,9 +118,8 @@ def _effect(rows: np.ndarray, confidence: float) -> Effect:
 
 
 def _rows(one: _Measured, confidence: float) -> list[Row]:
-    """One row a part. Slow motion is the primary question; all others are judged together."""
-    slow = int(bool(one.parts) and one.parts[0].above == SLOW)
-    effects = together([_effect(one.runs[:, k], confidence) for k in range(len(one.parts))], slow)
+    """One row a part. The first is the primary question; all others are judged together."""
+    effects = together([_effect(one.runs[:, k], confidence) for k in range(len(one.parts))], 1)
     rows = []
     for k, (part, effect) in enumerate(zip(one.parts, effects, strict=True)):
         observed, by_rotation = one.runs[:, k].mean(axis=0)
@@ -142,7 +143,7 @@ def _spectrum(one: _Measured, confidence: float) -> list[Row]:
 
 
 def _largest(rows: Sequence[Row]) -> Row:
-    """What leads: slow motion if it differs from chance, else the largest effect that is shown, else the first."""
+    """What leads: the primary question if it differs from chance, else the largest effect shown, else the first."""
     common = [row for row in rows if row["kind"] != PAIRS]
     differ = [row for row in common if row["verdict"] in (MORE, LESS)]
     if common[0] in differ or not differ:
@@ -155,14 +156,26 @@ def _code(rows: Sequence[Row]) -> str:
     return next((row["verdict"] for row in rows if row["verdict"] in (MORE, LESS)), AS_CHANCE)
 
 
-def _closest(rows: Sequence[Row], lead: _Measured) -> Row | None:
-    """The least gap within which an exit follows that another one set off; at most what share of the exits does.
+def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: int) -> Row | None:
+    """The least gap within which an exit follows that another one set off, and the share of the exits that may do.
 
-    Each that does adds a pair: to those of rotation, up to the end of the interval.
+    Each that does adds a pair to those of rotation. `share` is what is not excluded: up to the end of the interval,
+    but no less than if there were as many pairs as rotation gives: pairs that are few by luck exclude what other
+    data would not (Cowan, Cranmer, Gross and Vitells 2011, arXiv:1105.3166). `seen` is what would have been shown, by
+    Holm's rule as the first of so many tests, in `POWERED` of such data.
     """
     known = sorted((row for row in rows if row["high"] is not None), key=lambda row: row["upto"])
     row = next((row for row in known if row["upto"] >= SOON * lead.gap), None)
-    return row and row | {"share": max(row["high"] - 1, 0.0) * row["by_rotation"] / lead.n_exits}
+    if row is None:
+        return None
+    dof = len(lead.runs) - 1
+    half = 0.5 * np.log(row["high"] / row["low"])
+    error, pairs_an_exit = half / student.half_width(confidence, dof), row["by_rotation"] / lead.n_exits
+    far = student.half_width(1 - (1 - confidence) / n_tests, dof) + student.quantile(POWERED, dof)
+    share, seen = (
+        float(np.expm1(log_ratio) * pairs_an_exit) for log_ratio in (max(np.log(row["high"]), half), far * error)
+    )
+    return row | {"share": share, "seen": seen}
 
 
 @panel()

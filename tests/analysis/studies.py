@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
-from scipy import signal, special, stats
+from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.stats import (
@@ -25,6 +25,7 @@ from stickslip.analysis.stats import (
     growth,
     multiplicity,
     pool,
+    rhythm,
 )
 from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
 from stickslip.analysis.stats.effects import over_null
@@ -351,6 +352,84 @@ def triggering_study(rng, ensembles):
         yield from over_rotation("triggering: pairs", names, runs, rng, ensembles, answers)
 
 
+# ------------------------------------------------------------------------------------------------ slow rhythm
+
+STEP = 10.0  # of samples
+OWN, LEFT = 220.0, 0.45  # the power of independent blocks, and the share of it that is left: as observed at n = 200
+
+
+def oscillators(rng, runs, span, period, quality):
+    """Damped oscillators of variance 1 that noise drives, from their steady state: shape (runs, span / STEP).
+
+    x'' + 2 g x' + w0^2 x = noise, by the exact law of (x, x') from one sample to the next; `period` is 2 pi / w0, one
+    number or one a run.
+    """
+    w0 = np.broadcast_to(2 * np.pi / np.asarray(period, dtype=float), runs)
+    drift = np.zeros((runs, 2, 2))
+    drift[:, 0, 1], drift[:, 1, 0], drift[:, 1, 1] = 1.0, -(w0**2), -w0 / quality
+    forward = linalg.expm(drift * STEP)
+    steady = np.zeros((runs, 2, 2))
+    steady[:, 0, 0], steady[:, 1, 1] = 1.0, w0**2
+    kick = np.linalg.cholesky(steady - forward @ steady @ forward.transpose(0, 2, 1))
+    state = np.sqrt(np.array([np.ones(runs), w0**2]).T) * rng.standard_normal((runs, 2))
+    found = np.empty((runs, round(span / STEP)))
+    for k in range(found.shape[1]):
+        found[:, k] = state[:, 0]
+        state = np.einsum("rij,rj->ri", forward, state) + np.einsum(
+            "rij,rj->ri", kick, rng.standard_normal((runs, 2))
+        )
+    return found
+
+
+def rhythmic(rng, ensembles, span, period, quality, variance=11.0, spread=0.0, shortest=108.0):
+    """Spectra of ensembles of runs that swing beside white noise; periods differ between matrices by `spread`."""
+    runs = ensembles * MATRICES
+    periods = period * np.exp(spread * rng.standard_normal(runs))
+    x = np.sqrt(variance) * oscillators(rng, runs, span, periods, quality)
+    x += np.sqrt(LEFT * OWN / (2 * STEP)) * rng.standard_normal(x.shape)
+    m = rhythm.n_harmonics(span, shortest)
+    power = 2 * abs(fft.rfft(x, axis=1)[:, 1 : m + 1] * STEP) ** 2 / span
+    rows = zip(power.reshape(-1, MATRICES, m), x.var(axis=1).reshape(-1, MATRICES), strict=True)
+    return [rhythm.Spectra(span, one, np.full_like(one, OWN), var, np.ones(MATRICES)) for one, var in rows]
+
+
+def rhythm_study(rng, ensembles):
+    """Period, quality, width and share of a planted oscillator; and without one, the share that is told so, 95%.
+
+    Windows hold 3 to 18 periods. Where periods differ between matrices, the answer is the fit to their mean spectrum.
+    """
+    ensembles = max(ensembles // 4, 100)
+    for span, period, quality, spread in (
+        (1400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.15), (5400.0, 470.0, 1.2, 0.15),
+        (5400.0, 300.0, 3.0, 0.0),
+    ):  # fmt: skip
+        m, noise = rhythm.n_harmonics(span, 108.0), LEFT * OWN / (2 * STEP)
+        periods = period * np.exp(spread * np.linspace(-3, 3, 61)[:, None])
+        weights = np.exp(-0.5 * np.linspace(-3, 3, 61) ** 2)
+        frequency = np.arange(1, m + 1) / span
+        mean = 11.0 * np.average(rhythm.expected(frequency, span, periods, quality), axis=0, weights=weights)
+        power, at, q, _ = np.exp(rhythm.best(span, mean + LEFT * OWN, np.full(m, OWN)))
+        answers = {"period": at, "quality": q, "width": 1 / (at * q), "share": power / (11.0 + noise)}
+        every = [
+            rhythm.rhythm(one, CONFIDENCE, rng).found
+            for one in rhythmic(rng, ensembles, span, period, quality, spread=spread)
+        ]
+        for name, answer in answers.items():
+            what = f"{name}: {period:g}, quality {quality:g}, spread {spread:g}, windows of {span:g}"
+            yield judged("rhythm", what, answer, [one[name] for one in every if name in one], log=True)
+    for span in (1400.0, 5400.0):
+        p = [rhythm.p_value(one, rng) for one in rhythmic(rng, ensembles, span, 470.0, 1.2, variance=0.0)]
+        yield Row(
+            "rhythm: p > 0.05",
+            f"none, windows of {span:g}",
+            np.nan,
+            np.nan,
+            np.nan,
+            np.mean(np.array(p) > 0.05),
+            ensembles,
+        )
+
+
 # ------------------------------------------------------------------------------------------ effective samples
 
 FAST, DECAY, PERIOD = 5.0, 400.0, 500.0
@@ -622,6 +701,7 @@ STUDIES = {
     "slow_mode": slow_mode_study,
     "definitions": definitions_study,
     "triggering": triggering_study,
+    "rhythm": rhythm_study,
     "effective": effective_study,
     "growth": growth_study,
     "components": components_study,

@@ -1,0 +1,304 @@
+"""The slow rhythm of n_stick: a damped oscillator that noise drives, beside what independent blocks do.
+
+With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), that of n_stick is, at
+periods of several cycles of a block,
+
+    S(f) = c S_0(f) + P s(f),     s(f) = 8 g w0^2 / ((w0^2 - w^2)^2 + 4 g^2 w^2),     w = 2 pi f, g = w0 / (2 Q),
+
+of one side: s has the integral 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing swings,
+and above 1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. A swing has decayed to 1 / e after 1 / g.
+
+The four numbers are fitted to periodograms of whole windows, averaged over matrices, by Whittle's likelihood, with
+the expectation of the periodogram in the place of the spectrum (Sykulski, Olhede, Guillaumin, Lilly and Early 2019,
+Biometrika 106: 251): what leaks at the window's ends is part of the model, so that the estimates have no resolution
+of their own and do not move with the window's length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import special
+
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import Estimate, jackknife_error
+from stickslip.analysis.stats.nulls import BlockSteps
+
+SWINGING = 0.5  # quality above which a damped oscillator swings
+QUALITIES = (0.2, 20.0)  # those that are looked for
+LEAST_HARMONICS = 10  # in the band
+LEAST_PERIODS = 2.0  # of the oscillator in a window
+SURROGATES = 999
+MOST_STEPS = 100  # of Fisher scoring
+
+SWINGS, SLOW, NONE, SHORT = "swings", "slow", "none shown", "window too short"
+#: What is estimated: the natural period, which is that without damping; the quality; the width in frequency, 1 /
+#: (period x quality); the time in which a swing decays to 1 / e; the rhythm's variance, and its share of that of
+#: n_stick; the share c of the blocks' own power; the period at which the spectrum peaks, and the power there over
+#: that of independent blocks.
+NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
+
+
+def n_harmonics(span: float, shortest: float) -> int:
+    """How many frequencies k / span, k = 1, 2, ..., a window has up to 1 / shortest."""
+    return int(span / shortest * (1 + 1e-12))
+
+
+def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
+    """Power of n_stick at the first m harmonics of the window, and of the blocks added up; shape (2, m).
+
+    One-sided, 2 |X(f)|^2 / span, from the times of the steps: exact, without samples. That of the blocks added up is
+    the expectation of n_stick's under rotation.
+    """
+    n_blocks = int(steps.block.max(initial=-1)) + 1
+    turn = np.exp(-2j * np.pi * (steps.t - steps.t_start) / steps.span)
+    net = np.bincount(steps.block, steps.step, n_blocks)
+    phase, found = steps.step.astype(np.complex128), np.empty((2, m))
+    for k in range(m):
+        phase *= turn
+        x = np.bincount(steps.block, phase.real, n_blocks) + 1j * np.bincount(steps.block, phase.imag, n_blocks) - net
+        found[:, k] = abs(x.sum()) ** 2, np.sum(x.real**2 + x.imag**2)
+    return found * (2 / steps.span) * (steps.span / (2 * np.pi * np.arange(1, m + 1))) ** 2
+
+
+def spectrum(frequency: np.ndarray, period: float, quality: float) -> np.ndarray:
+    """One-sided spectrum s(f) of an oscillator of variance 1; `period` is that without damping, 2 pi / w0."""
+    x = (frequency * period) ** 2
+    return (2 / np.pi) * period / quality / ((1 - x) ** 2 + x / quality**2)
+
+
+def expected(frequency: np.ndarray, span: float, period: np.ndarray, quality: np.ndarray) -> np.ndarray:
+    """What the periodogram of a window of length `span` is at its harmonics, of an oscillator of variance 1.
+
+    In expectation, 4 int_0^span (1 - t / span) R(t) cos(2 pi f t) dt, R = (s2 exp(s1 t) - s1 exp(s2 t)) / (s2 - s1)
+    and s1, s2 the roots of s^2 + 2 g s + w0^2. Periods and qualities are numbers, or columns for several oscillators.
+    """
+    w0 = 2 * np.pi / np.asarray(period)
+    g = w0 / (2 * np.asarray(quality))
+    root = np.sqrt(g * g - w0 * w0 + 0j)
+    root = np.where(abs(root) < 1e-5 * g, 1e-5 * g, root)  # next to where the roots are one
+    s1, s2 = -g + root, -g - root
+    square = (2 * np.pi * frequency) ** 2  # exp(2 pi i f span) = 1
+    found = np.zeros(np.broadcast(square, root).shape)
+    for weight, s in ((s2 / (s2 - s1), s1), (s1 / (s1 - s2), s2)):
+        poles = 1 / (s * s + square)
+        found = found - 4 * (weight * (s * poles + (1 - np.exp(s * span)) / span * (s * s - square) * poles**2)).real
+    return found
+
+
+# ------------------------------------------------------------------------------------------------ the fit
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Periodograms of an ensemble at the harmonics of its windows.
+
+    Attributes
+    ----------
+    span : float
+        Length of each window.
+    observed, independent : ndarray, shape (G, m)
+        Of n_stick, and of the blocks added up (`periodogram`); a row a matrix, the mean of its runs.
+    variance : ndarray, shape (G,)
+        Of n_stick in time, within windows.
+    n_runs : ndarray, shape (G,)
+    """
+
+    span: float
+    observed: np.ndarray
+    independent: np.ndarray
+    variance: np.ndarray
+    n_runs: np.ndarray
+
+    @property
+    def frequency(self) -> np.ndarray:
+        return np.arange(1, self.observed.shape[1] + 1) / self.span
+
+
+def fit(
+    span: float, observed: np.ndarray, independent: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whittle's fit of log(P, period without damping, Q, c), by Fisher scoring; several at once.
+
+    Parameters
+    ----------
+    span : float
+    observed, independent : ndarray, shape (b, m)
+        Mean periodograms at the harmonics.
+    start : ndarray, shape (b, 4)
+
+    Returns
+    -------
+    ndarray, shape (b, 4)
+    ndarray, shape (b,)
+        Minus the mean log likelihood.
+    """
+    frequency = np.arange(1, observed.shape[1] + 1) / span
+    low, high = _bounds(frequency, observed)
+
+    def power(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        variance, period, quality, left = np.exp(at).T[:, :, None]
+        return variance * expected(frequency, span, period, quality), left * independent
+
+    def loss(at: np.ndarray) -> np.ndarray:
+        model = sum(power(at))
+        return np.mean(np.log(model) + observed / model, axis=1)
+
+    at, damping = np.clip(start, low, high), np.full(len(start), 1e-2)
+    value, nudge = loss(at), 1e-4 * np.eye(4)
+    for _ in range(MOST_STEPS):
+        rhythm, rest = power(at)
+        model = rhythm + rest
+        slopes = [(power(at + nudge[k])[0] - power(at - nudge[k])[0]) / 2e-4 for k in (1, 2)]
+        gain = np.stack([rhythm, *slopes, rest], axis=2) / model[:, :, None]
+        fisher = np.einsum("bki,bkj->bij", gain, gain)
+        ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
+        score = np.einsum("bki,bk->bi", gain, observed / model - 1)
+        step = np.linalg.solve(fisher + ridge[:, :, None] * np.eye(4), score[:, :, None])[:, :, 0]
+        tried = np.clip(at + np.clip(step, -0.7, 0.7), low, high)
+        found = loss(tried)
+        is_better = found <= value + 1e-12
+        gained = np.max(value - found, where=is_better, initial=0.0)
+        at, value = np.where(is_better[:, None], tried, at), np.where(is_better, found, value)
+        damping = np.clip(np.where(is_better, damping / 5, damping * 5), 1e-8, 1e8)
+        if gained < 1e-9 and (is_better | (damping > 1e3)).all():
+            break
+    return at, value
+
+
+def _bounds(frequency: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of what is looked for: periods within the band and up to two windows."""
+    scale = observed.mean() * frequency[-1]  # a variance
+    low = np.log([1e-4 * scale, 1 / frequency[-1], QUALITIES[0], 1e-3])
+    return low, np.log([1e2 * scale, 2 / frequency[0], QUALITIES[1], 1e3])
+
+
+def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """The best of the fits from a grid of periods and qualities, shape (4,); of spectra of shape (m,)."""
+    low, high = _bounds(np.arange(1, len(observed) + 1) / span, observed)
+    left = max(np.median(observed[len(observed) // 2 :] / independent[len(observed) // 2 :]), 0.01)
+    above = max(np.sum(observed - left * independent), 0.01 * observed.sum()) / span
+    periods = np.linspace(low[1], high[1], 8)[1:-1]
+    start = np.array([[np.log(above), period, quality, np.log(left)]
+                      for period in periods for quality in np.log([0.8, 3.0])])  # fmt: skip
+    rows = len(start), len(observed)
+    at, value = fit(span, np.broadcast_to(observed, rows), np.broadcast_to(independent, rows), start)
+    return at[value.argmin()]
+
+
+# ------------------------------------------------------------------------------------------- what is concluded
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """What an ensemble shows.
+
+    Attributes
+    ----------
+    verdict : str
+        `SWINGS`; `SLOW`, for a slow motion in common that is not shown to swing; `NONE`; or `SHORT`, for a motion
+        that is slower than windows can tell.
+    p : float
+        The share of surrogates without coupling whose slow power is as concentrated.
+    found : dict of str to Estimate
+        By the names of `NUMBERS`; empty for `NONE` and `SHORT`.
+    values : dict of str to ndarray, shape (1 + G,)
+        The same numbers, of all matrices and without one each; NaN for the peak of a spectrum without one.
+    period : float or None
+        The natural period that fits best.
+    """
+
+    verdict: str
+    p: float
+    found: Mapping[str, Estimate] = field(default_factory=dict)
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)
+    period: float | None = None
+
+
+def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm:
+    """Whether n_stick has a slow rhythm, and which; intervals are jackknife-t over matrices.
+
+    Parameters
+    ----------
+    data : Spectra
+        Of at least two matrices, `LEAST_HARMONICS` harmonics or more.
+    confidence : float
+    rng : numpy.random.Generator
+        Draws the surrogates.
+    """
+    p = p_value(data, rng)
+    if p > 1 - confidence:
+        return Rhythm(NONE, p)
+    g = len(data.observed)
+    whole = [one.mean(axis=0) for one in (data.observed, data.independent)]
+    start = best(data.span, whole[0], whole[1])
+    natural = float(np.exp(start[1]))
+    if natural > data.span / LEAST_PERIODS:
+        return Rhythm(SHORT, p, period=natural)
+    observed, own = ((g * mean - rows) / (g - 1)
+                     for mean, rows in zip(whole, (data.observed, data.independent), strict=True))  # fmt: skip
+    left_out, _ = fit(data.span, observed, own, np.tile(start, (g, 1)))
+    variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
+    independent = np.vstack([whole[1], own])
+    numbers = _numbers(np.exp(np.vstack([start, left_out])), data, independent, variance)
+    found = {name: _estimate(values, confidence, name == "share") for name, values in numbers.items()}
+    quality = found["quality"]
+    verdict = SWINGS if quality.low is not None and quality.low > SWINGING else SLOW
+    return Rhythm(verdict, p, found, numbers, natural)
+
+
+def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:
+    """`NUMBERS` of fits of shape (b, 4), each shape (b,); NaN for the peak of a spectrum without one."""
+    power, natural, quality, left = at.T
+    at_zero = expected(np.zeros(1), data.span, natural[:, None], quality[:, None])[:, 0]
+    total = variance + power * at_zero / (2 * data.span)  # what the mean of a window takes with it
+    with np.errstate(invalid="ignore"):
+        peak = np.sqrt(1 - 0.5 / quality**2) / natural
+    own = np.array(
+        [np.interp(f, data.frequency, one) for f, one in zip(np.nan_to_num(peak), independent, strict=True)]
+    )
+    return {
+        "period": natural, "quality": quality, "width": 1 / (natural * quality), "decay": quality * natural / np.pi,
+        "variance": power, "share": np.minimum(power / total, 1 - 1e-6), "left": left, "peak": 1 / peak,
+        "times": left + power * spectrum(peak, natural, quality) / own,
+    }  # fmt: skip
+
+
+def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
+    """A number with its interval by its logarithm, or logit; of all, and without one matrix each, shape (1 + G,)."""
+    if not np.isfinite(values[0]):
+        return Estimate(reason="no peak")
+    value = float(values[0])
+    if not np.isfinite(values).all():
+        return Estimate(value, reason="one left out: no peak")
+    to, back = (special.logit, special.expit) if is_share else (np.log, np.exp)
+    scaled = to(values)
+    half = student.half_width(confidence, len(values) - 2) * jackknife_error(scaled[1:])
+    return Estimate(value, float(back(scaled[0] - half)), float(back(scaled[0] + half)))
+
+
+def p_value(data: Spectra, rng: np.random.Generator) -> float:
+    """That slow power is spread over periods as that of blocks that ignore each other; from surrogates.
+
+    Under rotation the periodogram of a run is exponential, with the power of the blocks added up as its mean, and
+    harmonics are independent. The statistic is the largest correlation of the ratio of both with a resonance, over
+    some periods and qualities; how much power there is in all does not matter.
+    """
+    frequency, own = data.frequency, data.independent.sum(axis=0)
+    periods, qualities = np.meshgrid(np.geomspace(2 / frequency[-1], data.span / LEAST_PERIODS, 6), (1.0, 4.0))
+    shapes = expected(frequency, data.span, periods.reshape(-1, 1), qualities.reshape(-1, 1)) / own
+    shapes -= shapes.mean(axis=1, keepdims=True)
+    shapes /= np.sqrt(np.sum(shapes**2, axis=1, keepdims=True))
+
+    def largest(power: np.ndarray) -> np.ndarray:
+        ratio = power / own
+        return np.max(ratio @ shapes.T, axis=-1) / ratio.sum(axis=-1)
+
+    drawn = np.array([
+        np.sum(data.independent * (rng.standard_gamma(data.n_runs, data.independent.T.shape) / data.n_runs).T, axis=0)
+        for _ in range(SURROGATES)
+    ])  # fmt: skip
+    n_as_far = int(np.sum(largest(drawn) >= largest(data.observed.sum(axis=0))))
+    return (1 + n_as_far) / (1 + SURROGATES)

@@ -1,0 +1,210 @@
+"""The slow rhythm: closed forms against integrals, what was planted comes back, and what is not there is told so."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.questions import rhythm as question
+from stickslip.analysis.report.formats import environment
+from stickslip.analysis.stats import rhythm
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.nulls import BlockSteps
+from tests.analysis import studies
+from tests.chance import ERRORS, agrees
+
+SPAN = 2400.0
+
+
+def integral(frequency, span, period, quality):
+    """4 int (1 - t / span) R(t) cos(2 pi f t) dt by quadrature, R from the real form of the underdamped solution."""
+    w0 = 2 * np.pi / period
+    g = w0 / (2 * quality)
+    w = np.sqrt(complex(w0**2 - g**2))
+    t = np.linspace(0, span, 400_001)
+    r = (np.exp(-g * t) * (np.cos(w * t) + g / w * np.sin(w * t))).real
+    return [4 * np.trapezoid((1 - t / span) * r * np.cos(2 * np.pi * f * t), t) for f in frequency]
+
+
+@pytest.mark.parametrize("quality", [0.3, 0.501, 1.2, 6.0])
+def test_the_expected_periodogram_is_its_integral(quality):
+    frequency = np.array([0, 1, 5, 20]) / SPAN
+    found = rhythm.expected(frequency, SPAN, 470.0, quality)
+    assert found == pytest.approx(integral(frequency, SPAN, 470.0, quality), rel=1e-5)
+    columns = rhythm.expected(frequency, SPAN, np.array([[300.0], [470.0]]), np.array([[2.0], [quality]]))
+    assert columns[1] == pytest.approx(found)
+
+
+def test_critical_damping_is_no_exception():
+    near = [rhythm.expected(np.arange(1, 9) / SPAN, SPAN, 470.0, q) for q in (0.4999, 0.5, 0.5001)]
+    assert near[1] == pytest.approx((near[0] + near[2]) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize("quality", [0.3, 1.2, 6.0])
+def test_the_spectrum_has_variance_one_and_is_what_long_windows_show(quality):
+    frequency = np.arange(200_000) * 1e-6
+    assert np.trapezoid(rhythm.spectrum(frequency, 470.0, quality), frequency) == pytest.approx(1, rel=1e-3)
+    some = np.array([1.0, 2.0, 4.0]) * 1e-3
+    long = rhythm.expected(some, 1e8, 470.0, quality)
+    assert long == pytest.approx(rhythm.spectrum(some, 470.0, quality), rel=1e-4)
+
+
+def test_the_periodogram_is_that_of_the_path(rng):
+    steps = studies.blocks_run(rng, n=5)
+    t, level = np.concatenate(([0.0], steps.t, [steps.span])), np.concatenate(([0], np.cumsum(steps.step)))
+    for k in (1, 2, 7):
+        w = 2 * np.pi * k / steps.span
+        pieces = (np.exp(-1j * w * t[1:]) - np.exp(-1j * w * t[:-1])) / (-1j * w)
+        power = 2 * abs(level @ pieces) ** 2 / steps.span
+        assert rhythm.periodogram(steps, k)[0, -1] == pytest.approx(power, rel=1e-9)
+    alone = BlockSteps(0.0, steps.span, steps.t, np.zeros_like(steps.block), steps.step)
+    observed, own = rhythm.periodogram(alone, 9)
+    assert own == pytest.approx(observed)
+
+
+def test_blocks_turned_in_time_have_the_power_of_the_blocks_added_up(rng):
+    steps, m, draws = studies.blocks_run(rng, n=12), 6, 400
+    order = np.argsort(steps.block, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.concatenate([np.arange(k) for k in np.bincount(steps.block)])
+    whole = place < np.bincount(steps.block)[steps.block] // 2 * 2  # each block ends as it began: no seam
+    steps = dataclasses.replace(steps, t=steps.t[whole], block=steps.block[whole], step=steps.step[whole])
+    own, drawn = rhythm.periodogram(steps, m)[1], np.empty((draws, m))
+    for row in drawn:
+        t = (steps.t + rng.uniform(0, steps.span, 12)[steps.block]) % steps.span
+        order = np.argsort(t)
+        row[:] = rhythm.periodogram(
+            dataclasses.replace(steps, t=t[order], block=steps.block[order], step=steps.step[order]), m
+        )[0]
+    assert (np.abs(drawn.mean(axis=0) - own) < ERRORS * drawn.std(axis=0) / np.sqrt(draws)).all()
+
+
+def exact(span, period, quality, g=20, m=22):
+    """The expectation itself, the same of every matrix."""
+    frequency, own = np.arange(1, m + 1) / span, np.full((g, m), 220.0)
+    observed = 11.0 * rhythm.expected(frequency, span, period, quality) + 100.0
+    return rhythm.Spectra(span, np.tile(observed, (g, 1)), own, np.full(g, 30.0), np.ones(g))
+
+
+@pytest.mark.parametrize(("period", "quality"), [(470.0, 1.2), (700.0, 0.8), (300.0, 4.0), (400.0, 0.4)])
+@pytest.mark.parametrize("span", [1400.0, 2400.0, 8400.0])
+def test_the_fit_finds_what_there_is_whatever_the_length_of_the_window(period, quality, span):
+    data = exact(span, period, quality, m=rhythm.n_harmonics(span, 108.0))
+    found = np.exp(rhythm.best(span, data.observed[0], data.independent[0]))
+    assert found == pytest.approx([11.0, period, quality, 100 / 220], rel=2e-3)
+
+
+def test_numbers_of_a_known_oscillator(rng):
+    found = rhythm.rhythm(exact(SPAN, 470.0, 1.2), 0.95, rng)
+    assert found.verdict == rhythm.SWINGS
+    value = {name: estimate.value for name, estimate in found.found.items()}
+    assert value["width"] == pytest.approx(1 / 470 / 1.2, rel=1e-3)
+    assert value["decay"] == pytest.approx(1.2 * 470 / np.pi, rel=1e-3)
+    at_mean = integral([0.0], SPAN, 470.0, 1.2)[0] / (2 * SPAN)  # variance of the mean of a window
+    assert value["share"] == pytest.approx(11 / (30 + 11 * at_mean), rel=1e-3)
+    fine = np.linspace(1e-4, 5e-3, 100_000)
+    power = rhythm.spectrum(fine, 470.0, 1.2)
+    assert value["peak"] == pytest.approx(1 / fine[power.argmax()], rel=1e-3)
+    assert value["times"] == pytest.approx((100 + 11 * power.max()) / 220, rel=1e-3)
+
+
+def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_to_be(rng):
+    overdamped = rhythm.rhythm(exact(SPAN, 470.0, 0.45), 0.95, rng)
+    assert overdamped.verdict == rhythm.SLOW
+    assert overdamped.found["peak"] == Estimate(reason="no peak")
+    slow = rhythm.rhythm(exact(SPAN, 1800.0, 2.0), 0.95, rng)
+    assert (slow.verdict, slow.period) == (rhythm.SHORT, pytest.approx(1800.0, rel=0.01))
+
+
+def test_intervals_hold_what_was_planted(rng):
+    """A small version of the study `rhythm`; the answers are exact where all matrices are alike."""
+    answers = {"period": 470.0, "quality": 1.2, "width": 1 / 470 / 1.2, "share": 11 / (11 + 4.95)}
+    every = [rhythm.rhythm(one, 0.95, rng).found for one in studies.rhythmic(rng, 30, SPAN, 470.0, 1.2)]
+    for name, answer in answers.items():
+        assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 30, 0.92, 0.98), name
+
+
+def test_blocks_without_a_rhythm_are_told_so(rng):
+    p = np.array([rhythm.p_value(one, rng) for one in studies.rhythmic(rng, 60, SPAN, 470.0, 1.2, variance=0.0)])
+    assert agrees(int(np.sum(p <= 0.05)), 60, 0.05)
+
+
+def test_several_runs_of_a_matrix_are_no_more_surrogates_than_they_are(rng):
+    """The mean of four runs scatters half as much, under the null too."""
+    runs = [rng.standard_exponential((20, 4, 22)).mean(axis=1) * 220.0 for _ in range(60)]
+    data = [rhythm.Spectra(SPAN, one, np.full((20, 22), 220.0), np.ones(20), np.full(20, 4.0)) for one in runs]
+    assert agrees(sum(rhythm.p_value(one, rng) <= 0.05 for one in data), 60, 0.05)
+
+
+# ------------------------------------------------------------------------------------------------ the question
+
+
+def point(key, value, period, rng, error=0.03):
+    """A group whose periods without one matrix each have an error of that size."""
+    off = error / np.sqrt(19) * rng.standard_normal(20)
+    logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
+    numbers = {name: np.exp(logs) for name in question.LAWS}
+    found = rhythm.Rhythm(rhythm.SWINGS, 0.001, values=numbers)
+    keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2} | {key: value}
+    return question._Measured(SimpleNamespace(key=keys), list(range(20)), None, 36.0, found)
+
+
+def test_a_law_is_the_exponent_that_was_planted(rng):
+    held = 0
+    for _ in range(100):
+        points = [point("belt_speed", -v, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
+        law = question._law("period", "belt_speed", points, 0.95)
+        held += law["low"] <= 0.4 <= law["high"]
+    assert agrees(held, 100, 0.85, 0.99)
+    assert (law["first_value"], law["last_value"], law["n_points"]) == (0.05, 0.2, 3)
+    assert question._law("period", "kappa", points, 0.95) is None
+
+
+def run_of(steps, matrix):
+    blocks, first = np.unique(steps.block, return_index=True)
+    sticks = np.zeros(int(blocks.max()) + 1, dtype=bool)
+    sticks[blocks] = steps.step[first] < 0
+    n_stick = sticks.sum() + np.concatenate(([0], np.cumsum(steps.step)))
+    mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
+    return (np.concatenate(([0.0], steps.t)), n_stick), (
+        steps.t,
+        steps.block,
+        mode,
+        np.where(sticks, 0, 1).astype(np.int8),
+    )
+
+
+def said(planted_member, runs, t_burn=20.0, with_events=True):
+    rows, series, events = [], {}, {}
+    for matrix, steps in enumerate(runs):
+        rows.append(planted_member.member(f"run-{matrix}", matrix, t_end=studies.SPAN, t_stop=studies.SPAN))
+        series[f"run-{matrix}"], one = run_of(steps, matrix)
+        if with_events:
+            events[f"run-{matrix}"] = one
+    study = Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5,), 5, 0.95, 0))
+    found = question.answer(study)
+    words = environment().get_template("rhythm.html").module
+    return found, str(words.lack(found.facts, found.lack) if found.lack else words.answer(found.facts)).strip()
+
+
+def test_a_common_mode_of_blocks_is_said_with_its_share(planted, rng):
+    found, text = said(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
+    row = found.facts["lead"]
+    assert row["verdict"] in (rhythm.SWINGS, rhythm.SLOW)
+    assert "slowly together" in text
+    assert "of the variance" in text
+    assert set(found.tables) == {"rhythm", "rhythm_laws", "rhythm_spectrum"}
+    assert all(
+        value == value for table in found.tables.values() for value in table.to_numpy().ravel() if value is not pd.NA
+    )
+
+
+def test_what_cannot_be_told_is_said(planted, rng):
+    runs = [studies.blocks_run(rng) for _ in range(8)]
+    assert "events = true" in said(planted, runs, with_events=False)[1]
+    found, text = said(planted, runs, t_burn=studies.SPAN - 120.0)
+    assert found.lack == "short"
+    assert f"reach t = {found.facts['lead']['needed']:,.0f}"[:9] in text
