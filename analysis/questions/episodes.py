@@ -146,7 +146,8 @@ def answer(study: Study) -> Answer | None:
     if not judged:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
-    lead = judged[0]
+    first = _order(judged[0].group)  # of several sizes the largest: what ends of a chain do is least there
+    lead = max((one for one in judged if _order(one.group) == first), key=lambda one: int(one.group.key["n"]))
     systems = _systems(found)
     contrasts = _contrasts(systems, level)
     compared = _compared(study, systems)
@@ -162,11 +163,12 @@ def answer(study: Study) -> Answer | None:
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
         "fitted": FITTED, "margin": MARGIN, "margins": {name: law.margin for name, law in _COMPARED.items()},
         "settings": settings, "agree": [one for one in settings if one["verdict"] == AGREE],
-        "differ": [one for one in settings if one["verdict"] == DIFFER],
+        "differ": _by_laws(settings),
+        "untold": [one for one in settings if one["verdict"] == UNKNOWN and one["rows"]],
         "farthest": max((one for one in settings if one["rate"]["verdict"] == DIFFER), key=_rate_off, default=None),
         "t_burn": study.settings.t_burn, "n_tests": sum(row["p_equivalent"] is not None for row in compared),
         "refused": [one.row for one in found if not one.is_judged], "n_blocks": lead.group.key["n"],
-        "b": b[lead.label], "has_b": is_stable(b[lead.label]), "slow": SLOW,
+        "ends": (references[0], references[-1]), "b": b[lead.label], "has_b": is_stable(b[lead.label]), "slow": SLOW,
         "fast": [row for row in references if row[OCCUPANCY] > SLOW],
     }  # fmt: skip
     tables |= {
@@ -191,7 +193,8 @@ def answer(study: Study) -> Answer | None:
         run = next(one for one in lead.each() if len(one.start))
         figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
     facts |= {
-        "has_pairs": bool(settings), "n_settings": len(contrasts), "is_sweep": len(systems) > 1,
+        "has_pairs": bool(settings), "has_sizes": "episode_sizes" in figures,
+        "n_settings": len(contrasts), "is_sweep": len(systems) > 1,
         "references": {rows[0]["reference"] for rows in contrasts},
     }  # fmt: skip
     return Answer(facts, tables=tables, figures=figures)
@@ -315,7 +318,8 @@ def _apart(study: Study, first: _Of, second: _Of, name: str, law: _Law) -> Row:
 def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:
     """A setting by its laws that could be compared, its rate, and what they come to."""
     label = contrasts[0]["setting"]
-    rows = [row for row in compared if row["setting"] == label and row["p_equivalent"] is not None]
+    known = [row for row in compared if row["setting"] == label and row["p_equivalent"] is not None]
+    rows = [row | {"method": methods[label]} for row in known]
     differ = [row["law"] for row in rows if row["verdict"] == DIFFER]
     is_one_law = bool(rows) and all(row["verdict"] == AGREE for row in rows)
     return {
@@ -323,6 +327,16 @@ def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping
         "verdict": DIFFER if differ else AGREE if is_one_law else UNKNOWN,
         "rate": next(row for row in contrasts if row["quantity"] == RATE),
     }  # fmt: skip
+
+
+def _by_laws(settings: Sequence[Row]) -> list[Row]:
+    """Methods that differ, together where it is in the same laws, or in all that could be compared."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for one in settings:
+        if one["differ"]:
+            every = len(one["differ"]) == len(one["rows"])
+            found.setdefault(() if every else tuple(one["differ"]), []).append(one["method"])
+    return [{"laws": laws, "methods": methods} for laws, methods in found.items()]
 
 
 def _rate_off(one: Row) -> float:

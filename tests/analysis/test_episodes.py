@@ -58,7 +58,8 @@ def catalogue(rng, rate, moments, t_stop=1000.0):
     start = np.cumsum(rng.exponential(1 / rate, int(2 * rate * t_stop + 50)))
     start = start[start < t_stop]
     moment = moments(rng, len(start))
-    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), np.ones(len(start), int), moment, t_stop)
+    size = np.ones(len(start), int)
+    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), size, moment, t_stop, size)
 
 
 @pytest.fixture
@@ -79,7 +80,7 @@ def planted_episodes(planted, rng):
                 moment = (moments or power_law(1.0))(rng, len(start))
                 size = np.minimum(1 + moment.astype(int), 200)
                 table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + 0.05, "size": size,
-                                           "moment": moment}))  # fmt: skip
+                                           "moment": moment, "first_block": rng.integers(20, size=len(start))}))  # fmt: skip
         return Data(pd.DataFrame(rows), series, episodes=pd.concat(table, ignore_index=True))
 
     return make
@@ -144,7 +145,8 @@ def test_intervals_cover_wherever_the_least_moment_lies_in_its_class(rng):
         moments = 10 ** rng.uniform(-3, -2) * power_law(b)(rng, 40_000).reshape(20, 2000)
         magnitudes, start = np.log10(moments), np.arange(2000.0)
         least = completeness(magnitudes.ravel())
-        runs = [Catalogue(0.0, 2000.0, start, start, start.astype(int), row, 2000.0) for row in moments]
+        one = start.astype(int)
+        runs = [Catalogue(0.0, 2000.0, start, start, one, row, 2000.0, one) for row in moments]
         aki = over_matrices(of_aki.of, np.array([of_aki.sums(run, least) for run in runs]), 0.95)
         n_classes = int((magnitudes.max() - least) / FITTED) + 1
         counts = np.array([in_classes(row, least, n_classes) for row in magnitudes])
@@ -203,10 +205,13 @@ def test_recurrence_of_a_few_is_their_coefficient_of_variation(rng):
         gaps = rng.exponential(1.0, n)
         start = np.concatenate([[0.5], 0.5 + np.cumsum(gaps)])
         one = np.ones(n + 1)
-        sums.append(quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0), 0.0))
+        sums.append(
+            quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0, one.astype(int)), 0.0)
+        )
         np.testing.assert_allclose(quantity.of(np.array(sums[-1:])), np.std(gaps, ddof=1) / gaps.mean())
     two = one[:2]
-    assert quantity.sums(Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0), 0.0) == (0.0, 0.0)
+    few = Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0, two.astype(int))
+    assert quantity.sums(few, 0.0) == (0.0, 0.0)
 
 
 def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
@@ -226,11 +231,13 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     )
     answer = episodes.answer(Study(data, settings))
     found = {one["setting"].split("eps = ")[1].split(",")[0]: one for one in answer.facts["settings"]}
-    rate = {eps: next(row for row in one["rows"] if row["quantity"] == RATE) for eps, one in found.items()}
+    rate = {eps: one["rate"] for eps, one in found.items()}
     assert rate["1e-05"]["verdict"] == "agree"
     assert rate["0.001"]["verdict"] == "differ"
     assert rate["0.001"]["relative"] == pytest.approx(0.33, abs=0.05)
     assert rate["0.01"]["relative"] == -1
+    assert [found[eps]["differ"] for eps in ("1e-05", "0.001")] == [[], ["waiting times"]]
+    assert found["0.01"]["rows"] == []
     assert answer.facts["farthest"]["setting"] == found["0.001"]["setting"]
     over = answer.tables["episode_rates"].set_index("group")
     assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
@@ -248,7 +255,7 @@ def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_syst
     smoothed = {f"{name} smoothed": (planted.sigmoid | key, factor) for name, (key, factor) in exact.items()}
     data = planted_episodes(exact | smoothed, rate=2.0, moments=power_law(1.0, 30.0))
     answer = episodes.answer(Study(data, settings))
-    rates = [next(row for row in one["rows"] if row["quantity"] == RATE) for one in answer.facts["settings"]]
+    rates = [one["rate"] for one in answer.facts["settings"]]
     assert [one["relative"] for one in rates] == pytest.approx([0.0, 0.0], abs=0.1)
     over = answer.tables["episode_rates"].dropna(subset="over").groupby("group")["over"].first()
     assert over.tolist() == pytest.approx([1.0, 1.0], abs=0.1)
