@@ -284,7 +284,11 @@ def _contrasts(systems: Sequence[Sequence[_Of]], level: float) -> list[list[Row]
 
 
 def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
-    """Every law of each setting against that of the first of the same systems, judged together; by setting."""
+    """Every law of each setting against that of the first of the same systems, judged together; by setting.
+
+    One that is shown to be off by less than its margin, as far as is known, does not differ: more data would have it
+    agree. It cannot be told.
+    """
     made: list[Row] = []
     for reference, *others in systems:
         rows = [
@@ -294,6 +298,9 @@ def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
             for name, law in _COMPARED.items()
         ]  # fmt: skip
         judge(rows, 1 - study.settings.confidence)
+        for row in rows:
+            if row["verdict"] == DIFFER and abs(row["size"]) < row["margin"]:
+                row["verdict"] = UNKNOWN
         made += rows
     return made
 

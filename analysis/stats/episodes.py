@@ -15,7 +15,7 @@ import numpy as np
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import Family
 
-B_STEP = 0.5  # from M_c to M_c at which b is shown
+B_STEP = 0.5  # from least magnitude to least magnitude at which b is shown
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 #: Width of those that laws are fitted in. The moment of a class is that at its middle, and what this errs by grows
 #: with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, its
@@ -187,20 +187,19 @@ DRIVE: Mapping[str, Quantity] = {
 
 
 def b_values(runs: Sequence[Sequence[Catalogue]], least: float, fewest: int, confidence: float) -> list[BValue]:
-    """Aki's b from each magnitude on, `least` first, then every half a magnitude, while there are `fewest` episodes.
+    """Aki's b from `least` on, and from each multiple of half a magnitude above, while there are `fewest` episodes.
 
     runs: the catalogues of each system.
     """
     of = QUANTITIES[B_VALUE]
     found: list[BValue] = []
-    for k in itertools.count():
-        edge = least + k * B_STEP
+    for edge in itertools.chain([least], itertools.count(np.ceil(least / B_STEP + 0.5) * B_STEP, B_STEP)):
         sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
         n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
         if n_above < fewest:
-            return found
-        found.append(BValue(edge, n_above, over_matrices(of.of, sums, confidence)))
-    raise AssertionError
+            break
+        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence)))
+    return found
 
 
 def is_stable(found: Sequence[BValue]) -> bool:

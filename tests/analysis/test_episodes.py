@@ -13,6 +13,7 @@ from stickslip.analysis.questions import episodes
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
     FITTED,
+    OCCUPANCY,
     QUANTITIES,
     RATE,
     RECURRENCE,
@@ -79,8 +80,9 @@ def planted_episodes(planted, rng):
                 start = start[start < planted.t_end - 0.1]
                 moment = (moments or power_law(1.0))(rng, len(start))
                 size = np.minimum(1 + moment.astype(int), 200)
+                first = rng.integers(20, size=len(start))
                 table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + 0.05, "size": size,
-                                           "moment": moment, "first_block": rng.integers(20, size=len(start))}))  # fmt: skip
+                                           "moment": moment, "first_block": first}))  # fmt: skip
         return Data(pd.DataFrame(rows), series, episodes=pd.concat(table, ignore_index=True))
 
     return make
@@ -163,6 +165,44 @@ def test_classes_are_narrow_enough_for_an_exponential():
     shares = -np.diff(np.exp(-(10.0**edges)))
     fit = maximise(laws_of_moments(0.0, 1.0)[1], np.arange(1.0, len(edges)), shares)
     assert fit.theta[0] == pytest.approx(-1.0, abs=0.003)
+
+
+def test_a_planted_share_of_time_is_found_and_a_fast_drive_is_an_alert(planted_episodes, strict):
+    """Half an episode a unit of time, each of 0.05; stretched to 0.4 they fill 20% of it."""
+    slow = planted_episodes(EXACT)
+    table = slow.episodes
+    fast = replace(slow, episodes=table.assign(end=table["start"] + 0.4))
+    for data, share, is_fast in ((slow, 0.025, False), (fast, 0.2, True)):
+        facts = episodes.answer(Study(data, strict)).facts
+        lead = facts["lead"]
+        assert lead[f"{OCCUPANCY}_low"] < 1.02 * share
+        assert lead[f"{OCCUPANCY}_high"] > 0.98 * share
+        assert bool(facts["fast"]) is is_fast
+        html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
+        assert ("the drive is not slow" in html) is is_fast
+
+
+def test_b_is_led_with_where_it_does_not_depend_on_the_least_magnitude(planted_episodes, strict):
+    """A power law has one b, an exponential another at each M_c: log10(e) / b = E log10(m / m_c)."""
+    for moments, is_one in ((power_law(1.0), True), (lambda rng, m: 1.0 + rng.exponential(20.0, m), False)):
+        data = planted_episodes(EXACT, rate=4.0, moments=moments)
+        facts = episodes.answer(Study(data, strict)).facts
+        assert len(facts["b"]) > 1
+        assert facts["has_b"] is is_one
+        html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
+        assert ("There is no one b" in html) is not is_one
+
+
+def test_a_law_may_differ_where_its_mean_does_not(planted_episodes, planted, settings):
+    """Sizes of 1 to 3 by exact events, 2 alone by the other method: both have the mean 2."""
+    data = planted_episodes(EXACT | {"other": (planted.sigmoid, 1.0)}, rate=2.0)
+    table = data.episodes
+    sizes = np.where(table["member_id"].str.endswith("exact"), 1 + np.arange(len(table)) % 3, 2)
+    facts = episodes.answer(Study(replace(data, episodes=table.assign(size=sizes)), settings)).facts
+    (other,) = facts["settings"]
+    assert other["differ"] == ["sizes"]
+    assert next(row for row in other["rows"] if row["law"] == "sizes")["size"] == pytest.approx(1 / 3, abs=0.02)
+    assert facts["differ"] == [{"laws": ("sizes",), "methods": [other["method"]]}]
 
 
 def test_where_all_moments_are_alike_no_law_is_named(planted_episodes, settings):
