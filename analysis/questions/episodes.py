@@ -299,7 +299,7 @@ def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
         ]  # fmt: skip
         judge(rows, 1 - study.settings.confidence)
         for row in rows:
-            if row["verdict"] == DIFFER and abs(row["size"]) < row["margin"]:
+            if row["verdict"] == DIFFER and abs(float(row["size"])) < float(row["margin"]):
                 row["verdict"] = UNKNOWN
         made += rows
     return made
