@@ -1,14 +1,14 @@
 """Episodes: how often, how large, how regular; the law of their moments; by how much all this hangs on the method.
 
 An episode runs from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
-is held against exact events on the same systems.
+is held against exact events on the same systems, by whole laws: a mean may be right where the law is not.
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,26 +17,31 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
-from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge, told
+from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge
 from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
-from stickslip.analysis.questions.engines import summary
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import relative_difference
+from stickslip.analysis.stats.compare import AGREE, DIFFER, relative_difference
 from stickslip.analysis.stats.episodes import (
     CLASS,
+    DRIVE,
     FITTED,
+    OCCUPANCY,
     QUANTITIES,
     RATE,
     RECURRENCE,
+    BValue,
     Catalogue,
+    b_values,
     completeness,
     drift,
     in_classes,
+    is_stable,
     laws_of_moments,
 )
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import maximise, parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
+from stickslip.analysis.stats.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
@@ -45,14 +50,26 @@ POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
 )  # fmt: skip
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
+#: By which a law may be off: a distribution function by three in a hundred of the episodes; shares of first blocks by
+#: a quarter of them; a correlation by 0.1. Twenty systems of a thousand episodes each exclude as much.
+GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
+SLOW = 0.05  # of the time in episodes, at most, where the drive is slow for the chain
 FEWEST = 30  # episodes from a magnitude on for its rate to be drawn
 _STEP = 2  # classes from point to point of the figures
 _ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first, which is what the others are held against
 _GROUPS: Mapping[str, str] = {
     "group": S, "method": S, "n_systems": I, "n_episodes": I, "largest": F, "whole": F,
-    **{f"{name}{end}": F for name in QUANTITIES for end in ("", "_low", "_high")}, "drift": F, "basis": S,
+    **{f"{name}{end}": F for name in (*QUANTITIES, *DRIVE) for end in ("", "_low", "_high")}, "drift": F, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
+_METHODS: Mapping[str, str] = {
+    "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "margin": F, "p_equivalent": F,
+    "p_different": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S, "reason": S,
+}  # fmt: skip
+_B_VALUES: Mapping[str, str] = {"group": S, "magnitude": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F}
+_SIZES: Mapping[str, str] = {
+    "group": S, "size": I, "n_episodes": I, "share": F, "share_low": F, "share_high": F,
+}  # fmt: skip
 _LAWS: Mapping[str, str] = {
     "law": S, "parameters": S, "gain": F, "gap": F, "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
@@ -87,6 +104,25 @@ class _Of:
         return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
 
 
+@dataclass(frozen=True)
+class _Law:
+    """A law by which methods are compared: what a run of n blocks gives, and how the runs of a system are joined."""
+
+    of: Callable[[Catalogue, int], np.ndarray]
+    apart: Callable[[list[tuple[np.ndarray, np.ndarray]], float, float, np.random.Generator], Difference]
+    margin: float
+    join: Callable[[list[np.ndarray]], np.ndarray] = np.concatenate
+
+
+_COMPARED: Mapping[str, _Law] = {
+    "magnitudes": _Law(lambda run, _: run.magnitude, largest_gap, GAP),
+    "sizes": _Law(lambda run, _: run.size, largest_gap, GAP),
+    "waiting times": _Law(lambda run, _: run.wait, largest_gap, GAP),
+    "first blocks": _Law(Catalogue.first_blocks, distance_of_shares, DISTANCE, lambda runs: np.sum(runs, axis=0)),
+    "order in time": _Law(lambda run, _: run.sizes_and_waits, difference_of_order, CORRELATION),
+}
+
+
 def answer(study: Study) -> Answer | None:
     """What the episodes of an ensemble are like; None where none were recorded."""
     table = study.data.episodes
@@ -110,38 +146,55 @@ def answer(study: Study) -> Answer | None:
     if not judged:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
-    lead = judged[0]
+    first = _order(judged[0].group)  # of several sizes the largest: what ends of a chain do is least there
+    lead = max((one for one in judged if _order(one.group) == first), key=lambda one: int(one.group.key["n"]))
     systems = _systems(found)
     contrasts = _contrasts(systems, level)
+    compared = _compared(study, systems)
     rates = _rates(systems, lead, least - CLASS, level)  # from the fullest class on: no law is asked of a rate
     laws, moments = _laws(study, lead, least)
+    b = {one.label: b_values(list(one.runs.values()), least, enough.LEAST_CASCADES, level) for one in judged}
+    b_rows = [_b_row(label, at) for label, some in b.items() for at in some]
+    sizes = [row for first, *_ in systems if first.is_judged for row in _sizes(first, level)]
     methods = {one.label: str(one.row["method"]) for one in found}
-    settings = [
-        summary(told(rows)) | {"setting": rows[0]["setting"], "method": methods[rows[0]["setting"]]}
-        for rows in contrasts if told(rows)
-    ]  # fmt: skip
+    settings = [_setting(rows, compared, methods) for rows in contrasts]
+    references = [first.row for first, *_ in systems if first.is_judged]
     facts = {
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
-        "fitted": FITTED, "margin": MARGIN,
-        "settings": settings, "agree": [one for one in settings if len(one["agree"]) == len(one["rows"])],
-        "farthest": max((one for one in settings if one["differ"]), key=_rate_off, default=None),
-        "t_burn": study.settings.t_burn,
+        "fitted": FITTED, "margin": MARGIN, "margins": {name: law.margin for name, law in _COMPARED.items()},
+        "settings": settings, "agree": [one for one in settings if one["verdict"] == AGREE],
+        "differ": _by_laws(settings),
+        "untold": [one for one in settings if one["verdict"] == UNKNOWN and one["rows"]],
+        "farthest": max((one for one in settings if one["rate"]["verdict"] == DIFFER), key=_rate_off, default=None),
+        "t_burn": study.settings.t_burn, "n_tests": sum(row["p_equivalent"] is not None for row in compared),
         "refused": [one.row for one in found if not one.is_judged], "n_blocks": lead.group.key["n"],
+        "ends": (references[0], references[-1]), "b": b[lead.label], "has_b": is_stable(b[lead.label]), "slow": SLOW,
+        "fast": [row for row in references if row[OCCUPANCY] > SLOW],
     }  # fmt: skip
     tables |= {
         "episode_contrasts": frame(_CONTRASTS, [row for rows in contrasts for row in rows]),
+        "episode_methods": frame(_METHODS, compared),
         "episode_laws": frame(_LAWS, laws),
         "episode_rates": frame(_RATES, rates),
+        "episode_sizes": frame(_SIZES, sizes),
+        "b_values": frame(_B_VALUES, b_rows),
     }
     labels = {one.label: (str(one.group.key["engine"]), methods[one.label]) for one in found}
     figures = {"episode_rates": partial(frequencies, rates, labels)}
+    if b_rows:
+        figures["b_values"] = partial(b_by_least, b_rows, {label: labels[label] for label, some in b.items() if some})
     if settings:
         figures["episode_rates_over"] = partial(over_reference, rates, labels)
+    elif len(references) > 1:
+        figures["episode_sizes"] = partial(
+            shares_of_sizes, sizes, {row["group"]: labels[row["group"]] for row in references}
+        )
     else:
         run = next(one for one in lead.each() if len(one.start))
         figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
     facts |= {
-        "has_pairs": bool(settings), "n_settings": len(contrasts), "is_sweep": len(systems) > 1,
+        "has_pairs": bool(settings), "has_sizes": "episode_sizes" in figures,
+        "n_settings": len(contrasts), "is_sweep": len(systems) > 1,
         "references": {rows[0]["reference"] for rows in contrasts},
     }  # fmt: skip
     return Answer(facts, tables=tables, figures=figures)
@@ -159,22 +212,24 @@ def _runs(study: Study, group: Group, of_member: Mapping[str, Any]) -> dict[int,
     t_start, n, v = study.settings.t_burn, int(group.key["n"]), group.key["belt_speed"]
     table = (group.finished[name] for name in ("unit", "member_id", "t_end"))
     for unit, member_id, t_end in zip(*table, strict=True):
-        columns = np.zeros((4, 0))
+        columns = np.zeros((5, 0))
         if member_id in of_member:
-            columns = of_member[member_id][["start", "end", "size", "moment"]].to_numpy(np.float64).T
+            columns = of_member[member_id][["start", "end", "size", "moment", "first_block"]].to_numpy(np.float64).T
             columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
-        start, end, size, moment = columns
+        start, end, size, moment, first_block = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
-        one = Catalogue(t_start, float(t_end), start, end - start, size.astype(np.int64), moment, slip)
+        whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
+        one = Catalogue(t_start, float(t_end), start, end - start, *whole)
         found.setdefault(int(unit), []).append(one)
     return found
 
 
 def _fill(one: _Of, least: float, level: float) -> None:
     """The statistics of a group, each with its interval over units."""
+    quantities = {**QUANTITIES, **DRIVE}
     for unit, runs in one.runs.items():
         for run in runs:
-            for name, quantity in QUANTITIES.items():
+            for name, quantity in quantities.items():
                 sums = quantity.sums(run, least)
                 if np.isfinite(sums).all():
                     one.sample.add(name, unit, sums)
@@ -188,7 +243,7 @@ def _fill(one: _Of, least: float, level: float) -> None:
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
     }  # fmt: skip
-    for name, quantity in QUANTITIES.items():
+    for name, quantity in quantities.items():
         one.row |= named(name, over_matrices(quantity.of, one.sample.rows(name)[1], level))
     one.row["regularity"] = _regularity(one.row) if one.row["basis"] in enough.JUDGED else UNKNOWN
 
@@ -228,10 +283,90 @@ def _contrasts(systems: Sequence[Sequence[_Of]], level: float) -> list[list[Row]
     return made
 
 
+def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
+    """Every law of each setting against that of the first of the same systems, judged together; by setting.
+
+    One that is shown to be off by less than its margin, as far as is known, does not differ: more data would have it
+    agree. It cannot be told.
+    """
+    made: list[Row] = []
+    for reference, *others in systems:
+        rows = [
+            {"setting": other.label, "reference": reference.label, "law": name}
+            | _apart(study, reference, other, name, law)
+            for other in others if reference.is_judged
+            for name, law in _COMPARED.items()
+        ]  # fmt: skip
+        judge(rows, 1 - study.settings.confidence)
+        for row in rows:
+            if row["verdict"] == DIFFER and abs(float(row["size"])) < float(row["margin"]):
+                row["verdict"] = UNKNOWN
+        made += rows
+    return made
+
+
+def _apart(study: Study, first: _Of, second: _Of, name: str, law: _Law) -> Row:
+    n, both = int(first.group.key["n"]), sorted(first.runs.keys() & second.runs.keys())
+    pairs = [
+        (
+            law.join([law.of(run, n) for run in first.runs[unit]]),
+            law.join([law.of(run, n) for run in second.runs[unit]]),
+        )
+        for unit in both
+    ]
+    row: Row = {"margin": law.margin, "verdict": UNKNOWN, "p_equivalent": None, "p_different": None, "reason": None}
+    try:
+        found = law.apart(pairs, law.margin, study.settings.confidence, study.generator(f"{name} {second.label}"))
+    except Undefined as why:
+        return row | named("size", Estimate()) | {"reason": str(why)}
+    return row | named("size", found.size) | {"p_equivalent": found.p_equivalent, "p_different": found.p_different}
+
+
+def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:
+    """A setting by its laws that could be compared, its rate, and what they come to."""
+    label = contrasts[0]["setting"]
+    known = [row for row in compared if row["setting"] == label and row["p_equivalent"] is not None]
+    rows = [row | {"method": methods[label]} for row in known]
+    differ = [row["law"] for row in rows if row["verdict"] == DIFFER]
+    is_one_law = bool(rows) and all(row["verdict"] == AGREE for row in rows)
+    return {
+        "setting": label, "method": methods[label], "rows": rows, "differ": differ,
+        "verdict": DIFFER if differ else AGREE if is_one_law else UNKNOWN,
+        "rate": next(row for row in contrasts if row["quantity"] == RATE),
+    }  # fmt: skip
+
+
+def _by_laws(settings: Sequence[Row]) -> list[Row]:
+    """Methods that differ, together where it is in the same laws, or in all that could be compared."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for one in settings:
+        if one["differ"]:
+            every = len(one["differ"]) == len(one["rows"])
+            found.setdefault(() if every else tuple(one["differ"]), []).append(one["method"])
+    return [{"laws": laws, "methods": methods} for laws, methods in found.items()]
+
+
 def _rate_off(one: Row) -> float:
     """How far the rate is off; a setting without any episode is said apart."""
-    off = next((float(row["relative"]) for row in one["rows"] if row["quantity"] == RATE), -1.0)
+    off = float(one["rate"]["relative"])
     return abs(off) if off > -1 else -1.0
+
+
+def _b_row(label: str, one: BValue) -> Row:
+    return {"group": label, "magnitude": one.least, "n_episodes": one.n_episodes, **named("b", one.b)}
+
+
+def _sizes(one: _Of, level: float) -> list[Row]:
+    """Shares of the episodes that take at least so many blocks, at sizes half as large again each."""
+    rows: list[Row] = []
+    runs = [np.concatenate([run.size for run in some]) for some in one.runs.values()]
+    most = max(int(some.max(initial=0)) for some in runs)
+    for size in np.unique((1.5 ** np.arange(np.log(most) / np.log(1.5))).astype(int)):
+        sums = np.array([[np.count_nonzero(some >= size), len(some)] for some in runs], dtype=np.float64)
+        if sums[:, 0].sum() >= FEWEST:
+            share = named("share", over_matrices(ratio, sums, level))
+            rows.append({"group": one.label, "size": int(size), "n_episodes": int(sums[:, 0].sum()), **share})
+    return rows
 
 
 # ---------------------------------------------------------------------------------------------- the law
@@ -348,16 +483,18 @@ def _method(label: str, of_one_size: bool) -> str:
     return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
 
 
-def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], key: str) -> None:
+def _lines(
+    ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], key: str, by: str = "magnitude"
+) -> None:
     for (label, (_, method)), look in zip(labels.items(), _look(labels).values(), strict=True):
         some = [row for row in rows if row["group"] == label and row[key] is not None]
         if not some:
             continue
-        x, y = (np.array([row[name] for row in some]) for name in ("magnitude", key))
+        x, y = (np.array([row[name] for row in some]) for name in (by, key))
         ax.plot(x, y, label=method, **look)
         known = [row for row in some if row[f"{key}_low"] is not None]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
-        ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
+        ax.fill_between([row[by] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
     if len(labels) > 1:
         widest = max(len(method) for _, method in labels.values())
@@ -389,6 +526,22 @@ def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str
     _lines(ax, rows, labels, "over")
     seen = [row["over"] for row in rows if row["over"] is not None]
     ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
+
+
+@panel()
+def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
+    """b against the magnitude from which it is taken; rows of the table `b_values`, labels as of `frequencies`."""
+    _lines(ax, rows, labels, "b")
+    ax.set(xlabel="least magnitude, $M_c$", ylabel="b", ylim=(0, None))
+
+
+@panel()
+def shares_of_sizes(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
+    """Shares of episodes by least size; rows of the table `episode_sizes`, labels as of `frequencies`."""
+    _lines(ax, rows, labels, "share", "size")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set(xlabel="size, blocks that slip", ylabel="share of episodes, $\\geq$ size")
 
 
 @panel()

@@ -6,14 +6,16 @@ is estimated is a function of sums over systems, as everywhere here. Dimensionle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.stats.estimates import Statistic, Undefined, ratio
+from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import Family
 
+B_STEP = 0.5  # from least magnitude to least magnitude at which b is shown
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 #: Width of those that laws are fitted in. The moment of a class is that at its middle, and what this errs by grows
 #: with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, its
@@ -35,6 +37,8 @@ class Catalogue:
     slip : float
         What the belt would have all blocks slip in that time, n |v| (t_stop - t_start); NaN if v is not one
         number, or zero.
+    first_block : ndarray of int, shape (m,)
+        The block that left first.
     """
 
     t_start: float
@@ -44,16 +48,34 @@ class Catalogue:
     size: np.ndarray
     moment: np.ndarray
     slip: float
+    first_block: np.ndarray
 
     @property
     def magnitude(self) -> np.ndarray:
         """log10 of the sizes of the moments, shape (m,)."""
         return np.log10(np.abs(self.moment))
 
+    @property
+    def wait(self) -> np.ndarray:
+        """Times from the start of each to that of the next, shape (m - 1,)."""
+        return np.diff(self.start)
+
+    @property
+    def sizes_and_waits(self) -> np.ndarray:
+        """Of each but the last its size, and the time to the start of the next, shape (m - 1, 2)."""
+        return np.column_stack([self.size[:-1], self.wait])
+
+    def is_late(self) -> np.ndarray:
+        """Which of them begin in the second half, shape (m,)."""
+        return np.asarray(self.start >= 0.5 * (self.t_start + self.t_stop))
+
     def halves(self) -> np.ndarray:
         """How many begin in the first and in the second half, shape (2,)."""
-        late = int(np.count_nonzero(self.start >= 0.5 * (self.t_start + self.t_stop)))
-        return np.array([len(self.start) - late, late], dtype=np.float64)
+        return np.bincount(self.is_late().astype(np.int64), minlength=2).astype(np.float64)
+
+    def first_blocks(self, n: int) -> np.ndarray:
+        """How often each of n blocks leaves first, in the first half and in the second, shape (2, n)."""
+        return np.bincount(self.is_late() * n + self.first_block, minlength=2 * n).reshape(2, n)
 
 
 def completeness(magnitudes: np.ndarray) -> float:
@@ -128,7 +150,7 @@ def _b_value(found: Catalogue, least: float) -> tuple[float, float]:
 
 def _recurrence(found: Catalogue, _: float) -> tuple[float, float]:
     """Squared deviations of recurrence times in units of the run's own mean, and their number."""
-    gaps = np.diff(found.start)
+    gaps = found.wait
     if len(gaps) < 2:
         return 0.0, 0.0
     n = len(gaps)
@@ -136,6 +158,18 @@ def _recurrence(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 RATE, SLIP, B_VALUE, RECURRENCE = "rate of episodes", "share of slip in episodes", "b", "recurrence"
+OCCUPANCY, BY_WAY = "share of time in episodes", "episodes a block and unit of way"
+
+
+@dataclass(frozen=True)
+class BValue:
+    """b of the episodes from a magnitude on, and how many these are."""
+
+    least: float
+    n_episodes: int
+    b: Estimate
+
+
 #: By name. `RECURRENCE` is the coefficient of variation of the times from start to start: 1 for a Poisson process.
 QUANTITIES: Mapping[str, Quantity] = {
     RATE: Quantity(lambda one, _: (float(len(one.start)), one.t_stop - one.t_start)),
@@ -145,6 +179,33 @@ QUANTITIES: Mapping[str, Quantity] = {
     RECURRENCE: Quantity(_recurrence, lambda sums: np.sqrt(ratio(sums))),
     SLIP: Quantity(lambda one, _: (float(one.moment.sum()), one.slip)),
 }
+#: Whether the drive is slow and the chain large: then episodes fill little of the time, and come by the belt's way.
+DRIVE: Mapping[str, Quantity] = {
+    OCCUPANCY: Quantity(lambda one, _: (float(one.duration.sum()), one.t_stop - one.t_start)),
+    BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
+}
+
+
+def b_values(runs: Sequence[Sequence[Catalogue]], least: float, fewest: int, confidence: float) -> list[BValue]:
+    """Aki's b from `least` on, and from each multiple of half a magnitude above, while there are `fewest` episodes.
+
+    runs: the catalogues of each system.
+    """
+    of = QUANTITIES[B_VALUE]
+    found: list[BValue] = []
+    for edge in itertools.chain([least], itertools.count(np.ceil(least / B_STEP + 0.5) * B_STEP, B_STEP)):
+        sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
+        n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
+        if n_above < fewest:
+            break
+        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence)))
+    return found
+
+
+def is_stable(found: Sequence[BValue]) -> bool:
+    """Whether there are two or more, and one number lies in all of their intervals."""
+    lows, highs = ([getattr(one.b, end) for one in found] for end in ("low", "high"))
+    return len(found) > 1 and None not in lows and max(lows) <= min(highs)
 
 
 def drift(sums: np.ndarray) -> np.ndarray:

@@ -23,12 +23,15 @@ from stickslip.analysis.stats import (
     enough,
     fates,
     growth,
+    laws,
     multiplicity,
     pool,
     rhythm,
 )
-from stickslip.analysis.stats.cascades import Law, Window, laws, sizes, sums, window
+from stickslip.analysis.stats.cascades import Law, Window, sizes, sums, window
+from stickslip.analysis.stats.cascades import laws as cascade_laws
 from stickslip.analysis.stats.effects import over_null
+from stickslip.analysis.stats.episodes import DRIVE, OCCUPANCY, Catalogue
 from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
@@ -307,7 +310,7 @@ def slow_mode_study(rng, ensembles):
 def definitions_study(rng, ensembles):
     """gamma by each definition over that of rotated blocks; 1 for independent blocks."""
     dts = (0.2, 1.0, 3.0)
-    runs = {law: [] for law in laws(dts)}
+    runs = {law: [] for law in cascade_laws(dts)}
     for _ in range(POOL * ensembles):
         steps = blocks_run(rng, BLOCKS)
         win = steps.window()
@@ -693,6 +696,134 @@ def drift_study(rng, ensembles, t_end=2400.0):
             yield judged("drift", f"{drift:g}, {g} runs: {told}", answer, [one.drift for one in every])
 
 
+# ------------------------------------------------------------------------------------------ methods by whole laws
+
+
+def autoregressive(rng, n, rho):
+    """A Gaussian AR(1) series of variance one, shape (n,)."""
+    noise = rng.standard_normal(n) * np.sqrt(1 - rho**2)
+    noise[0] = rng.standard_normal()
+    return signal.lfilter([1.0], [1.0, -rho], noise)
+
+
+def shifted(rng, shift, rho, n_systems=MATRICES, n_values=400, spread=0.3, of_shift=0.0):
+    """Of each system values by two methods, one series each, the second shifted; systems differ, in numbers too."""
+    pairs = []
+    for _ in range(n_systems):
+        own, moved = spread * rng.standard_normal(), shift + of_shift * rng.standard_normal()
+        counts = rng.poisson(n_values * np.exp(0.15 * rng.standard_normal()), 2) + 1
+        first, second = (own + autoregressive(rng, n, rho) for n in counts)
+        pairs.append((first, second + moved))
+    return pairs
+
+
+def gap_of(shift, spread=0.3, of_shift=0.0):
+    """Largest gap of the distribution functions of `shifted`, which are normal over systems."""
+    if not (shift or of_shift):
+        return 0.0
+    x = np.linspace(-5, 5, 5001)
+    second = special.ndtr((x - shift) / np.sqrt(1 + spread**2 + of_shift**2))
+    return float(np.abs(second - special.ndtr(x / np.sqrt(1 + spread**2))).max())
+
+
+def chosen(rng, mix, stay, n_systems=MATRICES, n_values=800, k=50):
+    """Counts of categories by half: shares drawn for each system, those of the second method mixed with others.
+
+    Each value is the one before with probability `stay`.
+    """
+    pairs = []
+    for _ in range(n_systems):
+        p, other = rng.dirichlet(np.full(k, 0.5), 2)
+        of_system = []
+        for shares in (p, (1 - mix) * p + mix * other):
+            drawn = rng.choice(k, size=n_values, p=shares)
+            kept = np.maximum.accumulate(np.where(rng.random(n_values) < stay, 0, np.arange(n_values)))
+            halves = np.split(drawn[kept], 2)
+            of_system.append(np.array([np.bincount(half, minlength=k) for half in halves]))
+        pairs.append(tuple(of_system))
+    return pairs
+
+
+def distance_of(mix, k=50):
+    """Of `chosen`: E sum p_i^2 = 1.5 / (k / 2 + 1) of a symmetric Dirichlet law with 1/2, E sum p_i q_i = 1 / k."""
+    square, cross = 1.5 / (0.5 * k + 1), 1 / k
+    apart = 2 * mix**2 * (square - cross)
+    second = ((1 - mix) ** 2 + mix**2) * square + 2 * mix * (1 - mix) * cross
+    return float(np.sqrt(apart / (0.5 * (square + second))))
+
+
+def ordered(rng, correlations, rho, n_systems=MATRICES, n_values=400):
+    """Of each system two columns by each method, normal and of these correlations, the first a dependent series."""
+    pairs = []
+    for _ in range(n_systems):
+        of_system = []
+        for r in correlations:
+            x = autoregressive(rng, n_values, rho)
+            of_system.append(np.column_stack([x, r * x + np.sqrt(1 - r**2) * rng.standard_normal(n_values)]))
+        pairs.append(tuple(of_system))
+    return pairs
+
+
+def order_of(first, second):
+    """Spearman's correlation of normal pairs is 6 / pi asin(r / 2) (Pearson 1907)."""
+    return float(6 / np.pi * (np.arcsin(second / 2) - np.arcsin(first / 2)))
+
+
+#: By name: the test, how ensembles are drawn, and the answer; series remember some three values.
+PLANTED_LAWS = {
+    **{
+        f"gap, shift {shift:g}{f' +- {of_shift:g}' if of_shift else ''}, rho {rho:g}": (
+            laws.largest_gap, shifted, (shift, rho, MATRICES, 400, 0.3, of_shift), gap_of(shift, 0.3, of_shift)
+        )
+        for shift, of_shift in ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.0), (0.13, 0.1)) for rho in (0.0, 0.7)
+    },
+    **{
+        f"shares, mixed {mix:g}": (laws.distance_of_shares, chosen, (mix, 0.3), distance_of(mix))
+        for mix in (0.0, 0.1, 0.2, 0.4)
+    },
+    **{
+        f"order, {pair[0]:g} to {pair[1]:g}": (laws.difference_of_order, ordered, (pair, 0.7), order_of(*pair))
+        for pair in ((0.3, 0.3), (0.3, 0.35), (0.3, 0.4))
+    },
+}  # fmt: skip
+
+
+def methods_study(rng, ensembles):
+    """Share of intervals that hold the difference of two laws, and, "power", of ensembles in which one is shown.
+
+    A law that is the same is said to differ in 5%.
+    """
+    ensembles //= 10
+    for name, (test, draw, how, answer) in PLANTED_LAWS.items():
+        found = [test(draw(rng, *how), 0.05, CONFIDENCE, rng) for _ in range(ensembles)]
+        yield judged("methods", name, answer, [one.size for one in found])
+        shown = float(np.mean([one.p_different < 1 - CONFIDENCE for one in found]))
+        if answer:
+            yield Row("methods: power", name, answer, np.nan, np.nan, shown, ensembles)
+        else:
+            yield Row("methods: not told apart", name, answer, np.nan, np.nan, 1 - shown, ensembles)
+
+
+def occupancy_study(rng, ensembles):
+    """Share of time in episodes, gamma durations and exponential rests of 20 systems, each its own mean rest."""
+    quantity, spread = DRIVE[OCCUPANCY], 0.2
+    for rest in (15.0, 80.0):
+        x = np.linspace(-6, 6, 2001)
+        answer = np.average(1 / (1 + rest * np.exp(spread * x) / 4), weights=np.exp(-(x**2) / 2))
+        found = []
+        for _ in range(ensembles // 4):
+            rows = []
+            for own in rest * np.exp(spread * rng.standard_normal(MATRICES)):
+                n = int(2 * 8000 / (own + 4))
+                took = rng.gamma(0.5, 8.0, n)
+                start = np.cumsum(rng.exponential(own, n)) + np.r_[0.0, np.cumsum(took)[:-1]]
+                some = (start >= 0) & (start + took <= 8000)
+                one = np.ones(some.sum(), int)
+                rows.append(quantity.sums(Catalogue(0.0, 8e3, start[some], took[some], one, one, 1.0, one), 0.0))
+            found.append(over_matrices(quantity.of, np.array(rows), CONFIDENCE))
+        yield judged("time in episodes", f"{answer:.3f}", float(answer), found)
+
+
 STUDIES = {
     "gamma": gamma_study,
     "goodness": goodness_study,
@@ -713,6 +844,8 @@ STUDIES = {
     "multiplicity": multiplicity_study,
     "drift": drift_study,
     "survival": survival_study,
+    "methods": methods_study,
+    "occupancy": occupancy_study,
 }
 
 

@@ -13,6 +13,7 @@ from stickslip.analysis.questions import episodes
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
     FITTED,
+    OCCUPANCY,
     QUANTITIES,
     RATE,
     RECURRENCE,
@@ -58,7 +59,8 @@ def catalogue(rng, rate, moments, t_stop=1000.0):
     start = np.cumsum(rng.exponential(1 / rate, int(2 * rate * t_stop + 50)))
     start = start[start < t_stop]
     moment = moments(rng, len(start))
-    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), np.ones(len(start), int), moment, t_stop)
+    size = np.ones(len(start), int)
+    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), size, moment, t_stop, size)
 
 
 @pytest.fixture
@@ -78,8 +80,9 @@ def planted_episodes(planted, rng):
                 start = start[start < planted.t_end - 0.1]
                 moment = (moments or power_law(1.0))(rng, len(start))
                 size = np.minimum(1 + moment.astype(int), 200)
+                first = rng.integers(20, size=len(start))
                 table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + 0.05, "size": size,
-                                           "moment": moment}))  # fmt: skip
+                                           "moment": moment, "first_block": first}))  # fmt: skip
         return Data(pd.DataFrame(rows), series, episodes=pd.concat(table, ignore_index=True))
 
     return make
@@ -144,7 +147,8 @@ def test_intervals_cover_wherever_the_least_moment_lies_in_its_class(rng):
         moments = 10 ** rng.uniform(-3, -2) * power_law(b)(rng, 40_000).reshape(20, 2000)
         magnitudes, start = np.log10(moments), np.arange(2000.0)
         least = completeness(magnitudes.ravel())
-        runs = [Catalogue(0.0, 2000.0, start, start, start.astype(int), row, 2000.0) for row in moments]
+        one = start.astype(int)
+        runs = [Catalogue(0.0, 2000.0, start, start, one, row, 2000.0, one) for row in moments]
         aki = over_matrices(of_aki.of, np.array([of_aki.sums(run, least) for run in runs]), 0.95)
         n_classes = int((magnitudes.max() - least) / FITTED) + 1
         counts = np.array([in_classes(row, least, n_classes) for row in magnitudes])
@@ -161,6 +165,44 @@ def test_classes_are_narrow_enough_for_an_exponential():
     shares = -np.diff(np.exp(-(10.0**edges)))
     fit = maximise(laws_of_moments(0.0, 1.0)[1], np.arange(1.0, len(edges)), shares)
     assert fit.theta[0] == pytest.approx(-1.0, abs=0.003)
+
+
+def test_a_planted_share_of_time_is_found_and_a_fast_drive_is_an_alert(planted_episodes, strict):
+    """Half an episode a unit of time, each of 0.05; stretched to 0.4 they fill 20% of it."""
+    slow = planted_episodes(EXACT)
+    table = slow.episodes
+    fast = replace(slow, episodes=table.assign(end=table["start"] + 0.4))
+    for data, share, is_fast in ((slow, 0.025, False), (fast, 0.2, True)):
+        facts = episodes.answer(Study(data, strict)).facts
+        lead = facts["lead"]
+        assert lead[f"{OCCUPANCY}_low"] < 1.02 * share
+        assert lead[f"{OCCUPANCY}_high"] > 0.98 * share
+        assert bool(facts["fast"]) is is_fast
+        html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
+        assert ("the drive is not slow" in html) is is_fast
+
+
+def test_b_is_led_with_where_it_does_not_depend_on_the_least_magnitude(planted_episodes, strict):
+    """A power law has one b, an exponential another at each M_c: log10(e) / b = E log10(m / m_c)."""
+    for moments, is_one in ((power_law(1.0), True), (lambda rng, m: 1.0 + rng.exponential(20.0, m), False)):
+        data = planted_episodes(EXACT, rate=4.0, moments=moments)
+        facts = episodes.answer(Study(data, strict)).facts
+        assert len(facts["b"]) > 1
+        assert facts["has_b"] is is_one
+        html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
+        assert ("There is no one b" in html) is not is_one
+
+
+def test_a_law_may_differ_where_its_mean_does_not(planted_episodes, planted, settings):
+    """Sizes of 1 to 3 by exact events, 2 alone by the other method: both have the mean 2."""
+    data = planted_episodes(EXACT | {"other": (planted.sigmoid, 1.0)}, rate=2.0)
+    table = data.episodes
+    sizes = np.where(table["member_id"].str.endswith("exact"), 1 + np.arange(len(table)) % 3, 2)
+    facts = episodes.answer(Study(replace(data, episodes=table.assign(size=sizes)), settings)).facts
+    (other,) = facts["settings"]
+    assert other["differ"] == ["sizes"]
+    assert next(row for row in other["rows"] if row["law"] == "sizes")["size"] == pytest.approx(1 / 3, abs=0.02)
+    assert facts["differ"] == [{"laws": ("sizes",), "methods": [other["method"]]}]
 
 
 def test_where_all_moments_are_alike_no_law_is_named(planted_episodes, settings):
@@ -213,10 +255,13 @@ def test_recurrence_of_a_few_is_their_coefficient_of_variation(rng):
         gaps = rng.exponential(1.0, n)
         start = np.concatenate([[0.5], 0.5 + np.cumsum(gaps)])
         one = np.ones(n + 1)
-        sums.append(quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0), 0.0))
+        sums.append(
+            quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0, one.astype(int)), 0.0)
+        )
         np.testing.assert_allclose(quantity.of(np.array(sums[-1:])), np.std(gaps, ddof=1) / gaps.mean())
     two = one[:2]
-    assert quantity.sums(Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0), 0.0) == (0.0, 0.0)
+    few = Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0, two.astype(int))
+    assert quantity.sums(few, 0.0) == (0.0, 0.0)
 
 
 def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
@@ -236,11 +281,13 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     )
     answer = episodes.answer(Study(data, settings))
     found = {one["setting"].split("eps = ")[1].split(",")[0]: one for one in answer.facts["settings"]}
-    rate = {eps: next(row for row in one["rows"] if row["quantity"] == RATE) for eps, one in found.items()}
+    rate = {eps: one["rate"] for eps, one in found.items()}
     assert rate["1e-05"]["verdict"] == "agree"
     assert rate["0.001"]["verdict"] == "differ"
     assert rate["0.001"]["relative"] == pytest.approx(0.33, abs=0.05)
     assert rate["0.01"]["relative"] == -1
+    assert [found[eps]["differ"] for eps in ("1e-05", "0.001")] == [[], ["waiting times"]]
+    assert found["0.01"]["rows"] == []
     assert answer.facts["farthest"]["setting"] == found["0.001"]["setting"]
     over = answer.tables["episode_rates"].set_index("group")
     assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
@@ -258,7 +305,7 @@ def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_syst
     smoothed = {f"{name} smoothed": (planted.sigmoid | key, factor) for name, (key, factor) in exact.items()}
     data = planted_episodes(exact | smoothed, rate=2.0, moments=power_law(1.0, 30.0))
     answer = episodes.answer(Study(data, settings))
-    rates = [next(row for row in one["rows"] if row["quantity"] == RATE) for one in answer.facts["settings"]]
+    rates = [one["rate"] for one in answer.facts["settings"]]
     assert [one["relative"] for one in rates] == pytest.approx([0.0, 0.0], abs=0.1)
     over = answer.tables["episode_rates"].dropna(subset="over").groupby("group")["over"].first()
     assert over.tolist() == pytest.approx([1.0, 1.0], abs=0.1)

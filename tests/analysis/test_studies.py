@@ -232,7 +232,7 @@ def test_the_code_says_what_is_missing(rng):
 # ------------------------------------------------------------------------------------------- planted studies
 
 
-FALSE_ALARMS = ("multiplicity", "change", "equivalence")
+FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 
 
 @pytest.mark.long
@@ -265,4 +265,6 @@ def test_tau_is_not_too_small_where_the_window_can_tell():
 def test_false_alarms_are_as_rare_as_promised(name):
     seed = secrets.randbits(32)
     for row in studies.study(name, seed, 2000):
+        if row.study == "methods: power":
+            continue
         assert row.is_covered(low=0.94, high=1.0), f"seed {seed}: {row}"

@@ -1,0 +1,175 @@
+"""Do two methods give the same law on the same systems? Largest gap of distribution functions, shares, correlations.
+
+A system has one run, or some, by each of two methods. Where both have one law these may be swapped, whole, in any
+system by itself, however the values within a run depend on each other: the p-value of a difference is the share of
+swaps of runs that give as large a one (paired swaps are turned signs: Fisher 1935, The Design of Experiments, 21).
+A permutation of single values would take them as independent. That the difference is within a margin is an
+intersection-union test (Berger 1982, Technometrics 24, 295): at each value by itself, by Student's t over systems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special, stats
+
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.enough import FEW_MATRICES
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife, ratio
+
+SWAPS = 9999  # an error of 0.2 points on a p-value of 0.05
+POINTS = 200  # quantiles at which distribution functions are held against each other
+Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of two laws: its size with its interval, and the p-values that it is within the margin, and that there is none.
+
+    Attributes
+    ----------
+    size : Estimate
+        `low` is zero where no difference is shown.
+    p_equivalent, p_different : float
+    """
+
+    size: Estimate
+    p_equivalent: float
+    p_different: float
+
+
+def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+    """Largest gap of the distribution functions of two methods, within systems: sup |sum w (F' - F) / sum w|.
+
+    w = m m' / (m + m') of a system with m and m' values: what weighs a difference of two means best, and stays where
+    the two are swapped. Its interval, at each end: down by the 1 - alpha quantile of the largest error, that of
+    swaps of what systems are off by from their mean; up to the largest of the one-sided bounds of the gap by value.
+
+    Parameters
+    ----------
+    pairs : sequence of two ndarray, shape (m,) and (m',)
+        Values by the first and by the second method, of each system.
+    margin : float
+    confidence : float
+    rng : numpy.random.Generator
+        For the swaps.
+
+    Raises
+    ------
+    Undefined
+        If too few systems have values by both, or all values are one.
+    """
+    known = [(np.sort(a), np.sort(b)) for a, b in pairs if len(a) and len(b)]
+    _check(len(known), confidence)
+    pooled = np.sort(np.concatenate([x for pair in known for x in pair]))
+    at = np.unique(pooled[np.arange(POINTS) * len(pooled) // POINTS])
+    at = at[at < pooled[-1]]
+    if not len(at):
+        raise Undefined("one value")
+    weights = np.array([len(a) * len(b) / (len(a) + len(b)) for a, b in known])
+    gaps = np.array([_below(b, at) - _below(a, at) for a, b in known])
+    n, weights = len(known), weights[:, None] / weights.sum()
+    parts = weights * gaps
+    seen = parts.sum(axis=0)
+    off = np.sqrt(n / (n - 1)) * weights * (gaps - seen)
+    signs = _signs(n, rng)
+    swapped = np.abs(signs @ parts).max(axis=1)
+    p_different, gap = _share(swapped), float(swapped[0])
+    error = np.sqrt((off**2).sum(axis=0))
+    high = float(np.max(np.abs(seen) + student.quantile(confidence, n - 1) * error))
+    low = 0.0
+    if p_different < 1 - confidence:
+        low = max(gap - float(np.quantile(np.abs(signs[1:] @ off).max(axis=1), confidence)), 0.0)
+    outside = (np.abs(seen) - margin) / np.where(error > 0, error, np.finfo(float).tiny)
+    return Difference(Estimate(gap, low, min(high, 1.0)), float(special.stdtr(n - 1, outside.max())), p_different)
+
+
+def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+    """How far shares of categories lie apart, in any way in each system: sqrt(sum D^2 / sum p^2), D = p' - p.
+
+    From halves of runs, so that noise adds nothing: sum D^2 is estimated by the product of D in the first half and in
+    the second, sum p^2 likewise. Where the law is one, the two methods may be swapped in one half alone, which turns
+    the sign of the product, if the halves of a run do not depend on each other.
+
+    Parameters
+    ----------
+    pairs : sequence of two ndarray, shape (2, K)
+        Counts of K categories in the first half and in the second, of each system by each method.
+    margin, confidence, rng
+        As of `largest_gap`.
+
+    Raises
+    ------
+    Undefined
+        If too few systems have something in each half, or all is in one category.
+    """
+    known = [(a, b) for a, b in pairs if a.sum(axis=1).all() and b.sum(axis=1).all()]
+    _check(len(known), confidence)
+    if len(np.flatnonzero(sum(a.sum(axis=0) + b.sum(axis=0) for a, b in known))) == 1:
+        raise Undefined("one value")
+    shares = np.array([[a / a.sum(axis=1, keepdims=True), b / b.sum(axis=1, keepdims=True)] for a, b in known])
+    apart = np.prod(shares[:, 1] - shares[:, 0], axis=1).sum(axis=1)
+    scale = np.prod(shares, axis=2).sum(axis=2).mean(axis=1)
+    value, error = jackknife(ratio, np.column_stack([apart, scale]))
+    dof = len(known) - 1
+    half = student.half_width(confidence, dof) * error
+    size = Estimate(*np.sqrt(np.maximum([value, value - half, value + half], 0.0)).tolist())
+    return Difference(size, _t_below(value - margin**2, error, dof), _share(_signs(len(known), rng) @ apart))
+
+
+def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+    """Rank correlation (Spearman) of two columns by the second method less that by the first, within systems.
+
+    Parameters
+    ----------
+    pairs : sequence of two ndarray, shape (m, 2) and (m', 2)
+    margin, confidence, rng
+        As of `largest_gap`.
+
+    Raises
+    ------
+    Undefined
+        If too few systems have a correlation by both.
+    """
+    known = [(a, b) for a, b in pairs if all(len(x) > 2 and np.ptp(x, axis=0).all() for x in (a, b))]
+    _check(len(known), confidence)
+    apart = np.array([_rank_correlation(b) - _rank_correlation(a) for a, b in known])
+    n, mean = len(apart), float(apart.mean())
+    error = float(apart.std(ddof=1) / np.sqrt(n))
+    half = student.half_width(confidence, n - 1) * error
+    p_different = _share(np.abs(_signs(n, rng) @ apart))
+    return Difference(
+        Estimate(mean, mean - half, mean + half), _t_below(abs(mean) - margin, error, n - 1), p_different
+    )
+
+
+def _check(n: int, confidence: float) -> None:
+    """All turned one way, up to a common sign, are 2 of 2^n patterns: the least p-value that there can be."""
+    if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
+        raise Undefined(FEW_MATRICES)
+
+
+def _signs(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Signs of n systems, a row a swap, the first as observed."""
+    signs = rng.choice([-1.0, 1.0], (SWAPS + 1, n))
+    signs[0] = 1.0
+    return signs
+
+
+def _share(found: np.ndarray) -> float:
+    """Of values as large as the first, but for rounding."""
+    return float(np.mean(found >= found[0] - 1e-12 * abs(found[0])))
+
+
+def _t_below(x: float, error: float, dof: float) -> float:
+    return student.below(x / error, dof) if error else float(x >= 0)
+
+
+def _below(ordered: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return np.searchsorted(ordered, at, side="right") / len(ordered)
+
+
+def _rank_correlation(columns: np.ndarray) -> float:
+    return float(np.corrcoef(stats.rankdata(columns, axis=0), rowvar=False)[0, 1])
