@@ -347,7 +347,7 @@ def with_starts(members: pd.DataFrame) -> pd.DataFrame:
     What is drawn tells no groups apart: `z0` and `w0` are null where `drawn` says from what.
     """
     found = members.assign(z_start=members["z0"].astype("float64"), w_start=members["w0"].astype("float64"))
-    drawn = found["drawn"].fillna("").astype(str)
+    drawn = found["drawn"].astype("string").fillna("")
     for key, column in (("z", "z0"), ("w", "w0")):
         found[column] = found[column].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
     return found

@@ -158,7 +158,7 @@ def _recurrence(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 RATE, SLIP, B_VALUE, RECURRENCE = "rate of episodes", "share of slip in episodes", "b", "recurrence"
-OCCUPANCY, BY_WAY = "share of time in episodes", "episodes a block and unit of way"
+OCCUPANCY, BY_WAY = "share of time in episodes", "episodes by block and way"
 
 
 @dataclass(frozen=True)
