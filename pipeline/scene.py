@@ -59,6 +59,7 @@ from stickslip.pipeline.toml import (
     parse_toml,
     plain,
     read_source,
+    shown,
     written,
 )
 from stickslip.sim.couplings import Reading
@@ -255,8 +256,8 @@ class Scene(StrictTable):
         found = misnamed(self.system.parameters)
         if found is not None:
             raise ValueError(
-                f"system.parameters: expected names for columns of their own, got {found[0]!r}: {found[1]}; choose"
-                f" another, here and in the function"
+                f"system.parameters: expected names for columns of their own, got {shown(found[0])}: {found[1]};"
+                f" choose another, here and in the function"
             )
 
     def check_engines(self) -> None:

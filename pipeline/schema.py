@@ -241,12 +241,18 @@ TAKEN = {
 }
 
 
+#: Bytes of the longest name that is written to NetCDF and read from it again.
+_LONGEST_NAME = 255
+
+
 def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
     """The first name that no parameter of a function can have, and why; None: all are good."""
     known = dict(TAKEN)
     for name in names:
         if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
             return name, "Python does not take it for an argument"
+        if len(name.encode()) > _LONGEST_NAME:
+            return name, f"it has more than the {_LONGEST_NAME} bytes that NetCDF takes"
         if name.startswith("__"):
             return name, "what begins so is kept for Arrow"
         if name.lower().endswith("_row_size"):

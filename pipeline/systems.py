@@ -268,6 +268,7 @@ def make(
         If the module or the function is gone, or not what it was; or what it returned is no such system; or it takes
         from beside the scene what it did not when it was tried.
     """
+    process = os.getpid()
     with _alone, _own_modules(function, is_trial):
         try:
             found = _function(function.name, function.at, function.sha256, function.beside)(n, rng, **parameters)
@@ -277,6 +278,9 @@ def make(
             if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
                 raise  # it may be the user's
             raise RuntimeError(foreign(error)) from error
+        finally:
+            if os.getpid() != process:  # a copy, which the function has forked: it would go on as a worker for ever
+                os._exit(1)
     # modules stay as they were loaded; other files are read again
     _check_beside(_root(function.at, function.beside), [one for one in function.beside if not _module_of(one[0])])
     if not isinstance(found, System) or found.n != n:

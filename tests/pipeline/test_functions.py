@@ -384,6 +384,19 @@ def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, 
     assert len(str(refusal.value)) < 600
 
 
+@pytest.mark.parametrize("fork", ["os.fork()", "ctypes.CDLL(None).fork()"])
+def test_what_a_function_forks_does_not_go_on_in_the_place_of_its_process(fork, tmp_path):
+    head = "import ctypes\nimport os\nimport numpy as np\nfrom stickslip import System\n"
+    lines = f"if gap == 1.0: {fork}\n    return System(np.eye(n), 0.1)"
+    file = written(tmp_path, own=own(lines, head))
+    code = (
+        "import sys\nfrom stickslip.pipeline import expand, load_scene\n"
+        "expand(load_scene(sys.argv[1]))[-1].system()\nprint('made', flush=True)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    assert done.stdout == "made\n"
+
+
 ODD = "type('BaseOdd', (Exception,), {'__str__': lambda self: 7})"
 
 

@@ -79,7 +79,7 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["cost", "order", "SELECT", "group", "from_", "system", "parameters", "origin", "member"]
+    "name", ["cost", "order", "SELECT", "group", "from_", "system", "parameters", "origin", "member", "x" * 255]
 )
 def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, monkeypatch, capsys):
     file = written(tmp_path, with_name(name), ANY)
@@ -98,7 +98,7 @@ def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, m
 
 
 @pytest.mark.parametrize(
-    "name", ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size"]
+    "name", ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size", "ö" * 128]
 )
 def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_path, monkeypatch, capsys):
     written(tmp_path, with_name(name), ANY)
@@ -107,6 +107,7 @@ def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_pat
     (line,) = capsys.readouterr().err.splitlines()
     assert "system.parameters" in line
     assert "choose another" in line
+    assert len(line) < 250
     assert not (tmp_path / "out").exists()
 
 

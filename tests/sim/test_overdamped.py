@@ -44,6 +44,21 @@ def test_creep_meets_its_belt(rng):
     assert abs(run.events.t[0] / caught - 1) < 1e-4  # w errs by tol of the largest w there is: 5e-13, of 1e-7
 
 
+def test_a_block_that_is_held_leaves_when_a_force_says_so_however_slow_its_neighbour(rng):
+    """The series of the one that creeps end early, and z of the other is constant; F on it is a wave throughout."""
+    damping, stiffness, friction, z0 = 10 ** rng.uniform(3, 6), rng.uniform(0.5, 2.0), rng.uniform(0.3, 1.0), 5.0
+    static, frequency = rng.uniform(0.5, 1.0), rng.uniform(0.5, 2.0)
+    size = static * rng.uniform(1.02, 1.2)
+    slow = -2.0 * stiffness / (damping + np.sqrt(damping**2 - 4.0 * stiffness))
+    force = Harmonic([0.0, size], frequency, -0.5 * np.pi)
+    system = System(np.diag([stiffness, 1.0]), [damping, 0.0], [friction, static], 0.0, force=force)
+    leaves = np.arcsin(static / size) / frequency
+    run = simulate(system, [z0, 0.0], [slow * (z0 - friction / stiffness), 0.0], 1.2 * leaves, tol=1e-10)
+    assert (run.events.block.tolist(), run.events.mode.tolist()) == ([1], [1])
+    assert run.events.t[0] == pytest.approx(leaves, rel=0, abs=1e-8)
+    assert run.z[0] == pytest.approx(friction / stiffness + (z0 - friction / stiffness) * np.exp(slow * run.t_end))
+
+
 def draw(rng, damping):
     """Blocks of which some are heavily damped, on belts on which they stick, or that they leave behind."""
     n = int(rng.integers(1, 5))
