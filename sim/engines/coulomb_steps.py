@@ -460,11 +460,13 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
     if (asked == found).all():
         return
     s, z, t = task.system, task.z0, task.t_start
-    v, given = s.belt_speed_at(t), np.abs(s.force_at(t))
-    size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + given + s.static
+    v, force = s.belt_speed_at(t), s.holding_force(z, task.w0, t)
     # a run that was cut at an event has |F| at static friction to its own tolerance
-    excess = np.abs(np.abs(s.holding_force(z, task.w0, t)) - s.static)
-    is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (excess <= _AT_EVENTS * tol * size)
+    size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + np.abs(s.force_at(t)) + s.static
+    allowed = _AT_EVENTS * tol * size
+    is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (np.abs(np.abs(force) - s.static) <= allowed)
+    # but friction does not push, and no block slips to a side that is barred
+    is_at_edge &= (asked * s.closed <= 0) & ((asked * force <= 0.0) | (s.static <= allowed))
     if ((asked != found) & ~is_at_edge).any():
         block = int(np.argmax((asked != found) & ~is_at_edge))
         raise ValueError(

@@ -8,7 +8,8 @@ motion as slow as G. In the coefficients of series that is
 Where R is far above all other rates, a few sweeps of this recurrence settle, w_{k+1} being that of the sweep before:
 each brings a factor of those rates over R. A block is taken to move so once what it is off is below the tolerance.
 Until then, when a block leaves the belt, and where sweeps do not settle, the step is that of
-`stickslip.sim.engines.taylor.expand`.
+`stickslip.sim.engines.taylor.expand`. A block with a transient counts as one that is not heavily damped: those far
+above it move slowly all the same.
 """
 
 from __future__ import annotations
@@ -48,16 +49,18 @@ class Slow(NamedTuple):
     most: float  #: the largest damping
     rate: float  #: of the motion that is left if all blocks move
     moves: NDArray[np.bool_]  #: which blocks do now
+    decays: NDArray[np.bool_]  #: which have a transient
     patience: NDArray[np.int64]
 
     @classmethod
     def of(cls, system: System, fastest: float) -> Slow | None:
         """None if there are no such blocks; `fastest` is the largest frequency of a force."""
         damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
+        decays = np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
         if not (damping > _HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
             return None
-        slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, np.array([0, 1]))
+        slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
         _, rate = _pace_of(slow)
         return slow._replace(rate=rate)
 
@@ -71,9 +74,9 @@ def _pace_of(slow: Slow) -> tuple[float, float]:
     while True:
         rate = slow.fastest
         for i in range(len(damping)):
-            if slow.moves[i]:
+            if slow.moves[i] or slow.decays[i]:
                 own = math.sqrt(pull[i])
-                is_heavy = damping[i] >= least and damping[i] > _HEAVY * own
+                is_heavy = damping[i] >= least and damping[i] > _HEAVY * own and not slow.decays[i]
                 rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
         if _HEAVY * rate <= least:
             return least, rate
@@ -130,12 +133,57 @@ def _stays(law, expansion, moves, order):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _passed(series, mode, v):  # type: ignore[no-untyped-def]
+    """Whether by its series a block is past the belt's speed that by its w it is yet to reach: no root would tell."""
+    is_past = False
+    for i in range(len(mode)):
+        is_past = is_past or (mode[i] != 0 and mode[i] * (series[1, i] - v[i]) <= 0.0)
+    return is_past
+
+
+@inner
+def _settled(law, expansion, slow, least, rate, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+    """As `follow`, with the number of products, order 0 if they do not settle, -1 if blocks were found to decay."""
+    series, mode, moves, v = expansion.series, expansion.mode, slow.moves, law.belt_speed
+    n, n_products, n_shorter = len(z), 0, 0
+    h = min(target, SPAN / rate) if rate > 0.0 else target
+    for k in range(2, ORDER_MAX + 1):
+        for i in range(n):
+            series[k, i] = 0.0
+    copy(z, series[0])
+    copy(w, series[1])
+    allowed = tol * max(largest(w), largest(v))
+    # if nothing moves yet
+    allowed = max(allowed, tol * h * may_change(law.outside, t, h) / (1.0 + h * largest(law.damping)))
+    for _ in range(_SWEEPS):
+        order, change = _sweep(law, expansion, slow, least, t, h, rate, allowed)
+        n_products += order if order > 0 else ORDER_MAX - 1
+        allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
+        is_transient = False
+        for i in range(n):
+            if abs(w[i] - series[1, i]) > allowed + change:
+                slow.decays[i], is_transient = True, True
+        if is_transient:
+            return -1, 0.0, 0.0, n_products
+        if n_shorter == _SHORTER_MAX:
+            break
+        if order == 0:
+            h *= _SHORTER
+            n_shorter += 1
+        elif change <= _SETTLED * allowed:
+            if not _stays(law, expansion, moves, order) or _passed(series, mode, v):
+                break
+            return order, h, allowed, n_products
+    return 0, 0.0, 0.0, n_products
+
+
+@inner
 def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyped-def]
     """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
     if slow is None:
         return 0, 0.0, 0.0, 0
     v, mode, touching, outside = law.belt_speed, expansion.mode, expansion.touching, law.outside
-    series, forces, zeros, patience = expansion.series, expansion.forces, expansion.zeros, slow.patience
+    forces, zeros, patience = expansion.forces, expansion.zeros, slow.patience
     n, n_products = len(z), 1
     failed = 0, 0.0, 0.0
     for i in range(n):
@@ -153,39 +201,22 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
         is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # see `_stays`
         force = law.damping[i] * w[i] + forces[0, i] + law.friction[i] * mode[i]
         moves[i] = slips and (w[i] != 0.0 or force != 0.0)
+        slow.decays[i] = False
     least, rate = _pace(slow)
     if slow.most < least:  # short steps cost no more
         return (*failed, n_products)
     if not is_free or patience[_LEFT] > 0:
         patience[_LEFT] = max(patience[_LEFT] - 1, 0)
         return (*failed, n_products)
-    h = min(target, SPAN / rate) if rate > 0.0 else target
-    for k in range(2, ORDER_MAX + 1):
-        for i in range(n):
-            series[k, i] = 0.0
-    copy(z, series[0])
-    copy(w, series[1])
-    allowed = tol * max(largest(w), largest(v))
-    # if nothing moves yet
-    allowed = max(allowed, tol * h * may_change(outside, t, h) / (1.0 + h * largest(law.damping)))
-    n_shorter = 0
-    for _ in range(_SWEEPS):
-        order, change = _sweep(law, expansion, slow, least, t, h, rate, allowed)
-        n_products += order if order > 0 else ORDER_MAX - 1
-        allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
-        transient = 0.0
-        for i in range(n):
-            transient = max(transient, abs(w[i] - series[1, i]))
-        if transient > allowed + change or n_shorter == _SHORTER_MAX:
-            break
-        if order == 0:
-            h *= _SHORTER
-            n_shorter += 1
-        elif change <= _SETTLED * allowed:
-            if not _stays(law, expansion, moves, order):
-                break
+    while slow.most >= least:
+        order, h, allowed, n_swept = _settled(law, expansion, slow, least, rate, z, w, t, target, tol)
+        n_products += n_swept
+        if order > 0:
             patience[_NEXT] = 1
             return order, h, allowed, n_products
+        if order == 0:
+            break
+        least, rate = _pace(slow)
     patience[_LEFT] = patience[_NEXT]
     patience[_NEXT] = min(2 * patience[_NEXT], _PATIENCE_MAX)
     return (*failed, n_products)

@@ -259,6 +259,23 @@ def test_a_run_to_a_bend_goes_on_from_there(rng):
                 np.testing.assert_allclose(rest.w, whole.w, atol=1e-8)
 
 
+def test_modes_at_an_exit_are_taken_on_belts_that_speed_up(rng):
+    """What holds a block is m v' too: where that is at static friction to the tolerance, either mode may be asked."""
+    for _ in range(10):
+        mass, start = rng.uniform(0.5, 2.0), rng.uniform(0.0, 100.0)
+        gain = rng.choice([-1, 1]) * rng.uniform(0.1, 2.0)
+        belt = Piecewise([start - 1.0, start + 2.0], [0.1, 0.1 + 3.0 * gain])
+        system = System([[1.0]], 0.2, belt_speed=belt, mass=mass)
+        v = belt.at(start)
+        z = 1.0 - 1e-9 - mass * gain - 0.2 * v
+        for modes in ([0], [-1]):
+            run = simulate(system, z, v, start + 1.0, t_start=start, modes=modes, tol=1e-6)
+            again = simulate(system, z, v, start + 1.0, t_start=start, tol=1e-6)
+            assert run.z.tobytes() == again.z.tobytes()
+        with pytest.raises(ValueError, match="modes: expected what the state allows"):
+            simulate(system, z - 0.1, v, start + 1.0, t_start=start, modes=[-1], tol=1e-6)
+
+
 @pytest.mark.parametrize("settings", [{}, {"tol": 1e-6}])
 @pytest.mark.parametrize("v", [0.0, -0.3])
 def test_a_force_that_turns_at_static_friction_moves_nothing(rng, settings, v):

@@ -154,6 +154,36 @@ def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
         assert run.stats.n_steps < 200
 
 
+def test_a_light_block_that_nothing_pulls_keeps_nobody_from_slow_motion(rng):
+    """It has no rate but its own R, far above all others: while it slows down, and as a force grows from nothing."""
+    for _ in range(20):
+        damping, light, t_end = 10 ** rng.uniform(5, 8), rng.uniform(0.05, 0.5), 20.0
+        z0, w0, pull = rng.uniform(-10, -2), rng.choice([0.0, 1.0]) * rng.uniform(0.1, 3, 2), rng.normal()
+        force = Piecewise([0.0, t_end], [[0.0, 0.0], [0.0, pull * t_end]])
+        system = System(np.diag([0.7, 0.0]), [damping, light], [0.4, 0.0], -1.0, force=force)
+        run = simulate(system, [z0, 0.0], w0, t_end, tol=1e-12, stop_early=False)
+        z, w = slipping(damping, 0.7, 0.4, z0, w0[0], t_end)
+        far = (w0[1] + pull / light**2) * np.exp(-light * t_end) + pull * (t_end / light - 1 / light**2)
+        assert abs(run.z[0] - z) < 1e-10
+        assert abs(run.w[0] - w) < 1e-10
+        assert abs(run.w[1] - far) < 1e-9
+        assert run.stats.n_steps < 1000
+
+
+def test_slow_motion_past_the_belt_is_no_motion_before_it(rng):
+    """A block a hair before its belt, which a ramp carries past it: by its series, less exact, it is past already."""
+    for _ in range(10):
+        damping, mu, length, v = rng.uniform(2e3, 5e3), rng.uniform(0.5, 1.5), 2e-5, -rng.uniform(0.1, 1.0) * 1e-3
+        system = System([[1.0]], damping, mu, Piecewise([0.0, length], [v, v + 0.1]))
+        gap = 10 ** rng.uniform(-14, -12)
+        w0 = v + gap
+        z0 = -mu - damping * w0 + rng.uniform(1.0, 10.0) * 1e-10 * damping  # slower by so little in its slow motion
+        run = simulate(system, z0, w0, 2 * length, tol=1e-7)
+        assert run.events.initial_mode[0] == 1
+        assert run.events.mode.tolist() == [-1]
+        assert run.events.t[0] < 1e-12
+
+
 def test_heavy_blocks_beside_light_ones_against_the_matrix_exponential(rng):
     """No friction, any coupling: x(t) = exp(A t) x(0)."""
     for _ in range(20):

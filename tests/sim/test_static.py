@@ -274,6 +274,18 @@ def test_a_start_between_the_two_frictions_slips_if_told_to(as_sparse):
         simulate(system, [1.6, 0.3, 0.5], w, t, modes=[0, 1, 0])
 
 
+def test_at_static_friction_a_block_slips_against_the_force_alone():
+    """|F| = m: it may stick or slip, whichever was asked for, but friction does not push, nor open what is barred."""
+    for static in (1.0, 1.5):
+        system = System([[1.0]], 0.0, static=static, belt_speed=-0.2)
+        for modes in (0, -1):
+            simulate(system, static, -0.2, 1.0, modes=[modes])
+        with pytest.raises(ValueError, match="got 1 for block 0, which begins with"):
+            simulate(system, static, -0.2, 1.0, modes=[1])
+        with pytest.raises(ValueError, match="got -1 for block 0, which begins with 0"):
+            simulate(system.changed(back_slip=False), static, -0.2, 1.0, modes=[-1])
+
+
 @pytest.mark.parametrize("modes", [[0], [0, 2], 0, [0.5, 0], [[0, 0]]])
 def test_modes_are_one_a_block(modes):
     with pytest.raises(ValueError, match="modes: expected 2 of the numbers"):
