@@ -237,7 +237,7 @@ def pool_study(rng, ensembles):
 def two_state_blocks(rng, n, p, pull, changes, runs):
     """Runs of n two-state blocks from equilibrium of the independent ones, each (Window, BlockSteps).
 
-    A block that sticks lets go at the rate (1 - p) f, one that slips sticks at p / f, where f = exp(pull x) and x more
+    A block that sticks lets go at the rate (1 - p) f, one that slips sticks at p / f, f = exp(pull x), where x more
     than n p stick: 1 without coupling, else all blocks feel how many stick.
     """
     sticks = rng.random((runs, n)) < p
