@@ -37,18 +37,21 @@ def answer(study: Study) -> Answer | None:
         return None
     rows = [row for group in study.groups if (row := _row(study, group)) is not None]
     table = {"counting": frame(_TABLE, rows)}
-    known = [row for row in rows if row["basis"] in enough.JUDGED and row["coupling_low"] is not None]
+    known = [row for row in rows if row["is_judged"] and row["coupling_low"] is not None]
     if not known:
         best = max(rows, key=lambda row: row["n_cascades"], default={"basis": NO_CASCADES})
         code = NO_INTERVAL if best["basis"] in enough.JUDGED else best["basis"]
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=code, tables=table)
     lead = min(known, key=lambda row: (row["n_runs"] > row["n_moving"], -row["n"]))  # no survivors first
-    alike = sorted((row for row in known if row["of"] == lead["of"]), key=lambda row: row["n"])
+    alike = sorted(
+        (row for row in rows if row["of"] == lead["of"] and row["coupling_low"] is not None), key=lambda row: row["n"]
+    )
     facts: dict[str, Any] = {
-        "lead": lead, "rows": rows, "alike": alike, "others": [row for row in alike if row is not lead],
+        "lead": lead, "rows": rows, "alike": alike,
+        "others": [row for row in alike if row is not lead and row in known],
         "draws": min(study.settings.resamples, DRAWS), "margin": gamma_margin(study), "slope_margin": SLOPE_MARGIN,
         "t_burn": study.settings.t_burn, "lulls": [row for row in rows if row["in_lulls"]],
-        "refused": [row for row in rows if row["basis"] not in enough.JUDGED],
+        "refused": [row for row in alike if row not in known],
     }  # fmt: skip
     draw = by_number if len(alike) > 1 else at_one_number
     return Answer(facts, tables=table, figures={"counting": partial(draw, alike)})
@@ -77,6 +80,7 @@ def _row(study: Study, group: Group) -> Row | None:
     mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
     row: Row = {
         "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
+        "is_judged": basis.code in enough.JUDGED,
         "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": lulls / total,
         "n_runs": len(group.members), "n_moving": len(group.moving), "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
         "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
@@ -84,15 +88,18 @@ def _row(study: Study, group: Group) -> Row | None:
     }  # fmt: skip
     for name, one in found.items():
         row |= named(name, one)
-    if basis.code in enough.JUDGED:
+    if row["is_judged"]:
         row["verdict"] = verdict_on(of["coupling"], sums, margin, level)
         row["slope_verdict"] = verdict_on(of["over_slope"], sums, SLOPE_MARGIN, level)
     return row
 
 
 def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
-    """Coin, pool, independent blocks and runs against n p (1 - p); `scaled` by it, which makes the pool's flat."""
-    x = np.array([row["variance"] for row in rows])
+    """Coin, pool, independent blocks and runs against n p (1 - p); `scaled` by it, which makes the pool's flat.
+
+    Faint where a law of a steady state is refused.
+    """
+    x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="coin")
@@ -102,8 +109,12 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
         ("independent", "s", SMOOTHED, "independent blocks", 0.97), ("excess", "o", EXACT, "runs", 1.03),
     ):  # fmt: skip
         value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
-        ax.errorbar(x * apart, value, yerr=[value - low, high - value], fmt=mark, color=colour, markersize=3.8,
-                    markerfacecolor="white" if mark == "s" else colour, linewidth=0.9, label=label)  # fmt: skip
+        for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
+            ax.errorbar(
+                (x * apart)[some], value[some], yerr=[(value - low)[some], (high - value)[some]], fmt=mark,
+                color=colour, markersize=3.8, markerfacecolor="white" if mark == "s" else colour, linewidth=0.9,
+                label=said, alpha=alpha,
+            )  # fmt: skip
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(lambda at, _: f"{at:g}")
@@ -127,10 +138,12 @@ def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     top, below = axes
     _lines(top, rows, scaled=False)
     _lines(below, rows, scaled=True)
-    for row in rows:
-        top.annotate(f"n = {row['n']}", (row["variance"], 1.0), xycoords=("data", "axes fraction"), ha="center",
+    for k, row in enumerate(rows):
+        number = f"n = {row['n']}" if k == 0 else str(row["n"])
+        top.annotate(number, (row["variance"], 1.0), xycoords=("data", "axes fraction"), ha="center",
                      va="top", fontsize=6.5, color=GREY)  # fmt: skip
     top.yaxis.set_major_formatter(PercentFormatter(1.0))
     top.set(ylabel=EXCESS)
     below.set(xlabel=VARIANCE, ylabel=SCALED)
-    below.legend(loc="best", fontsize=6.5, ncols=2)
+    handles, names = below.get_legend_handles_labels()
+    below.figure.legend(handles, names, loc="outside upper center", fontsize=7, ncols=4, columnspacing=1.0)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from stickslip import sim
+from stickslip.analysis.stats.nulls import block_steps
 from stickslip.pipeline.design import MATRIX, PERTURBATION
 from stickslip.pipeline.engine_table import TOLERANCES
 from stickslip.pipeline.processes import Child
@@ -54,6 +55,8 @@ class Ask:
         "start" or "friction": drawn for each block; "r": the widths of the sigmoid drawn.
     reading, size, draw
         Of a perturbation, as `sim.perturb_system` takes them; none if `reading` is empty.
+    keeps_exits
+        Whether its `Path` says which block lets go when.
     """
 
     study: str
@@ -69,16 +72,22 @@ class Ask:
     reading: str = ""
     size: float = 0.0
     draw: int = 0
+    keeps_exits: bool = False
+
+
+#: Times and blocks of exits, each (m,).
+Exits = tuple[Floats, np.ndarray]
 
 
 class Path(NamedTuple):
-    """n_stick of a run at its change points."""
+    """n_stick of a run at its change points; times and blocks of its exits if they are asked for."""
 
     ask: Ask
     outcome: str
     t: Floats
     n_stick: np.ndarray
     t_stop: float
+    exits: Exits | None = None
 
 
 def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterator[Path]:
@@ -140,7 +149,12 @@ def run(ask: Ask, seed: int, eps: float) -> Path:
         if one.cross_damping is not None:
             rtol = atol = _ESCAPE_TOLERANCE
         found = sim.simulate(one, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
-    return Path(ask, found.outcome, *found.events.change_points(), found.events.t_end)
+    exits = None
+    if ask.keeps_exits:
+        events = found.events
+        steps = block_steps(events.t, events.block, events.mode, events.initial_mode, 0.0, events.t_end)
+        exits = steps.exits()
+    return Path(ask, found.outcome, *found.events.change_points(), found.events.t_end, exits)
 
 
 def smoothed(
