@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stickslip.analysis.report.page import Answered
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
-LONGEST = ("robustness", "sensitivity", "definitions", "clustering", "exponential")  # begun first
+LONGEST = ("robustness", "sensitivity", "definitions", "clustering", "counting", "exponential")  # begun first
 
 
 class Asking:

@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.answer import records
-from stickslip.analysis.questions import clustering, definitions, exponential
+from stickslip.analysis.questions import clustering, counting, definitions
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.stats.effects import AS_CHANCE, MORE
@@ -128,7 +128,9 @@ def test_exits_that_follow_others_are_seen(planted, rng):
 
 def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_made_independent(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    assert exponential.answer(study_of(planted, runs)).facts["gamma"].high < 0
+    lead = counting.answer(study_of(planted, runs)).facts["lead"]
+    assert lead["coupling_high"] < 0
+    assert lead["verdict"] == "shallower"
 
 
 def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
@@ -137,9 +139,11 @@ def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
     part, n_exits = Part(PAIRS, 0.2), float(np.mean([np.sum(steps.step < 0) for steps in runs]))
     rows = np.array([measure(steps, [part]) for steps in runs])
     measured = clustering._Measured(SimpleNamespace(label=""), [part], [], rows, n_exits, gap=1.0)
-    close = clustering._closest(clustering._rows(measured, 0.99999), measured)
+    close = clustering._closest(clustering._rows(measured, 0.99999, 0.25), measured)
     assert 0.0865 < close["share"] < 0.25
-    assert clustering._closest(clustering._rows(measured, 0.99999), dataclasses.replace(measured, gap=2.0)) is None
+    assert (
+        clustering._closest(clustering._rows(measured, 0.99999, 0.25), dataclasses.replace(measured, gap=2.0)) is None
+    )
 
 
 def test_without_events_it_says_what_to_record(planted, rng):
