@@ -17,8 +17,10 @@ from stickslip.analysis.ensemble import Group
 from stickslip.analysis.stats import estimates, student
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import (
+    ALIKE,
     UNKNOWN,
     Compared,
+    Words,
     equivalence_test,
     mean_difference,
     relative_difference,
@@ -169,14 +171,15 @@ def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estim
     return Estimate(float(rows[:, 0].mean()), low, high)
 
 
-def judge(rows: Sequence[Row], alpha: float) -> None:
+def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
     """Write verdicts into contrasts that were tested, by Holm's rule over all `n_tests`, each kind by itself."""
     tested = [row for row in rows if row["p_equivalent"] is not None]
     for name in ("p_equivalent", "p_different"):
         for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
             row[f"{name}_holm"] = float(adjusted)
     for row in tested:
-        row |= {"verdict": verdict(row["p_equivalent_holm"], row["p_different_holm"], alpha), "n_tests": len(tested)}
+        p_values = row["p_equivalent_holm"], row["p_different_holm"]
+        row |= {"verdict": verdict(*p_values, alpha, row["difference"], words), "n_tests": len(tested)}
 
 
 def told(rows: Iterable[Row]) -> list[Row]:

@@ -198,6 +198,7 @@ QuestionName = Literal[
     "sweep",
     "episodes",
     "cascades",
+    "counting",
     "exponential",
     "definitions",
     "rhythm",

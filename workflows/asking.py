@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from stickslip.analysis.report.page import Answered
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
-LONGEST = ("robustness", "sensitivity", "definitions", "clustering", "rhythm", "exponential")  # begun first
+LONGEST = (  # begun first
+    "robustness", "sensitivity", "definitions", "clustering", "rhythm", "counting", "exponential",
+)  # fmt: skip
 
 
 class Asking:

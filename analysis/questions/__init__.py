@@ -4,8 +4,8 @@ The order is that of the page.
 """
 
 QUESTIONS = (
-    "sweep", "episodes", "cascades", "exponential", "definitions", "rhythm", "clustering", "fates", "engines",
-    "sensitivity", "robustness",
+    "sweep", "episodes", "cascades", "counting", "exponential", "definitions", "rhythm", "clustering", "fates",
+    "engines", "sensitivity", "robustness",
 )  # fmt: skip
 #: Those that are not asked where episodes are recorded, which hold the cascades.
-OF_CASCADES = ("cascades", "exponential", "definitions", "rhythm", "clustering")
+OF_CASCADES = ("cascades", "counting", "exponential", "definitions", "rhythm", "clustering")

@@ -14,12 +14,13 @@ from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats import enough, pool
 from stickslip.analysis.stats.cascades import spans
-from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
+from stickslip.analysis.stats.compare import UNKNOWN, Words, against
+from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
-STEEPER, SHALLOWER, AS_CHANCE, UNKNOWN = "steeper", "shallower", "as chance", "cannot be told"
-CLOSE = 0.01 * LN2  # gamma is as chance if its interval excludes a difference of so much
+STEEPER, SHALLOWER, AS_CHANCE = "steeper", "shallower", "as chance"
+STEEP = Words(AS_CHANCE, STEEPER, SHALLOWER)
 MOST_DRAWN = 2  # groups in the figure
 SHOWN = 0.06  # relative error of the shares that are drawn over the coin's
 _LAW: Mapping[str, str] = {
@@ -35,8 +36,8 @@ _SIZES: Mapping[str, str] = {
 
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, and whether by more than the toss of a coin or a pool of blocks gives."""
-    level = study.settings.confidence
-    made = [(group, _law_row(group, level)) for group in study.groups]
+    level, margin = study.settings.confidence, gamma_margin(study)
+    made = [(group, _law_row(group, level, margin)) for group in study.groups]
     sizes = [row for group, _ in made for row in _size_rows(group, level)]
     tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
     by_label = {row["group"]: row for _, row in made}
@@ -46,7 +47,7 @@ def answer(study: Study) -> Answer:
         "rows": [row for _, row in made],
         "t_burn": study.settings.t_burn,
         "paper": PAPER_GAMMA,
-        "close": CLOSE / LN2,
+        "margin": margin,
     }
     if not judged:
         best = max(made, key=lambda one: one[1]["n_cascades"])[1]
@@ -67,7 +68,12 @@ def answer(study: Study) -> Answer:
     return Answer(facts, tables=tables, figures=figures)
 
 
-def _law_row(group: Group, confidence: float) -> Row:
+def gamma_margin(study: Study) -> float:
+    """By what share gamma may differ and count as the same, from chance as between engines; 0 if none is declared."""
+    return study.settings.margins.get("gamma", 0.0)
+
+
+def _law_row(group: Group, confidence: float, margin: float) -> Row:
     """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
     sums, basis = group.sums, group.basis(confidence)
     some = sums[:, 1] > 0
@@ -80,14 +86,17 @@ def _law_row(group: Group, confidence: float) -> Row:
         "n_runs": len(group.members), "n_moving": len(group.moving),
     }  # fmt: skip
     if basis.code in enough.JUDGED:
-        row["verdict"] = _verdict(rate, LN2)
+        row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], margin * LN2, confidence)
     mean = group.mean(confidence).value
     if rate.value is not None and mean is not None and pool.is_one(group.key["n"], mean):
         rows = np.hstack([sums, group.by_unit()[:, [0, 4]]])[some]
-        over = over_matrices(pool.against(group.key["n"]), rows, confidence)
-        row |= {"gamma_pool": pool.gamma(group.key["n"], mean), **named("over_pool", over)}
+        over, of_pool = (
+            over_matrices(pool.against(group.key["n"]), rows, confidence),
+            pool.gamma(group.key["n"], mean),
+        )
+        row |= {"gamma_pool": of_pool, **named("over_pool", over)}
         if basis.code in enough.JUDGED:
-            row["pool_verdict"] = _verdict(over, 0.0)
+            row["pool_verdict"] = verdict_on(pool.against(group.key["n"]), rows, margin * of_pool, confidence)
     return row
 
 
@@ -96,12 +105,12 @@ def _less(estimate: Estimate, number: float) -> Estimate:
     return Estimate(value, low, high)
 
 
-def _verdict(estimate: Estimate, chance: float) -> str:
-    if estimate.low is None or estimate.high is None:
+def verdict_on(difference: Statistic, rows: np.ndarray, margin: float, confidence: float) -> str:
+    """Of a gamma against another, one of `STEEP` or `UNKNOWN`: by the rule of `stats.compare`."""
+    try:
+        return against(difference, rows, margin).verdict(confidence, STEEP)
+    except Undefined:
         return UNKNOWN
-    if not estimate.low <= chance <= estimate.high:
-        return STEEPER if estimate.low > chance else SHALLOWER
-    return AS_CHANCE if max(chance - estimate.low, estimate.high - chance) < CLOSE else UNKNOWN
 
 
 def _size_rows(group: Group, confidence: float) -> list[Row]:

@@ -15,6 +15,7 @@ from stickslip.analysis.answer import Answer, F, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
+from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps
@@ -29,6 +30,7 @@ CURVE = 20  # bands of the figure
 SOON = 0.2  # of a mean gap between exits: an exit that another one sets off comes within so much
 POWERED = 0.8  # the chance of an effect that counts as one that would have been seen
 MOST_DRAWN = 2  # groups in the figure
+PAIRS_MARGIN = 0.05  # of pairs, which a scene declares no margin for; of all else it is that of the variance
 _CLUSTERING: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
     "p_value": F, "p_adjusted": F, "verdict": S, "reason": S,
@@ -63,7 +65,8 @@ def answer(study: Study) -> Answer:
     if not measured:
         return Answer(lack="no events")
     level = study.settings.confidence
-    rows = {one.group.label: _rows(one, level) for one in measured}
+    margin = study.settings.margins.get("variance", 0.0)
+    rows = {one.group.label: _rows(one, level, margin) for one in measured}
     spectra = {one.group.label: _spectrum(one, level) for one in measured}
     tables = {
         "clustering": frame(_CLUSTERING, [row for some in rows.values() for row in some]),
@@ -113,13 +116,14 @@ def _measured(study: Study, group: Group) -> _Measured:
     return _Measured(group, parts, bands, runs[seen], n_exits / max(seen.sum(), 1), n_runs * span / max(n_exits, 1))
 
 
-def _effect(rows: np.ndarray, confidence: float) -> Effect:
-    return over_null(lambda sums: sums[:, 0], rows[:, :1], rows[:, 1:], confidence)
+def _effect(rows: np.ndarray, confidence: float, margin: float = 0.0) -> Effect:
+    return over_null(lambda sums: sums[:, 0], rows[:, :1], rows[:, 1:], confidence, margin)
 
 
-def _rows(one: _Measured, confidence: float) -> list[Row]:
+def _rows(one: _Measured, confidence: float, margin: float) -> list[Row]:
     """One row a part. The first is the primary question; all others are judged together."""
-    effects = together([_effect(one.runs[:, k], confidence) for k in range(len(one.parts))], 1)
+    margins = [PAIRS_MARGIN if part.kind == PAIRS else margin for part in one.parts]
+    effects = together([_effect(one.runs[:, k], confidence, of) for k, of in enumerate(margins)], 1)
     rows = []
     for k, (part, effect) in enumerate(zip(one.parts, effects, strict=True)):
         observed, by_rotation = one.runs[:, k].mean(axis=0)
@@ -152,8 +156,10 @@ def _largest(rows: Sequence[Row]) -> Row:
 
 
 def _code(rows: Sequence[Row]) -> str:
-    """Whether exits close in time are more, fewer or as many as chance gives, in the first gap that differs."""
-    return next((row["verdict"] for row in rows if row["verdict"] in (MORE, LESS)), AS_CHANCE)
+    """Whether exits close in time are more or fewer than chance gives, in the first gap that differs, or as many."""
+    found = [row["verdict"] for row in rows]
+    shown = [one for one in found if one in (MORE, LESS)]
+    return shown[0] if shown else AS_CHANCE if AS_CHANCE in found else UNKNOWN
 
 
 def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: int) -> Row | None:

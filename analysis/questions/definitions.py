@@ -11,15 +11,14 @@ from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
-from stickslip.analysis.questions.cascades import PAPER_GAMMA
+from stickslip.analysis.questions.cascades import PAPER_GAMMA, SHALLOWER, STEEP, STEEPER, gamma_margin
 from stickslip.analysis.stats import cascades
 from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, Window
-from stickslip.analysis.stats.effects import LESS, MORE, over_null, together
+from stickslip.analysis.stats.effects import over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
 from stickslip.analysis.stats.nulls import DRAWS, Sums, block_steps, rotations
 from stickslip.analysis.style import CYCLE, GREY, panel
 
-STEEPER, SHALLOWER = "steeper", "shallower"
 _DEFINITIONS: Mapping[str, str] = {
     "group": S, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I, "gamma": F, "gamma_low": F,
     "gamma_high": F, "reason": S, "chance": F, "over": F, "over_low": F, "over_high": F, "p_value": F,
@@ -46,6 +45,8 @@ def answer(study: Study) -> Answer:
         "least": min(sampled, key=lambda row: row["gamma"]), "most": max(sampled, key=lambda row: row["gamma"]),
         "over": sorted(row["over"] for row in compared), "draws": min(study.settings.resamples, DRAWS),
         "n_differ": sum(row["verdict"] in (STEEPER, SHALLOWER) for row in compared),
+        "n_alike": sum(row["verdict"] == STEEP.same for row in compared),
+        "margin": gamma_margin(study),
         "brief": [_brief(lead, name, steps) for name in DEFINITIONS],
         "paper": PAPER_GAMMA,
         "at_paper": [row for row in sampled if row["gamma_low"] <= PAPER_GAMMA <= row["gamma_high"]],
@@ -90,21 +91,21 @@ def _observed(win: Window, dts: Iterable[float]) -> Sums:
 
 def _rows(group: Group, study: Study) -> list[Row]:
     """One row a law; all are judged together."""
-    confidence = study.settings.confidence
+    confidence, margin = study.settings.confidence, gamma_margin(study)
     observed, chance = _sums(study, group)
     seen = {law: sums[:, 1] > 0 for law, sums in observed.items()}
-    effects = together([over_null(gamma, observed[law][some], chance[law][some], confidence)
+    effects = together([over_null(gamma, observed[law][some], chance[law][some], confidence, margin)
                         for law, some in seen.items()])  # fmt: skip
     rows = []
     for (law, some), effect in zip(seen.items(), effects, strict=True):
-        rate, verdict = over_matrices(gamma, observed[law][some], confidence), effect.verdict(1 - confidence)
+        rate = over_matrices(gamma, observed[law][some], confidence)
         rows.append({
             "group": group.label, "definition": law.definition, "dt": law.dt,
             "n_cascades": int(observed[law][:, 1].sum()), "n_matrices": int(some.sum()),
             "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high, "reason": rate.reason or None,
             "chance": over_matrices(gamma, chance[law], confidence).value, "over": effect.ratio.value,
             "over_low": effect.ratio.low, "over_high": effect.ratio.high, "p_value": effect.p,
-            "p_adjusted": effect.p_adjusted, "verdict": {MORE: STEEPER, LESS: SHALLOWER}.get(verdict, verdict),
+            "p_adjusted": effect.p_adjusted, "verdict": effect.verdict(1 - confidence, STEEP),
         })  # fmt: skip
     return rows
 

@@ -20,7 +20,7 @@ from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge
 from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import AGREE, DIFFER, relative_difference
+from stickslip.analysis.stats.compare import AGREE, DIFFER, Words, against, relative_difference
 from stickslip.analysis.stats.episodes import (
     CLASS,
     DRIVE,
@@ -245,14 +245,16 @@ def _fill(one: _Of, least: float, level: float) -> None:
     }  # fmt: skip
     for name, quantity in quantities.items():
         one.row |= named(name, over_matrices(quantity.of, one.sample.rows(name)[1], level))
-    one.row["regularity"] = _regularity(one.row) if one.row["basis"] in enough.JUDGED else UNKNOWN
+    of_recurrence = one.sample.rows(RECURRENCE)[1]
+    one.row["regularity"] = _regularity(of_recurrence, level) if one.row["basis"] in enough.JUDGED else UNKNOWN
 
 
-def _regularity(row: Row) -> str:
-    low, high = row[f"{RECURRENCE}_low"], row[f"{RECURRENCE}_high"]
-    if low is None:
+def _regularity(sums: np.ndarray, level: float) -> str:
+    try:
+        test = against(lambda of: QUANTITIES[RECURRENCE].of(of) - 1.0, sums, MARGIN)
+    except Undefined:
         return UNKNOWN
-    return REGULAR if high < 1 else CLUSTERED if low > 1 else AS_POISSON if high - low < 2 * MARGIN else UNKNOWN
+    return test.verdict(level, Words(AS_POISSON, CLUSTERED, REGULAR))
 
 
 def _systems(found: Sequence[_Of]) -> list[list[_Of]]:

@@ -13,21 +13,22 @@ from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.stats import pool
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
+from stickslip.analysis.stats.compare import Words, against
 from stickslip.analysis.stats.dispersion import excess, moments
-from stickslip.analysis.stats.estimates import Estimate, Undefined, gamma, over_matrices, paired_difference
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, paired_difference
 from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
 THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
-CLOSE = 0.1  # of the variance: a departure up to here is called close to exponential
+TAIL = Words(AS_EXPONENTIAL, THICKER, THINNER)
+MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
 MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
-    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma_over_rotation": F,
-    "gamma_over_rotation_low": F, "gamma_over_rotation_high": F, "gap": F, "gap_at": I,
+    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gap": F, "gap_at": I,
     "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
@@ -61,10 +62,10 @@ def answer(study: Study) -> Answer:
     drawn = dict(list(each.items())[:MOST_DRAWN])
     off, *ends = (lead[key] - 1 for key in ("variance", "variance_low", "variance_high"))
     facts = {
-        "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_close": abs(off) <= CLOSE, "rows": rows,
+        "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_shown": not ends[0] <= 0 <= ends[1],
+        "margin": MARGIN, "rows": rows,
         "over": {key: Estimate(*(lead[f"over_{key}{end}"] for end in ("", "_low", "_high")))
                  for key in ("pool", "rotation")},
-        "gamma": Estimate(*(lead[f"gamma_over_rotation{end}"] for end in ("", "_low", "_high"))),
         "n": group.key["n"], "rivals": _gains(sizes, counts.sum(axis=0)),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures={"over_fit": partial(over_fit, drawn)})
@@ -90,7 +91,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
     if over.value is None or over.low is None or over.high is None:
         return row
     row |= {"variance": 1 + over.value, "variance_low": 1 + over.low, "variance_high": 1 + over.high}
-    row["verdict"] = THINNER if over.high < 0 else THICKER if over.low > 0 else AS_EXPONENTIAL
+    row["verdict"] = against(excess, moments(counts), MARGIN).verdict(level, TAIL)
     return row
 
 
@@ -118,13 +119,11 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
                 sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
     sums = sums[group.counts.sum(axis=1) > 0]
     seen = sums[:, 0] > 0
-    value, over, of_gamma = over_matrices(excess, sums[seen], settings.confidence).value, Estimate(), Estimate()
+    value, over = over_matrices(excess, sums[seen], settings.confidence).value, Estimate()
     if value is not None:
         both = np.hstack([moments(counts), sums])[seen]
         over = over_matrices(paired_difference(excess), both, settings.confidence)
-        of_gamma = over_matrices(paired_difference(gamma), both[:, [1, 0, 4, 3]], settings.confidence)
-    own = {"rotation": None if value is None else 1 + value}
-    return own | named("over_rotation", over) | named("gamma_over_rotation", of_gamma)
+    return {"rotation": None if value is None else 1 + value, **named("over_rotation", over)}
 
 
 def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:

@@ -17,7 +17,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes
-from stickslip.analysis.stats.compare import AGREE, DIFFER, relative_difference, verdict
+from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.fates import MOVING
 from stickslip.analysis.stats.multiplicity import adjusted
@@ -28,7 +28,7 @@ from stickslip.analysis.style import GREY, SMOOTHED, panel
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 #: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
 BOUND = 0.25
-STAYS, MOVES, UNKNOWN = "stays", "moves", "cannot be told"
+STAYS, MOVES = "stays", "moves"
 NO_REPLICATES, NO_MOTION = "no replicates", "no motion"
 _CHANGES: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "quantity": S, "label": S,
@@ -146,12 +146,13 @@ class _Judged:
             [1.0 if row["p_stays"] is None else row["p_stays"] for row in rows],
             [1.0 if row["p_moves"] is None else row["p_moves"] for row in rows],
         )
-        codes = {AGREE: STAYS, DIFFER: MOVES}
         for row, p_stays, p_moves in zip(rows, stays, moves, strict=True):
             if row["p_moves"] is not None:
                 row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}
             if not self.lack:
-                row["verdict"] = codes.get(verdict(float(p_stays), float(p_moves), 1 - self.level), UNKNOWN)
+                row["verdict"] = verdict(
+                    float(p_stays), float(p_moves), 1 - self.level, words=Words(STAYS, MOVES, MOVES)
+                )
         return rows
 
     def _row(self, quantity: str, comparison: Comparison) -> Row:

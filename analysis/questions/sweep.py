@@ -24,12 +24,13 @@ from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
 from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
-RISES, FALLS, STAYS, UNKNOWN = "rises", "falls", "stays", "cannot be told"
+RISES, FALLS, STAYS = "rises", "falls", "stays"
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
 MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
@@ -88,9 +89,7 @@ def answer(study: Study) -> Answer | None:
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
     for row in contrasts:  # a change is one from nothing too, which has no ratio
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
-    contrast.judge(contrasts, 1 - level)
-    for row in contrasts:
-        row["verdict"] = _verdict(row, 1 - level)
+    contrast.judge(contrasts, 1 - level, Words(STAYS, RISES, FALLS))
     keys = {key: _kind(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
@@ -276,15 +275,6 @@ def _differ(first: Sample, second: Sample, name: str) -> bool:
     """Whether not all runs of both met one end: else there is nothing to test."""
     rows = np.vstack([first.rows(name)[1], second.rows(name)[1]])
     return 0 < rows[:, 0].sum() < rows[:, 1].sum()
-
-
-def _verdict(row: Row, alpha: float) -> str:
-    """A difference that is shown comes first, be it within the margin or not."""
-    if row["p_different"] is None:
-        return UNKNOWN
-    if row["p_different_holm"] < alpha:
-        return RISES if row["difference"] > 0 else FALLS
-    return STAYS if row["p_equivalent_holm"] < alpha else UNKNOWN
 
 
 def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:

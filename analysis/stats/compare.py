@@ -1,4 +1,4 @@
-"""Are two quantities the same, to within a margin declared beforehand? Two one-sided tests, and three verdicts.
+"""Are two quantities the same, to within a margin declared beforehand? Two one-sided tests, one rule for verdicts.
 
 Failing to see a difference is no evidence of sameness: sameness has to be shown, as a difference has to be
 (Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With t = (difference +- margin) / error:
@@ -6,6 +6,9 @@ Failing to see a difference is no evidence of sameness: sameness has to be shown
     p_equivalent = max(P(T > (d + m) / e), P(T < (d - m) / e)),    p_different = 2 P(T > |d| / e).
 
 p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
+
+Every verdict on a difference is made by `verdict`, be it from chance, between engines, or of a changed system: what
+is within the margin reads the same everywhere, whether it is zero or not. Only the words differ (`Words`).
 """
 
 from __future__ import annotations
@@ -19,6 +22,26 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
 
 AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
+
+
+@dataclass(frozen=True)
+class Words:
+    """A closed set of verdicts, beside `UNKNOWN`.
+
+    Attributes
+    ----------
+    same : str
+        A difference beyond the margin is excluded, be there one within it or none.
+    more, less : str
+        That is not so, but there is a difference, of this sign.
+    """
+
+    same: str = AGREE
+    more: str = DIFFER
+    less: str = DIFFER
+
+
+ALIKE = Words()
 
 
 @dataclass(frozen=True)
@@ -45,9 +68,13 @@ class Compared:
         half = student.half_width(level, self.dof) * self.error
         return self.difference - half, self.difference + half
 
+    def verdict(self, level: float, words: Words = ALIKE) -> str:
+        """The rule of this module for one comparison by itself."""
+        return verdict(self.p_equivalent, self.p_different, 1 - level, self.difference, words)
+
 
 def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
-    """Test a difference with a t-distributed error >= 0 against zero and against the margins, > 0."""
+    """Test a difference with a t-distributed error >= 0 against zero and the margins; none is within 0."""
     size = abs(difference)
     if error == 0:
         return Compared(difference, error, dof, margin, float(size >= margin), float(size == 0))
@@ -125,13 +152,31 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
     return float(q - p), float(np.sqrt(p * (1 - p) / (n_a + 2) + q * (1 - q) / (n_b + 2))), np.inf
 
 
-def verdict(p_equivalent: float, p_different: float, alpha: float) -> str:
-    """`AGREE` if p_equivalent < alpha, be there a difference within the margins or none; else `DIFFER` if
-    p_different < alpha; else `UNKNOWN`. The p-values may be adjusted ones.
+def verdict(
+    p_equivalent: float, p_different: float, alpha: float, difference: float = 0.0, words: Words = ALIKE
+) -> str:
+    """The rule: `words.same` if p_equivalent < alpha; else, if p_different < alpha, `words.more` or `words.less` by
+    the sign of the difference; else `UNKNOWN`. The p-values may be adjusted ones.
     """
     if p_equivalent < alpha:
-        return AGREE
-    return DIFFER if p_different < alpha else UNKNOWN
+        return words.same
+    if p_different >= alpha:
+        return UNKNOWN
+    return words.more if difference > 0 else words.less
+
+
+def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:
+    """Test a difference that is a statistic of summed rows, a row a matrix; jackknife-t as in `over_matrices`.
+
+    Raises
+    ------
+    Undefined
+        If it has no value on these, or with one row left out, or there is one row alone.
+    """
+    if len(rows) < 2:
+        raise Undefined("fewer than two matrices")
+    value, error = jackknife(of, rows)
+    return equivalence_test(value, error, len(rows) - 1.0, margin)
 
 
 def wilson(successes: float, trials: float, confidence: float) -> tuple[float, float]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
+from stickslip.analysis.stats.compare import UNKNOWN, Words, against, verdict
+from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined
 from stickslip.analysis.stats.multiplicity import adjusted
 
-MORE, LESS, AS_CHANCE, UNKNOWN = "more", "less", "as chance", "cannot be told"
+MORE, LESS, AS_CHANCE = "more", "less", "as chance"
+MANY = Words(AS_CHANCE, MORE, LESS)
 
 
 @dataclass(frozen=True)
@@ -23,19 +24,21 @@ class Effect:
     ratio : Estimate
     p, p_adjusted : float or None
         That it is 1, by itself and among the comparisons that are made together (`together`).
+    p_equivalent, p_equivalent_adjusted : float or None
+        That it lies beyond the margin.
     """
 
     ratio: Estimate
     p: float | None = None
+    p_equivalent: float | None = None
     p_adjusted: float | None = None
+    p_equivalent_adjusted: float | None = None
 
-    def verdict(self, level: float) -> str:
-        """One of `MORE`, `LESS`, `AS_CHANCE` and `UNKNOWN`."""
-        if self.p_adjusted is None or self.ratio.value is None:
+    def verdict(self, level: float, words: Words = MANY) -> str:
+        """By the rule of `stats.compare`."""
+        if self.p_adjusted is None or self.p_equivalent_adjusted is None or self.ratio.value is None:
             return UNKNOWN
-        if self.p_adjusted > level:
-            return AS_CHANCE
-        return MORE if self.ratio.value > 1 else LESS
+        return verdict(self.p_equivalent_adjusted, self.p_adjusted, level, np.log(self.ratio.value), words)
 
     @property
     def shown(self) -> float:
@@ -45,7 +48,9 @@ class Effect:
         return float(max(np.log(self.ratio.low), -np.log(self.ratio.high), 0.0))
 
 
-def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence: float) -> Effect:
+def over_null(
+    of: Statistic, observed: np.ndarray, null: np.ndarray, confidence: float, margin: float = 0.0
+) -> Effect:
     """A statistic of what is observed over that of the null; jackknife-t of its logarithm over matrices.
 
     Parameters
@@ -55,6 +60,8 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
     observed, null : ndarray, shape (G, c)
         Sums, a row a matrix; a matrix is set against its own null.
     confidence : float
+    margin : float
+        By what share it may differ from the null and count as equal to it; 0 if none is declared.
     """
     columns = observed.shape[1]
 
@@ -64,24 +71,21 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
             raise Undefined("nothing to compare")
         return np.log(above / below)
 
-    sums = np.hstack([observed, null])
-    if len(sums) < 2:
-        return Effect(Estimate(reason="fewer than two matrices"))
     try:
-        value, error = jackknife(log_ratio, sums)
+        test = against(log_ratio, np.hstack([observed, null]), float(np.log1p(margin)))
     except Undefined as undefined:
         return Effect(Estimate(reason=str(undefined)))
-    half = student.half_width(confidence, len(sums) - 1) * error
-    ratio = Estimate(float(np.exp(value)), float(np.exp(value - half)), float(np.exp(value + half)))
-    return Effect(ratio, student.two_sided(value / error, len(sums) - 1) if error else float(value == 0))
+    value, low, high = (float(np.exp(x)) for x in (test.difference, *test.interval(confidence)))
+    return Effect(Estimate(value, low, high), test.p_different, test.p_equivalent)
 
 
 def together(found: Sequence[Effect], n_primary: int = 0) -> list[Effect]:
     """The same with p-values adjusted for each other: the first in their order, the others by Holm's rule."""
     known = [k for k, one in enumerate(found) if one.p is not None]
-    primary = [k for k in known if k < n_primary]
-    p = [found[k].p or 0.0 for k in known]
+    n_first = sum(k < n_primary for k in known)
+    each = ([found[k].p or 0.0 for k in known], [found[k].p_equivalent or 0.0 for k in known])
+    both = (np.concatenate(adjusted(p[:n_first], p[n_first:])) for p in each)
     out = list(found)
-    for k, one in zip(known, np.concatenate(adjusted(p[: len(primary)], p[len(primary) :])), strict=True):
-        out[k] = replace(found[k], p_adjusted=float(one))
+    for k, p, p_equivalent in zip(known, *both, strict=True):
+        out[k] = replace(out[k], p_adjusted=float(p), p_equivalent_adjusted=float(p_equivalent))
     return out

@@ -7,9 +7,20 @@ probability
 
     u(J) = p (n - J) / (p (n - J) + (1 - p) J).
 
-The mean size is 1 / E u(J), so gamma = -log(1 - E u(J)). With s2 = n p (1 - p) the variance of n_stick, and s2 large,
+The mean size is 1 / E u(J), so gamma = -log(1 - E u(J)). With s2 = n p (1 - p) the variance of n_stick, x = J - n p,
 
-    gamma = ln 2 + 1 / (4 s2),      variance of the sizes = m (m - 1) (1 - 1 / s2)      to first order.
+    u = 1/2 (1 - x / (2 s2) + (1 - 2 p) x^2 / (4 s2^2) + ...),    E x = -p,    E x^2 = s2 + O(1),
+
+so that E u = 1/2 (1 + 1 / (4 s2)), and for large s2
+
+    gamma = ln 2 + 1 / (4 s2),      variance of the sizes = m (m - 1) (1 - 1 / s2)      to first order:
+
+the excess of gamma over ln 2 is one of counting, (1 / (4 ln 2)) / s2 = 0.36 / s2 of it, and vanishes with n.
+
+What drives it is that an exit is the likelier the more blocks stick. Where n_stick neither rises nor falls in the
+long run, as many changes go from k + 1 to k as back, so an exit finds one block more sticking than an entry does: the
+slope of P(the next change is an exit | n_stick) by least squares over changes is 1 / (4 V), V the variance of n_stick
+before a change, be there memory or coupling or none. Of the pool V = (n - 1) p (1 - p) + 1/4 (`slope`).
 
 Which null answers which question:
 
@@ -48,6 +59,12 @@ def _others(n: int, p: float) -> np.ndarray:
 def gamma(n: int, mean: float) -> float:
     """gamma by `events` of a pool of n blocks of which `mean` stick on average."""
     return float(-np.log1p(-_others(n, mean / n) @ _entry_next(n, mean / n)))
+
+
+def slope(n: int, mean: float) -> float:
+    """Of P(the next change is an exit | n_stick) by least squares over the changes of the pool, a block."""
+    p = mean / n
+    return 1 / (1 + 4 * (n - 1) * p * (1 - p))
 
 
 def law(n: int, mean: float, k_max: int) -> np.ndarray:

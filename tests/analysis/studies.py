@@ -18,6 +18,7 @@ from stickslip.analysis.stats import (
     clustering,
     compare,
     components,
+    counting,
     dispersion,
     effective,
     enough,
@@ -32,7 +33,7 @@ from stickslip.analysis.stats.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.stats.cascades import laws as cascade_laws
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.episodes import DRIVE, OCCUPANCY, Catalogue
-from stickslip.analysis.stats.estimates import Estimate, correlation_time, gamma, over_matrices, ratio
+from stickslip.analysis.stats.estimates import LN2, Estimate, correlation_time, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations
@@ -235,6 +236,53 @@ def pool_study(rng, ensembles):
         ):
             found = [over_matrices(statistic, rows[some], CONFIDENCE) for some in picks]
             yield judged(f"pool: {what}", f"{n} blocks, {mean:g} stick", answer, found)
+
+
+def two_state_blocks(rng, n, p, pull, changes, runs):
+    """Runs of n two-state blocks from equilibrium of the independent ones, each (Window, BlockSteps).
+
+    A block that sticks lets go at the rate (1 - p) f, one that slips sticks at p / f, f = exp(pull x), where x more
+    than n p stick: 1 without coupling, else all blocks feel how many stick.
+    """
+    sticks = rng.random((runs, n)) < p
+    level, each = sticks.sum(axis=1), np.arange(runs)
+    k = level.copy()
+    step, block = np.empty((changes, runs), dtype=np.int64), np.empty((changes, runs), dtype=np.int64)
+    gap = np.empty((changes, runs))
+    for row in range(changes):
+        f = np.exp(pull * (k - n * p))
+        out, into = (1 - p) * k * f, p * (n - k) / f
+        gap[row] = rng.exponential(1.0, runs) / (out + into)
+        is_exit = rng.random(runs) * (out + into) < out
+        block[row] = np.argmax(rng.random((runs, n)) * (sticks == is_exit[:, None]), axis=1)
+        sticks[each, block[row]] = ~is_exit
+        step[row] = np.where(is_exit, -1, 1)
+        k = k + step[row]
+    t = np.cumsum(gap, axis=0)
+    for i in range(runs):
+        times, t_stop = t[:, i].copy(), float(t[-1, i])
+        yield (
+            Window(0.0, t_stop, int(level[i]), times, step[:, i].copy()),
+            BlockSteps(0.0, t_stop, times, block[:, i].copy(), step[:, i].copy()),
+        )
+
+
+def counting_study(rng, ensembles):
+    """Parts of gamma's excess: of independent blocks all but counting are 0; of others all runs are the answer."""
+    n, p, changes = 40, 0.3, 3000
+    of = counting.parts(n)
+    for name, pull in (("independent", 0.0), ("held back", 0.03), ("driven", -0.01)):
+        planted = two_state_blocks(rng, n, p, pull, changes, POOL * ensembles)
+        rows = np.array([counting.run_sums(*run, DRAWS, rng) for run in planted])
+        picks = rng.integers(len(rows), size=(ensembles, MATRICES))
+        whole = rows.sum(axis=0, keepdims=True)
+        independent = {
+            "excess": pool.gamma(n, n * p) / LN2 - 1, "counting": pool.gamma(n, n * p) / LN2 - 1, "habits": 0.0,
+            "coupling": 0.0, "slope": pool.slope(n, n * p), "over_slope": 0.0,
+        }  # fmt: skip
+        for part, answer in independent.items():
+            found = [over_matrices(of[part], rows[some], CONFIDENCE) for some in picks]
+            yield judged(f"counting: {part}", name, float(of[part](whole)[0]) if pull else answer, found)
 
 
 # ---------------------------------------------------------------------------------------------- slow mode
@@ -846,6 +894,7 @@ STUDIES = {
     "survival": survival_study,
     "methods": methods_study,
     "occupancy": occupancy_study,
+    "counting": counting_study,
 }
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.answer import records
-from stickslip.analysis.questions import clustering, definitions, exponential
+from stickslip.analysis.questions import clustering, counting, definitions
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.stats.effects import AS_CHANCE, MORE
@@ -129,7 +129,9 @@ def test_exits_that_follow_others_are_seen(planted, rng):
 
 def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_made_independent(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    assert exponential.answer(study_of(planted, runs)).facts["gamma"].high < 0
+    lead = counting.answer(study_of(planted, runs)).facts["lead"]
+    assert lead["coupling_high"] < 0
+    assert lead["verdict"] == "shallower"
 
 
 def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
@@ -138,7 +140,7 @@ def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
     part, n_exits = Part(PAIRS, 0.2), float(np.mean([np.sum(steps.step < 0) for steps in runs]))
     rows = np.array([measure(steps, [part]) for steps in runs])
     measured = clustering._Measured(SimpleNamespace(label=""), [part], [], rows, n_exits, gap=1.0)
-    pairs = clustering._rows(measured, 0.99999)
+    pairs = clustering._rows(measured, 0.99999, 0.25)
     close = clustering._closest(pairs, measured, 0.99999, 5)
     assert 0.0865 < close["share"] < 0.25
     assert clustering._closest(pairs, dataclasses.replace(measured, gap=2.0), 0.99999, 5) is None
@@ -156,7 +158,7 @@ def test_the_bound_of_followers_is_not_tight_by_luck(rng):
         ratio = np.log1p(share / pairs_an_exit) + error * np.sqrt(20) * rng.standard_normal(20)
         by_rotation = np.full(20, pairs_an_exit * n_exits)
         rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)[:, None]
-        (row,) = clustering._rows(dataclasses.replace(measured, runs=rows), 0.95)
+        (row,) = clustering._rows(dataclasses.replace(measured, runs=rows), 0.95, 0.25)
         return clustering._closest([row], measured, 0.95, n_tests), row["p_value"]
 
     every = [closest(0.0006)[0] for _ in range(sets)]

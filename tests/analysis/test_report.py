@@ -16,10 +16,11 @@ import pytest
 from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
 from stickslip.analysis.questions import QUESTIONS
-from stickslip.analysis.questions.cascades import _verdict
+from stickslip.analysis.questions.cascades import STEEP, verdict_on
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import _rank
-from stickslip.analysis.stats.estimates import LN2, Estimate
+from stickslip.analysis.stats.compare import against
+from stickslip.analysis.stats.estimates import LN2, ratio
 from stickslip.pipeline.tables import QuestionName
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -60,7 +61,7 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
     said = (
-        "not told from the toss of a coin"
+        "not told from what the toss of a coin gives"
         if verdict == "cannot be told"
         else f"{verdict} than the toss of a coin gives"
     )
@@ -69,10 +70,22 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
 
 
 def test_as_chance_has_to_be_shown():
-    """A difference of 1% excluded, 0.0069; an interval that holds chance and more is no evidence."""
-    for half, verdict in ((0.006, "as chance"), (0.008, "cannot be told")):
-        assert _verdict(Estimate(LN2, LN2 - half, LN2 + half), LN2) == verdict
-    assert _verdict(Estimate(LN2 + 0.002, LN2 + 0.001, LN2 + 0.003), LN2) == "steeper"
+    """As between engines: within the margin is within it, shown or not; an interval of more is no evidence."""
+
+    def verdicts(mean, error, margin):
+        """Of twenty matrices with this mean difference and error of it, as chance and between engines."""
+        values = mean + error * np.sqrt(19) * np.repeat([-1, 1], 10)
+        rows = np.column_stack([values, np.ones(20)])
+        alike = against(ratio, rows, margin).verdict(0.95)
+        assert alike == {STEEP.same: "agree", STEEP.more: "differ", STEEP.less: "differ"}.get(
+            verdict_on(ratio, rows, margin, 0.95), "cannot be told"
+        )
+        return verdict_on(ratio, rows, margin, 0.95)
+
+    assert verdicts(0.002, 0.0005, 0.007) == verdicts(0.0, 0.003, 0.007) == "as chance"
+    assert verdicts(0.002, 0.003, 0.007) == "cannot be told"
+    assert [verdicts(sign * 0.006, 0.002, 0.007) for sign in (1, -1)] == ["steeper", "shallower"]
+    assert verdicts(0.002, 0.0005, 0.0) == "steeper", "nothing is declared to be close"
 
 
 def test_alerts_are_ranked_by_what_they_change():

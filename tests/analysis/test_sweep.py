@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 @pytest.fixture
 def settings(settings):
-    return replace(settings, margins={"mean": 0.1, "gamma": 0.05})
+    return replace(settings, margins={"mean": 0.02, "gamma": 0.05})
 
 
 @pytest.fixture
@@ -58,6 +58,8 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     assert row["difference"] == pytest.approx(30)
     assert row["difference_low"] - 1e-9 <= 30 <= row["difference_high"] + 1e-9 < 31
     assert changes(answer, sweep.GAMMA)["belt_speed"]["verdict"] == sweep.STAYS
+    wide = build(data, replace(settings, margins={"mean": 0.2}), "Wide", "", {}).headline[1]
+    assert re.search(r"Mean n_stick stays within 20% .*, with a change of \+\d", wide), "as between engines"
     table = answer.tables["sweep"]
     assert list(table["belt_speed"]) == sorted(BELT)  # as "first" and "last" are meant
     assert (table["n_units"] == 8).all()

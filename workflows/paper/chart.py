@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import Field, model_validator
@@ -21,9 +21,10 @@ from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.claims import table
 from stickslip.workflows.charts.runner import frame
 from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5
+from stickslip.workflows.paper.claims import STRONGEST
 from stickslip.workflows.paper.figure_6 import BlowUp, SlowEvent, SlowRun
 from stickslip.workflows.paper.figures_1_2 import ONE, Corner, Parallelogram, Portrait, Uniqueness
-from stickslip.workflows.paper.figures_3_to_5 import Cascades, Row, Trace
+from stickslip.workflows.paper.figures_3_to_5 import Cascades, Pairing, Row, Trace
 from stickslip.workflows.paper.runs import SCALES, Ask, run_all
 
 
@@ -37,6 +38,7 @@ class Measured:
     runs: list[Row]
     traces: list[Trace]
     cascades: list[Cascades]
+    pairings: list[Pairing]
     blow_ups: list[BlowUp]
     slow_runs: list[SlowRun]
     modes: list[tuple[float, float, bool]]
@@ -66,6 +68,7 @@ class PaperScene(ChartScene):
     few: Count = Field(default=3, description="number of matrices for each change of the system")
     t_few: Positive = Field(default=1000.0, description="end of changed runs")
     size: Positive = Field(default=0.01, description="size of the perturbations of kappa and rho")
+    changed: Count = Field(default=20, description="number of matrices that small changes are followed to t_end on")
     noise: PositiveNumbers = Field(
         default=(0.01, 0.02, 0.03, 0.05, 0.07, 0.1),
         description="sizes of the noise on all dampings",
@@ -94,21 +97,32 @@ class PaperScene(ChartScene):
         n, few = self.n[-1], range(self.few)
         if 4 in self.figures:
             for matrix, law in product(range(2 * self.few), ("algebraic", "arctan", "sigmoid")):
-                yield Ask("sigmoids", law, n, matrix, self.t_few, law=law)
+                yield Ask("sigmoids", law, n, matrix, self.t_few, law=law, keeps_exits=law == "sigmoid")
             for matrix, size in product(range(self.escapes), self.noise):
                 yield Ask(
                     "dampings", f"{size:g}", n, matrix, self.t_few, "sigmoid", reading="damping matrix", size=size
+                )
+            for matrix in range(self.escapes):
+                yield Ask(
+                    "scaled", f"{STRONGEST:g}", n, matrix, self.t_few, "sigmoid", reading="scale", size=STRONGEST
                 )
             for blocks in dict.fromkeys((self.n[0], n)):
                 yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
                 for draw in range(3):
                     yield Ask("r", f"r, draw {draw}", blocks, 0, self.t_few, "sigmoid", detail="r", draw=draw)
+            changes: dict[str, dict[str, Any]] = {
+                "unchanged": {}, "start": {"detail": "start"}, "r": {"detail": "r"},
+                "constants": {"reading": "scale", "size": self.size},
+            }  # fmt: skip
+            for matrix, (setting, change) in product(range(self.changed), changes.items()):
+                yield Ask("lasting", setting, n, matrix, self.t_end, "sigmoid", draw=matrix, **change)
             for draw in range(3):
                 label = f"{100 * self.size:g}%, draw {draw}"
                 yield Ask("constants", label, n, 0, self.t_few, "sigmoid", reading="scale", size=self.size, draw=draw)
         if {3, 4, 5} & set(self.figures):
             for matrix in range(self.matrices):
-                yield Ask("long", "", n, matrix, self.t_end)
+                is_paired = 4 in self.figures and matrix < 2 * self.few
+                yield Ask("long", "", n, matrix, self.t_end, keeps_exits=is_paired)
         if 3 in self.figures:
             for blocks, matrix in product((*self.n[:-1], self.beyond), range(self.draws)):
                 yield Ask("long", "", blocks, matrix, self.t_end)
@@ -141,12 +155,13 @@ class PaperScene(ChartScene):
             if k % 20 == 0 or k == len(asks):
                 say(f"{k} of {len(asks)} runs")
         found.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
+        found.pairings.extend(figures_3_to_5.pairings(paths, self.t_burn))
         if 5 in self.figures:
             found.cascades.extend(figures_3_to_5.cascade_laws(paths, self.n[-1], self.dt, self.t_burn))
         return found
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `sizes`, `hidden`."""
+        """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `paths`, `hidden`."""
         judged = claims.judge(self, measured)
         corners = [corner for one in measured.parallelograms for corner in one.corners]
         slow = [event for run in measured.slow_runs for event in run.events]
@@ -155,7 +170,7 @@ class PaperScene(ChartScene):
             name: frame(rows, of)
             for name, rows, of in (
                 ("corners", corners, Corner), ("runs", measured.runs, Row), ("cascades", measured.cascades, Cascades),
-                ("hidden", slow, SlowEvent),
+                ("paths", measured.pairings, Pairing), ("hidden", slow, SlowEvent),
             )
             if rows
         }  # fmt: skip

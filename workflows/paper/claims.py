@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
 from stickslip import sim
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.questions.robustness import BOUND
+from stickslip.analysis.questions.exponential import MARGIN as FORM
+from stickslip.analysis.stats.enough import LEAST_MATRICES
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import gamma as law_gamma
 from stickslip.analysis.stats.fates import (
     COLLAPSED,
     DIVERGED,
@@ -37,7 +38,7 @@ from stickslip.workflows.charts.claims import (
     verdict_of,
 )  # fmt: skip
 from stickslip.workflows.paper import figures_1_2
-from stickslip.workflows.paper.figures_3_to_5 import Row, by_definition, escapes
+from stickslip.workflows.paper.figures_3_to_5 import Cascades, Row, by_definition, escapes
 from stickslip.workflows.paper.runs import SCALES
 
 if TYPE_CHECKING:
@@ -48,10 +49,12 @@ BRINK, PERIOD, STRONG, STRONGEST = 150.0, 20.0, 0.05, 0.1
 NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
-SAME = 0.05  # of gamma: the paper's, within this share
+SAME = 0.05  # of gamma: the paper's, within this share; between laws too
+COMMON = 0.05  # of the exits: paths share less than so much beyond chance, if they have nothing in common
+CLUSTERED = -0.05  # of gamma over ln 2: what clusters would at least take off
+LITTLE = ("r", "constants")  # what is changed a little: the widths of the sigmoid, and the constants by `size`
 #: Fates as changed runs are compared in them: a lull is motion.
 _KINDS = {name: "moving" if name in MOVING else name for name in (*WATCHED, FAILED)}
-CLUSTERED = -0.05  # of gamma over ln 2: what clusters would at least take off
 
 
 def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
@@ -178,7 +181,10 @@ def key_parameters(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def details(scene: PaperScene, measured: Measured) -> Claim:
-    """What is drawn otherwise, and the six readings of how K is drawn, by n: which end as figure 3 has it."""
+    """What the paper lists and it may be drawn otherwise: the start and friction of each block.
+
+    How K is drawn is no such detail; the six readings of that, by n, stand beside it: which end as figure 3 has it.
+    """
     rows = _changed(scene, measured, "details")
     wanted = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
     readings: list[Claim] = []
@@ -190,9 +196,8 @@ def details(scene: PaperScene, measured: Measured) -> Claim:
         )
         counts = [Counter(row.fate for row in some) for some in by_n]
         verdict = verdict_of(fits, UNTOLD if may_fit else CONTRADICTED)
-        readings.append({"coupling": coupling, "fits": fits, "counts": counts, "verdict": verdict})
-    verdicts = [row["alike"] for row in rows] + [one["verdict"] for one in readings]
-    return {"verdict": every(verdicts), "rows": rows, "readings": readings}
+        readings.append({"coupling": coupling, "verdict": verdict, "counts": counts})
+    return {"verdict": every([row["alike"] for row in rows]), "rows": rows, "readings": readings}
 
 
 # ---------------------------------------------------------------------------------------------- figure 4
@@ -210,17 +215,39 @@ def sensitive(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def robust(scene: PaperScene, measured: Measured) -> Claim:
-    """Whether small changes do to the mean n_stick less than `BOUND` of what another matrix does, in mean squares."""
-    (base,) = _of(measured, "base", scene.n[-1])
-    fresh = np.array([row.mean for row in _of(measured, "long", scene.n[-1]) if row.mean is not None])
-    means = [row.mean for row in _little_changed(scene, measured)]
-    if base.mean is None or None in means or len(fresh) < 3 or not np.ptp(fresh):
-        return {"verdict": UNTOLD, "value": None}
-    moved = np.array([mean - base.mean for mean in means if mean is not None])
-    theta = float(np.mean(moved**2) / (2 * fresh.var(ddof=1)))  # over F where a change does what a matrix does
-    dof, tail = (len(moved), len(fresh) - 1), (1 - CONFIDENCE) / 2
-    low, high = (theta / float(special.fdtri(*dof, p)) for p in (1 - tail, tail))
-    return {"verdict": told(low, high, most=BOUND), "value": theta, "low": low, "high": high, "tried": len(means)}
+    """Whether small changes move a matrix's mean n_stick by less than `MARGIN`, beside what another start does.
+
+    Of matrix i the unchanged run and one from another start, y_i1 and y_i2, and changed ones c_ij: the mean square of
+    what a change does is E (c - y)^2 - E (y_1 - y_2)^2, over the square of the mean, by the jackknife over matrices.
+    Only matrices all of whose runs keep on enter; how many changed runs do is counted.
+    """
+    by_setting: dict[str, dict[int, Row]] = {}
+    for row in _of(measured, "lasting"):
+        by_setting.setdefault(row.setting, {})[row.matrix] = row
+    same, changed = ([by_setting.get(one, {}) for one in some] for some in (("unchanged", "start"), LITTLE))
+    kept = [
+        [rows[k].mean for rows in (*same, *changed)]
+        for k in (same[0] if all((*same, *changed)) else ())
+        if all(k in rows and rows[k].fate in MOVING for rows in (*same, *changed))
+    ]
+    keep_on, usual = (
+        _share([row for rows in some for row in rows.values()], *MOVING) for some in (changed, same[:1])
+    )
+    facts = {"runs": keep_on, "usual": usual, "margin": MARGIN, "tried": len(kept), "size": scene.size}
+    if len(kept) < LEAST_MATRICES:
+        return facts | {"verdict": UNTOLD, "value": None}
+    values = np.array(kept, dtype=float)
+    y, c = values[:, :2], values[:, 2:]
+    start, usual_mean = (y[:, 0] - y[:, 1]) ** 2, y.mean(axis=1)
+    moved = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2)) - start
+    found = over_matrices(ratio, np.column_stack([moved, usual_mean**2]), CONFIDENCE)
+    fresh = 2 * usual_mean.var(ddof=1) - start.mean() / 2
+    low, value, high = (float(np.sqrt(max(one or 0.0, 0.0))) for one in (found.low, found.value, found.high))
+    return facts | {
+        "verdict": told(low, high, most=MARGIN), "value": value, "low": low, "high": high,
+        "start": float(np.sqrt(start.mean()) / usual_mean.mean()),
+        "fresh": float(np.sqrt(max(fresh, 0.0)) / usual_mean.mean()),
+    }  # fmt: skip
 
 
 def _little_changed(scene: PaperScene, measured: Measured) -> list[Row]:
@@ -235,13 +262,17 @@ def oscillations(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
-    """Most collapse; or, corrected, run away."""
+    """Most collapse; or, corrected, run away: under both readings of what is moved, as the paper names neither."""
     found = _dampings(scene, measured, STRONGEST)
-    if found["found"] is None:
-        return found | {"verdict": UNTOLD}
-    came = _share([row for row in _of(measured, "dampings") if row.size == STRONGEST], COLLAPSED)
+    by_size = [row for row in _of(measured, "dampings") if row.size == STRONGEST]
+    noisy, scaled = (_share(rows, COLLAPSED) for rows in (by_size, _of(measured, "scaled")))
+    if found["found"] is None or not scaled["tried"]:
+        return found | {"verdict": UNTOLD, "scaled": scaled}
     otherwise = CORRECTED if found["low"] > MOST else CONTRADICTED
-    return found | {"verdict": told(came["low"], came["high"], MOST, otherwise=otherwise)}
+    by_reading = {
+        told(noisy["low"], noisy["high"], MOST, otherwise=otherwise), told(scaled["low"], scaled["high"], MOST),
+    }  # fmt: skip
+    return found | {"verdict": by_reading.pop() if len(by_reading) == 1 else UNTOLD, "scaled": scaled}
 
 
 def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
@@ -259,6 +290,30 @@ def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
     }  # fmt: skip
 
 
+def paths_and_laws(scene: PaperScene, measured: Measured) -> Claim:
+    """Another model of the switch has no path in common, but the same law: exits that two runs share, and statistics.
+
+    All three are needed: shared exits are those of chance to within `COMMON`, mean n_stick and gamma alike.
+    """
+    found = measured.pairings
+    rows = np.array([(one.shared, one.by_chance, one.n_exits) for one in found], dtype=float).reshape(-1, 3)
+    means = np.array([(one.mean_smoothed - one.mean, one.mean) for one in found]).reshape(-1, 2)
+    sizes = np.array([
+        (one.size_smoothed, one.cascades_smoothed, one.size, one.cascades) for one in found
+    ], dtype=float).reshape(-1, 4)  # fmt: skip
+    shared = over_matrices(lambda s: s[:, 0] / s[:, 2], rows, CONFIDENCE)
+    chance = over_matrices(lambda s: s[:, 1] / s[:, 2], rows, CONFIDENCE)
+    beyond = over_matrices(lambda s: (s[:, 0] - s[:, 1]) / s[:, 2], rows, CONFIDENCE)
+    mean = over_matrices(ratio, means, CONFIDENCE)
+    steep = over_matrices(lambda s: law_gamma(s[:, :2]) / law_gamma(s[:, 2:]) - 1, sizes, CONFIDENCE)
+    return {
+        "verdict": every([told(beyond.low, beyond.high, -COMMON, COMMON), told(mean.low, mean.high, -MARGIN, MARGIN),
+                          told(steep.low, steep.high, -SAME, SAME)]),
+        "tried": len(found), "value": shared.value, "low": shared.low, "high": shared.high, "chance": chance.value,
+        "mean": mean, "gamma": steep, "t_from": scene.t_burn,
+    }  # fmt: skip
+
+
 def sigmoid(scene: PaperScene, measured: Measured) -> Claim:
     """Other sigmoids against tanh on the same matrices: fates, and the mean n_stick."""
     bases = {row.matrix: row for row in _of(measured, "sigmoids") if row.law == "sigmoid"}
@@ -270,16 +325,38 @@ def sigmoid(scene: PaperScene, measured: Measured) -> Claim:
 # ---------------------------------------------------------------------------------------------- figures 5 and 6
 
 
+def form(scene: PaperScene, measured: Measured) -> Claim:
+    """The variance of sizes is an exponential's within a margin, under every reading of what a cascade is."""
+    rows = [row for row in _readings(measured.cascades) if row.excess is not None]
+    verdicts = [told(row.excess_low, row.excess_high, -FORM, FORM) for row in rows]
+    events = by_definition(rows, "events")
+    return {
+        "verdict": every(verdicts) if rows else UNTOLD, "tried": len(rows), "margin": FORM,
+        "value": events and events.excess, "low": events and events.excess_low, "high": events and events.excess_high,
+        "least": min((row.excess for row in rows if row.excess is not None), default=None),
+        "most": max((row.excess for row in rows if row.excess is not None), default=None),
+    }  # fmt: skip
+
+
+def _readings(rows: Sequence[Cascades]) -> list[Cascades]:
+    """Cascades as the paper counts them, at each step, and by events, which short steps tend to."""
+    return [row for row in rows if row.definition in ("events", "length")]
+
+
 def gamma(scene: PaperScene, measured: Measured) -> Claim:
-    """By falls in a row, as the paper counts; it leaves open the step, so that all steps have to say the same."""
+    """By falls in a row, as the paper counts, over steps that it leaves open: all readings together have to say it.
+
+    They go on from cascades by events, what short steps tend to, to those of the longest step.
+    """
     rows = [row for row in measured.cascades if row.gamma is not None]
     events = by_definition(rows, "events")
     inside = sum(row.low is not None and row.high is not None and row.low <= PAPER_GAMMA <= row.high for row in rows)
     gammas = [row.gamma for row in rows if row.gamma is not None]
     ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
-    by_step = {told(row.low, row.high, *ends) for row in rows if row.definition == "length"}
+    lows, highs = ([end for row in _readings(rows) for end in [getattr(row, name)] if end is not None]
+                   for name in ("low", "high"))  # fmt: skip
     return {
-        "verdict": by_step.pop() if len(by_step) == 1 else UNTOLD,
+        "verdict": told(min(lows, default=None), max(highs, default=None), *ends),
         "rows": rows, "inside": inside, "paper": PAPER_GAMMA,
         "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
         "least": min(gammas, default=None), "most": max(gammas, default=None),
@@ -317,7 +394,7 @@ _CLAIMS: Mapping[int, tuple[Callable[[PaperScene, Measured], Claim], ...]] = {
     1: (one_block,),
     2: (corners, double_exit, determinacy),
     3: (few_come_to_rest, more_come_to_rest, many_keep_on, some_collapse, key_parameters, details),
-    4: (sensitive, robust, oscillations, collapse_at_strongest, sigmoid),
-    5: (gamma, clusters, cascade_bound),
+    4: (sensitive, robust, paths_and_laws, oscillations, collapse_at_strongest, sigmoid),
+    5: (form, gamma, clusters, cascade_bound),
     6: (two_modes, mode_ends),
 }

@@ -15,14 +15,16 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.stats import cascades, estimates, fates
+from stickslip.analysis.stats import cascades, dispersion, estimates, fates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis
 from stickslip.workflows.charts.claims import CONFIDENCE, Claim
-from stickslip.workflows.paper.runs import Path
+from stickslip.workflows.paper.runs import Exits, Path
 
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
 #: matrices; sampled so often.
 _APART, _APART_WINDOW, _APART_DT = 0.5, 1.0, 0.05
+#: Exits of one block under two laws are the same exit if they are no further apart.
+_TOGETHER = 1.0
 #: Not before this time: that is the rush of entries, which a width moves at once.
 _RUSH = 5.0
 #: The period of n_stick is that of the highest peak of its spectrum, the ends of the run left out; sampled so often.
@@ -72,7 +74,7 @@ class Cascades:
     """The exponential law of cascade sizes by one definition, exact engine: a row of the table `cascades`.
 
     `gamma` over all matrices with its interval, null with a reason where there is none; `counts` from size 1 on, of
-    the first matrices.
+    the first matrices; `excess`, the variance of sizes over an exponential's less one.
     """
 
     definition: str
@@ -85,6 +87,30 @@ class Cascades:
     high: float | None
     reason: str | None
     counts: list[list[int]]
+    excess: float | None = None
+    excess_low: float | None = None
+    excess_high: float | None = None
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """The same matrix under the exact law and the sigmoid, once their paths have parted: a row of the table `paths`.
+
+    Of `n_exits` under the exact law, `shared` have an exit of the same block under the sigmoid within a unit of time,
+    `by_chance` if either were turned in time by a random amount; and of each the mean n_stick, and the total size and
+    the number of cascades by events.
+    """
+
+    matrix: int
+    n_exits: int
+    shared: int
+    by_chance: float
+    mean: float
+    mean_smoothed: float
+    size: int
+    cascades: int
+    size_smoothed: int
+    cascades_smoothed: int
 
 
 def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
@@ -175,11 +201,43 @@ def cascade_laws(paths: Sequence[Path], n: int, dt: tuple[float, ...], t_burn: f
 def _law(law: cascades.Law, found: Sequence[np.ndarray]) -> Cascades:
     sums = np.array([(one.sum(), len(one)) for one in found])
     rate = estimates.over_matrices(estimates.gamma, sums, CONFIDENCE)
+    longest = int(max(one.max(initial=1) for one in found))
+    spread = dispersion.moments(np.array([np.bincount(one, minlength=longest + 1)[1:] for one in found]))
+    over = estimates.over_matrices(dispersion.excess, spread, CONFIDENCE)
     return Cascades(
         law.definition, law.dt, len(sums), int(sums[:, 1].sum()), int(max(one.max(initial=0) for one in found)),
         rate.value, rate.low, rate.high, rate.reason or None,
-        [np.bincount(one)[1:].tolist() for one in found[:_DRAWN]],
+        [np.bincount(one)[1:].tolist() for one in found[:_DRAWN]], over.value, over.low, over.high,
     )  # fmt: skip
+
+
+def pairings(paths: Sequence[Path], t_from: float) -> list[Pairing]:
+    """Of each matrix that ran to its end under both laws with its exits kept."""
+    exact, smoothed = (
+        {path.ask.matrix: (path, path.exits) for path in paths
+         if path.exits is not None and path.ask.law == law and path.outcome == "finished"}
+        for law in ("coulomb", "sigmoid")
+    )  # fmt: skip
+    return [_pairing(*exact[k], *smoothed[k], t_from) for k in sorted(exact.keys() & smoothed.keys())]
+
+
+def _pairing(exact: Path, exits: Exits, smoothed: Path, exits_smoothed: Exits, t_from: float) -> Pairing:
+    t_to = min(exact.t_stop, smoothed.t_stop)
+    (mine, of_mine), (theirs, of_theirs) = exits, exits_smoothed
+    n_exits, shared, by_chance = 0, 0, 0.0
+    for block in range(exact.ask.n):
+        a, b = (t[(of == block) & (t > t_from) & (t <= t_to)] for t, of in ((mine, of_mine), (theirs, of_theirs)))
+        edges = np.concatenate(([-np.inf], b, [np.inf]))
+        after = np.searchsorted(b, a)
+        n_exits += len(a)
+        shared += int(np.count_nonzero(np.minimum(a - edges[after], edges[after + 1] - a) <= _TOGETHER))
+        # turned by a random amount, an exit falls within so much of one with the share of time that is
+        near = np.minimum(np.diff(b), 2 * _TOGETHER).sum() + 2 * _TOGETHER if len(b) else 0.0
+        by_chance += len(a) * min(float(near) / (t_to - t_from), 1.0)
+    windows = [cascades.window(path.t, path.n_stick, t_from, t_to) for path in (exact, smoothed)]
+    sums = [[int(x) for x in cascades.sums(win.step)[cascades.Law("events")]] for win in windows]
+    mean, mean_smoothed = (win.time_mean() for win in windows)
+    return Pairing(exact.ask.matrix, n_exits, shared, by_chance, mean, mean_smoothed, *sums[0], *sums[1])
 
 
 def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip import sim
 from stickslip.analysis.stats.fates import is_all_slip
+from stickslip.analysis.stats.nulls import block_steps
 from stickslip.pipeline.design import MATRIX, PERTURBATION
 from stickslip.pipeline.engine_table import TOLERANCES
 from stickslip.pipeline.processes import Child
@@ -55,6 +56,8 @@ class Ask:
         "start" or "friction": drawn for each block; "r": the widths of the sigmoid drawn.
     reading, size, draw
         Of a perturbation, as `sim.perturb_system` takes them; none if `reading` is empty.
+    keeps_exits
+        Whether its `Path` says which block lets go when.
     """
 
     study: str
@@ -70,10 +73,15 @@ class Ask:
     reading: str = ""
     size: float = 0.0
     draw: int = 0
+    keeps_exits: bool = False
+
+
+#: Times and blocks of exits, each (m,).
+Exits = tuple[Floats, np.ndarray]
 
 
 class Path(NamedTuple):
-    """n_stick of a run at its change points, and when it ended.
+    """n_stick of a run at its change points, and when it ended; times and blocks of its exits if they are asked for.
 
     `growth_rate` is that of the all-slip state, of a run by the exact law that has not ended but does not stick over
     its last quarter.
@@ -84,6 +92,7 @@ class Path(NamedTuple):
     t: Floats
     n_stick: np.ndarray
     t_stop: float
+    exits: Exits | None = None
     growth_rate: float | None = None
 
 
@@ -146,11 +155,14 @@ def run(ask: Ask, seed: int, eps: float) -> Path:
         if one.cross_damping is not None:
             rtol = atol = _ESCAPE_TOLERANCE
         found = sim.simulate(one, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
-    t, n_stick = found.events.change_points()
-    rate = None
+    events = found.events
+    t, n_stick = events.change_points()
+    exits = rate = None
+    if ask.keeps_exits:
+        exits = block_steps(events.t, events.block, events.mode, events.initial_mode, 0.0, events.t_end).exits()
     if ask.law == "coulomb" and found.outcome == "finished" and is_all_slip((t[-1], n_stick[-1]), ask.t_end):
         rate = float(np.linalg.eigvals(one.slip_matrix()).real.max())
-    return Path(ask, found.outcome, t, n_stick, found.events.t_end, rate)
+    return Path(ask, found.outcome, t, n_stick, events.t_end, exits, rate)
 
 
 def smoothed(

@@ -1,0 +1,149 @@
+"""Why is gamma not that of a coin? What is counting, a finite number of blocks, and what is coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
+
+from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
+from stickslip.analysis.questions.cascades import gamma_margin, verdict_on
+from stickslip.analysis.stats import enough, pool
+from stickslip.analysis.stats.compare import UNKNOWN
+from stickslip.analysis.stats.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
+from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
+from stickslip.analysis.stats.nulls import DRAWS, block_steps
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+
+EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
+NO_CASCADES, NO_INTERVAL = "no cascades", "no interval"  # reasons beside those of `stats.enough`
+SLOPE_MARGIN = 0.1  # of the slope of P(exit | n_stick), which a scene declares no margin for
+_PARTS = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
+_TABLE: Mapping[str, str] = {
+    "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "in_lulls": F,
+    **{f"{name}{end}": F for name in _PARTS for end in ("", "_low", "_high")},
+    "verdict": S, "slope_of_pool": F, "slope_verdict": S, "basis": S,
+}  # fmt: skip
+
+
+def answer(study: Study) -> Answer | None:
+    """Parts of gamma's excess over ln 2 in each group; None where no run has a record of which block lets go."""
+    if not study.data.events:
+        return None
+    rows = [row for group in study.groups if (row := _row(study, group)) is not None]
+    table = {"counting": frame(_TABLE, rows)}
+    known = [row for row in rows if row["is_judged"] and row["coupling_low"] is not None]
+    if not known:
+        best = max(rows, key=lambda row: row["n_cascades"], default={"basis": NO_CASCADES})
+        code = NO_INTERVAL if best["basis"] in enough.JUDGED else best["basis"]
+        return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=code, tables=table)
+    lead = min(known, key=lambda row: (row["n_runs"] > row["n_moving"], -row["n"]))  # no survivors first
+    alike = sorted(
+        (row for row in rows if row["of"] == lead["of"] and row["coupling_low"] is not None), key=lambda row: row["n"]
+    )
+    facts: dict[str, Any] = {
+        "lead": lead, "rows": rows, "alike": alike,
+        "others": [row for row in alike if row is not lead and row in known],
+        "draws": min(study.settings.resamples, DRAWS), "margin": gamma_margin(study), "slope_margin": SLOPE_MARGIN,
+        "t_burn": study.settings.t_burn, "lulls": [row for row in rows if row["in_lulls"]],
+        "refused": [row for row in alike if row not in known],
+    }  # fmt: skip
+    draw = by_number if len(alike) > 1 else at_one_number
+    return Answer(facts, tables=table, figures={"counting": partial(draw, alike)})
+
+
+def _row(study: Study, group: Group) -> Row | None:
+    """The parts of a group without its lulls; None if it has no events."""
+    level, margin, n = study.settings.confidence, gamma_margin(study), int(group.key["n"])
+    sums, halves = np.zeros((len(group.units), N_COLUMNS)), np.zeros((len(group.units), 4))
+    lulls, total = 0.0, 0.0
+    for k, member_id, win in study.windows(group):
+        if member_id not in study.data.events:
+            continue
+        steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
+        cut, steps, lull = without_lulls(win, steps)
+        lulls, total = lulls + lull, total + win.t_stop - win.t_start
+        if len(cut.t):
+            sums[k] += run_sums(cut, steps, min(study.settings.resamples, DRAWS), study.generator(member_id))
+            halves[k] += [*enough.halves(cut), 1.0]
+    cascades = sums[:, OBSERVED][:, 1]
+    sums, halves, of = sums[cascades > 0], halves[cascades > 0], parts(n)
+    if not len(sums):
+        return None
+    basis = enough.basis(halves[:, :3] / halves[:, 3:], int(cascades.sum()), level)
+    found = {name: over_matrices(of[name], sums, level) for name in _PARTS}
+    mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
+    row: Row = {
+        "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
+        "is_judged": basis.code in enough.JUDGED,
+        "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": lulls / total,
+        "n_runs": len(group.members), "n_moving": len(group.moving), "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
+        "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
+        "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
+    }  # fmt: skip
+    for name, one in found.items():
+        row |= named(name, one)
+    if row["is_judged"]:
+        row["verdict"] = verdict_on(of["coupling"], sums, margin, level)
+        row["slope_verdict"] = verdict_on(of["over_slope"], sums, SLOPE_MARGIN, level)
+    return row
+
+
+def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
+    """Coin, pool, independent blocks and runs against n p (1 - p); `scaled` by it, which makes the pool's flat.
+
+    Faint where a law of a steady state is refused.
+    """
+    x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
+    fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
+    scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
+    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="coin")
+    ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
+    ax.plot(x, np.array([row["counting"] for row in rows]) * scale, "D", color=GREEN, markersize=3.5, label="pool")
+    for name, mark, colour, label, apart in (
+        ("independent", "s", SMOOTHED, "independent blocks", 0.97), ("excess", "o", EXACT, "runs", 1.03),
+    ):  # fmt: skip
+        value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
+        for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
+            ax.errorbar(
+                (x * apart)[some], value[some], yerr=[(value - low)[some], (high - value)[some]], fmt=mark,
+                color=colour, markersize=3.8, markerfacecolor="white" if mark == "s" else colour, linewidth=0.9,
+                label=said, alpha=alpha,
+            )  # fmt: skip
+    ax.set_xscale("log")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(lambda at, _: f"{at:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.set(xlim=(fine[0], fine[-1]))
+
+
+@panel()
+def at_one_number(ax: Axes, rows: Sequence[Row]) -> None:
+    """gamma over ln 2 of the runs and of three kinds of chance, at one n; rows of the table `counting`."""
+    _lines(ax, rows, scaled=False)
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.set(xlabel=VARIANCE, ylabel=EXCESS)
+    ax.legend(loc="upper right", fontsize=7)
+
+
+@panel(nrows=2, height=3.6, sharex=True)
+def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
+    """The same for several n; below, times n p (1 - p), so that what falls off as the pool does is flat."""
+    top, below = axes
+    _lines(top, rows, scaled=False)
+    _lines(below, rows, scaled=True)
+    for k, row in enumerate(rows):
+        number = f"n = {row['n']}" if k == 0 else str(row["n"])
+        top.annotate(number, (row["variance"], 1.0), xycoords=("data", "axes fraction"), ha="center",
+                     va="top", fontsize=6.5, color=GREY)  # fmt: skip
+    top.yaxis.set_major_formatter(PercentFormatter(1.0))
+    top.set(ylabel=EXCESS)
+    below.set(xlabel=VARIANCE, ylabel=SCALED)
+    handles, names = below.get_legend_handles_labels()
+    below.figure.legend(handles, names, loc="outside upper center", fontsize=7, ncols=4, columnspacing=1.0)
