@@ -154,11 +154,11 @@ def _runs(group: Group) -> Iterator[Row]:
     columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
     rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
     for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
+        times = (0.0, 0.0, 0.0) if how == FAILED else (float(last[0]), float(t_stop), float(t_end))
         yield {
             "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
-            "times": None if how == FAILED else (float(last[0]), float(t_stop), float(t_end)),
-            "t": None if how == FAILED else ends_at(how, float(last[0]), float(t_stop), float(t_end))[0],
+            "times": times, "t": None if how == FAILED else ends_at(how, *times)[0],
             "growth_rate": None if pd.isna(rate) else float(rate),
             "untold": "law" if hangs else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
@@ -346,7 +346,7 @@ def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None
             ax.plot(*zip(*some, strict=True), KINDS[kind][2], color=KINDS[kind][1], markersize=size,
                     markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
     ax.margins(0.01)
-    ax.set(xlabel="initial displacement z", ylabel="initial velocity w")
+    ax.set(xlabel="displacement z at start", ylabel="velocity w at start")
     ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, markerscale=4.0 / size, handletextpad=0.2)
 
 

@@ -114,7 +114,7 @@ def test_the_interval_of_survival_covers_it_where_certificates_come_late(rng):
 def data_of(planted, outcomes, n=200):
     rows, series = [], {}
     for matrix, outcome in enumerate(outcomes):
-        stop = 400.0 if outcome == DIVERGED else 1000.0
+        stop = {DIVERGED: 400.0, "failed": None}.get(outcome, 1000.0)
         real = "finished" if outcome in (LULL, QUIET, SUSTAINED) else outcome
         rate = -0.01 if outcome in (COLLAPSED, QUIET) else 0.01
         rows.append(planted.member(f"{n}-{matrix}", matrix, n=n, outcome=real, t_stop=stop, growth_rate=rate))
