@@ -235,4 +235,4 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
         axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         axis.set_major_formatter(lambda x, _: f"{x:g}")
         axis.set_minor_locator(NullLocator())
-    ax.legend(loc="upper left", fontsize=7)
+    ax.legend(loc="lower right", fontsize=7)
