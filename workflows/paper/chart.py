@@ -130,7 +130,7 @@ class PaperScene(ChartScene):
                 yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
             for name, factor, matrix in product(SCALES, (0.5, 2.0), few):
                 yield Ask("keys", f"{name} {factor:g}", n, matrix, self.t_few, scale=name, factor=factor)
-            for detail, matrix in product(("start", "friction"), few):
+            for detail, matrix in product(("start", "friction"), range(min(4 * self.few, self.matrices))):
                 yield Ask("details", detail, n, matrix, self.t_few, detail=detail)
             for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, few):
                 yield Ask("readings", coupling, blocks, matrix, self.t_few, coupling=coupling)
