@@ -321,7 +321,9 @@ def _apart(study: Study, first: _Of, second: _Of, name: str, law: _Law) -> Row:
         found = law.apart(pairs, law.margin, study.settings.confidence, study.generator(f"{name} {second.label}"))
     except Undefined as why:
         return row | named("size", Estimate()) | {"reason": str(why)}
-    return row | named("size", found.size) | {"p_equivalent": found.p_equivalent, "p_different": found.p_different}
+    return row | named("size", found.size) | {
+        "difference": found.size.value, "p_equivalent": found.p_equivalent, "p_different": found.p_different,
+    }  # fmt: skip
 
 
 def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:

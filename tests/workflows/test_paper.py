@@ -294,7 +294,7 @@ def others(measured, *studies):
 
 def test_fates_are_counted_with_wilsons_interval(judged, measured):
     rows = [row("long", n=5, fate="collapsed", t_last=t) for t in (30.0, 40.0, 50.0, 60.0)]
-    rest = judged(runs=[*others(measured, "long"), *rows, row("long"), row("long", n=25, fate="diverged")])
+    rest = judged(runs=[*others(measured, "long", "details"), *rows, row("long"), row("long", n=25, fate="diverged")])
     few = rest["few_come_to_rest"]
     assert (few["found"], few["tried"], few["verdict"], few["ends"][-1]) == (4, 4, "reproduced", 60.0)
     assert few["low"] == pytest.approx(0.510, abs=1e-3)
@@ -346,7 +346,8 @@ def test_what_changes_the_fate_is_a_key_parameter(judged, measured):
             for name in runs.SCALES
             for factor in ("0.5", "2")
         ]
-        return judged(runs=[*others(measured, "keys", "long"), *bases, *rows])["key_parameters"]["verdict"]
+        changed = [*others(measured, "keys", "long", "details"), *bases, *rows]
+        return judged(runs=changed)["key_parameters"]["verdict"]
 
     assert verdict("kappa", "rho", "belt_speed") == "reproduced"
     assert verdict("kappa", "rho", "belt_speed", "friction") == "corrected"
