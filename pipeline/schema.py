@@ -233,9 +233,12 @@ _OF_TABLES = (
     *("start", "stop", "size", "rise_before", "rise_after", "t", "n_stick", "block", "mode", "distance", "threshold"),
     *(field.name.removeprefix("episode_") for name in ("episodes", "episode_energy") for field in RECORDED[name]),
 )
+#: Dimensions in NetCDF, which keep no variable of their names as they grow (`stickslip.workflows.netcdf`).
+_DIMENSIONS = ("change", "event", "block", "separation_step", "episode")
 #: What a parameter of a function cannot be called, in lower case, as SQL knows no other, and what has the name.
 TAKEN = {
     "rng": "the function's generator",
+    **dict.fromkeys(_DIMENSIONS, "a dimension in NetCDF"),
     **dict.fromkeys(("z", "w", *(name.lower() for name in QUANTITIES)), "a key of the scene"),
     **dict.fromkeys((name.lower() for name in (*COLUMNS, *_OF_TABLES)), "a column of the data"),
 }

@@ -98,7 +98,8 @@ def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, m
 
 
 @pytest.mark.parametrize(
-    "name", ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size", "ö" * 128]
+    "name",
+    ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size", "change", "ö" * 128],
 )
 def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_path, monkeypatch, capsys):
     written(tmp_path, with_name(name), ANY)
@@ -109,6 +110,11 @@ def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_pat
     assert "choose another" in line
     assert len(line) < 250
     assert not (tmp_path / "out").exists()
+
+
+def test_every_dimension_that_grows_is_refused_as_a_name():
+    netcdf = pytest.importorskip("stickslip.workflows.netcdf")
+    assert all(misnamed([name]) is not None for name in netcdf._SAMPLES.values())
 
 
 def test_names_that_differ_in_case_alone_are_refused(tmp_path):
