@@ -45,7 +45,7 @@ from stickslip.analysis.stats.laws import Difference, difference_of_order, dista
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
-MARGIN = 0.1  # of every statistic, relative: what some twenty systems can exclude
+MARGIN = 0.1  # of every statistic, relative, and of Poisson's recurrence: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
 )  # fmt: skip
@@ -252,7 +252,9 @@ def _regularity(row: Row) -> str:
     low, high = row[f"{RECURRENCE}_low"], row[f"{RECURRENCE}_high"]
     if low is None:
         return UNKNOWN
-    return REGULAR if high < 1 else CLUSTERED if low > 1 else AS_POISSON if high - low < 2 * MARGIN else UNKNOWN
+    if 1 - MARGIN < low <= high < 1 + MARGIN:
+        return AS_POISSON
+    return REGULAR if high < 1 else CLUSTERED if low > 1 else UNKNOWN
 
 
 def _systems(found: Sequence[_Of]) -> list[list[_Of]]:
