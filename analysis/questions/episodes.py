@@ -45,7 +45,7 @@ from stickslip.analysis.stats.laws import Difference, difference_of_order, dista
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
-MARGIN = 0.1  # of every statistic, relative: what some twenty systems can exclude
+MARGIN = 0.1  # of every statistic, relative, and of Poisson's recurrence: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
 )  # fmt: skip
