@@ -117,38 +117,42 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
     source = dataset(path)
     selections = views(source.schema, dataset_scene(path).record.separation)
-    with duckdb.connect(":memory:") as connection:
-        connection.register("shards", source)
-        for name, selection in selections.items():
-            connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
-        # from here on no files, no network, no variables of this process, and no way back
-        for setting in (
-            "temp_directory = ''",
-            "python_enable_replacements = false",
-            "enable_external_access = false",
-            "lock_configuration = true",
-        ):
-            connection.execute(f"SET {setting}")
-        with _aside(connection) as aside:
+    with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 
-            def ask(work: Callable[[], Any]) -> Any:
-                # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
-                with _explained(duckdb, path, list(selections)):
-                    return aside.submit(work).result()
+        def ask(work: Callable[[], Any]) -> Any:
+            # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
+            with _explained(duckdb, path, list(selections)):
+                return aside.submit(work).result()
 
-            ask(lambda: _check(connection.extract_statements(query)))
-            batches = ask(lambda: _reader(connection.sql(query)))
-            schema = _named_apart(batches.schema)
-            # the first rows come here: what is wrong with a query shows before anything is handed over
-            first = ask(lambda: next(iter(batches), None))
+        aside.submit(_prepare, connection, source, selections).result()
+        ask(lambda: _check(connection.extract_statements(query)))
+        batches = ask(lambda: _reader(connection.sql(query)))
+        schema = _named_apart(batches.schema)
+        # the first rows come here: what is wrong with a query shows before anything is handed over
+        first = ask(lambda: next(iter(batches), None))
 
-            def rest() -> Iterator[pa.RecordBatch]:
-                batch = first
-                while batch is not None:
-                    yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
-                    batch = ask(lambda: next(iter(batches), None))
+        def rest() -> Iterator[pa.RecordBatch]:
+            batch = first
+            while batch is not None:
+                yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
+                batch = ask(lambda: next(iter(batches), None))
 
-            yield pa.RecordBatchReader.from_batches(schema, rest())
+        yield pa.RecordBatchReader.from_batches(schema, rest())
+
+
+def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
+    """The views of a dataset, and nothing else within reach."""
+    connection.register("shards", source)
+    for name, selection in selections.items():
+        connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
+    # from here on no files, no network, no variables of this process, and no way back
+    for setting in (
+        "temp_directory = ''",
+        "python_enable_replacements = false",
+        "enable_external_access = false",
+        "lock_configuration = true",
+    ):
+        connection.execute(f"SET {setting}")
 
 
 def _named_apart(schema: pa.Schema) -> pa.Schema:
@@ -165,6 +169,7 @@ def _named_apart(schema: pa.Schema) -> pa.Schema:
 def _aside(connection: Any) -> Iterator[Executor]:
     """A thread to ask in, so that this one hears an interrupt, whatever DuckDB is doing; what is asked then ends."""
     with ThreadPoolExecutor(1) as aside:
+        aside.submit(int).result()  # nobody waits for a thread that starts while an interrupt comes
         try:
             yield aside
         finally:

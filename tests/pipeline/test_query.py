@@ -332,6 +332,19 @@ def test_a_query_without_end_can_be_interrupted(text, finished):
     signal.signal(signal.SIGINT, before)
 
 
+def test_an_interrupt_while_views_are_made_is_one(finished, monkeypatch):
+    """What DuckDB is asked in the main thread hears it too, and says in words of its own that it did."""
+    monkeypatch.setattr(sql, "views", lambda *_: {f"view_{k}": "SELECT * FROM shards" for k in range(100_000)})
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    for _ in range(5):
+        timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            query.sql(finished, "SELECT 1")
+        timer.join()
+    signal.signal(signal.SIGINT, before)
+
+
 def test_an_interrupt_while_a_query_is_handed_over_ends_it(finished, monkeypatch):
     class Interrupted(ThreadPoolExecutor):
         is_now = False
