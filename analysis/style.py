@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec
+from typing import Any, Concatenate, Literal, ParamSpec
 
 import matplotlib
 import numpy as np
@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 # Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
@@ -111,3 +111,25 @@ def size_axis(ax: Axes, largest: int) -> None:
     """An axis of sizes, 1 to `largest`: whole numbers, be there one alone."""
     ax.set_xlim(0.5, largest + 0.5)
     ax.xaxis.set_major_locator(MaxNLocator(nbins="auto", integer=True, min_n_ticks=1))
+
+
+def over_blocks(
+    ax: Axes, groups: Mapping[str, Sequence[Mapping[str, Any]]], place: Literal["lower right", "upper left"]
+) -> Iterator[tuple[str, list[Mapping[str, Any]], np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]]:
+    """Axes for power over that of independent blocks, against the period, for two groups by colour at most.
+
+    Yields of each group, to be drawn: label, rows with an interval, period, ratio, low, high, each (m,), and colour.
+    Rows have `above` and `upto`, the ends of a band of periods, and `ratio`, `low`, `high`.
+    """
+    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+    for k, (label, rows) in enumerate(groups.items()):
+        seen = [row for row in rows if row["low"] is not None]
+        period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
+        ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
+        yield label, seen, period, ratio, low, high, (EXACT, SMOOTHED)[k % 2]
+    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_major_formatter(lambda x, _: f"{x:g}")
+        axis.set_minor_locator(NullLocator())
+    ax.legend(loc=place, fontsize=7)

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
@@ -19,7 +18,7 @@ from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps
-from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel
+from stickslip.analysis.style import over_blocks, panel
 
 SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
@@ -187,20 +186,10 @@ def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: i
 @panel()
 def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
     """Power of n_stick over that of independent blocks, against the period; rows of the table `spectrum` by group."""
-    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-    for k, (label, rows) in enumerate(groups.items()):
-        seen = [row for row in rows if row["low"] is not None]
-        period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
-        ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
-        colour = (EXACT, SMOOTHED)[k % 2]
+    drawn = over_blocks(ax, groups, "upper left")
+    for k, (label, _, period, ratio, low, high, colour) in enumerate(drawn):
         ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
         ax.plot(
             period, ratio, color=colour, marker="os"[k % 2], markersize=3.2, label=label,
             markerfacecolor=(colour, "white")[k % 2],
         )  # fmt: skip
-    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-        axis.set_major_formatter(lambda x, _: f"{x:g}")
-        axis.set_minor_locator(NullLocator())
-    ax.legend(loc="upper left", fontsize=7)

@@ -190,23 +190,22 @@ def _counts(runs: Sequence[Row]) -> dict[str, int]:
     return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
 
 
-def _share(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Estimate:
-    """Share of runs with some fates; the runs of one unit, at each point of a grid, are not independent."""
+def _share(
+    watched: Sequence[Row], of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
+) -> Estimate:
+    """Share of runs with some fates; the runs of one unit, at each point of a grid, are not independent.
+
+    Of `untold` it is not known, and the interval takes them either way; () takes each as it is seen.
+    """
     if not watched:
         return Estimate(reason="no run was watched")
     counts: dict[tuple[object, ...], list[int]] = {}
     for row in watched:
         held = counts.setdefault(row["drawn"], [0, 0, 0])
         held[0] += row["fate"] in of
-        held[1] += row["fate"] == QUIET
+        held[1] += row["fate"] in untold
         held[2] += 1
     return bounded_share(np.array(list(counts.values())), confidence)
-
-
-def _seen(watched: Sequence[Row], of: Sequence[str], confidence: float) -> Estimate:
-    """Share of runs with some fates, the quiet ones as they are seen: without a stick in the last quarter."""
-    plain = [row | {"fate": SUSTAINED if row["fate"] not in of else COLLAPSED} for row in watched]
-    return _share(plain, (COLLAPSED,), confidence)
 
 
 def _basin(watched: Sequence[Row]) -> Row | None:
@@ -238,7 +237,7 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half = Estimate() if curve is None else median(*curve)
-    share, slide = _share(watched, MOVING, level), _seen(watched, SLIDES, level)
+    share, slide = _share(watched, MOVING, level), _share(watched, SLIDES, level, untold=())
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),

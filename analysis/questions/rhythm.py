@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
 from scipy import special
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame, named
@@ -28,7 +27,7 @@ from stickslip.analysis.stats.rhythm import (
     SWINGS,
     Spectra,
 )
-from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel
+from stickslip.analysis.style import over_blocks, panel
 
 CYCLES = 3.0  # of a block: a motion that takes longer is slow
 LAWS = ("period", "quality", "share")  # numbers whose laws are asked for
@@ -218,21 +217,11 @@ def _bands(one: _Measured, confidence: float) -> list[Row]:
 @panel()
 def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
     """Power of n_stick over that of independent blocks, against the period; rows of `rhythm_spectrum` by group."""
-    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-    for k, (label, rows) in enumerate(groups.items()):
-        seen = [row for row in rows if row["low"] is not None]
-        period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
-        ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
-        colour = (EXACT, SMOOTHED)[k % 2]
+    drawn = over_blocks(ax, groups, "lower right")
+    for k, (label, seen, period, ratio, low, high, colour) in enumerate(drawn):
         ax.errorbar(
             period * 1.02**k, ratio, yerr=[ratio - low, high - ratio], color=colour, fmt="os"[k % 2], markersize=3,
             linewidth=0.9, label=label, markerfacecolor=(colour, "white")[k % 2],
         )  # fmt: skip
         if all(row["model"] is not None for row in seen):
             ax.plot(period, [row["model"] for row in seen], color=colour)
-    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-        axis.set_major_formatter(lambda x, _: f"{x:g}")
-        axis.set_minor_locator(NullLocator())
-    ax.legend(loc="lower right", fontsize=7)

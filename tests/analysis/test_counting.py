@@ -88,6 +88,10 @@ def test_intervals_of_the_parts_hold_the_planted_ones(rng):
 # ------------------------------------------------------------------------------------------------- the question
 
 
+#: As much data as shows a coupling of 0.1 at n = 20 by five of its standard errors more than a verdict asks for.
+PLENTY = {"matrices": 20, "changes": 9000}
+
+
 def study_of(planted, n, pull, rng, matrices=8, margin=0.1, changes=3000):
     """Two-state blocks as an ensemble, for each of some n; 0.3 n stick."""
     rows, series, events = [], {}, {}
@@ -121,7 +125,7 @@ def test_independent_blocks_are_counting_alone(planted, rng):
 
 
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
-    study = study_of(planted, (20, 40), 0.1, rng, margin=0.01)
+    study = study_of(planted, (20, 40), 0.1, rng, margin=0.01, **PLENTY)
     found = question.answer(study)
     assert [row["n"] for row in found.facts["alike"]] == [20, 40]
     assert [row["verdict"] for row in found.facts["alike"]] == ["steeper", "steeper"]
@@ -137,7 +141,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
 
 
 def test_within_the_margin_coupling_reads_as_chance_though_it_is_shown(planted, rng):
-    row = question.answer(study_of(planted, (40,), 0.1, rng, margin=0.3)).facts["lead"]
+    row = question.answer(study_of(planted, (40,), 0.1, rng, margin=0.3, **PLENTY)).facts["lead"]
     assert row["coupling_low"] > 0
     assert row["verdict"] == "as chance"
 
