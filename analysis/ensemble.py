@@ -220,6 +220,12 @@ class Study:
         return found
 
     @property
+    def margins(self) -> dict[str, float]:
+        """By how much two runs may differ and be equivalent; where episodes are recorded, gamma is not asked about."""
+        left_out = {"gamma"} if self.data.episodes is not None else set[str]()
+        return {name: margin for name, margin in self.settings.margins.items() if name not in left_out}
+
+    @property
     def unit(self) -> str:
         """What most groups have for units."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]

@@ -70,7 +70,7 @@ def answer(study: Study) -> Answer:
 
 def gamma_margin(study: Study) -> float:
     """By what share gamma may differ and count as the same, from chance as between engines; 0 if none is declared."""
-    return study.settings.margins.get("gamma", 0.0)
+    return study.margins.get("gamma", 0.0)
 
 
 def _law_row(group: Group, confidence: float, margin: float) -> Row:

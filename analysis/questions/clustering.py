@@ -64,7 +64,7 @@ def answer(study: Study) -> Answer:
     if not measured:
         return Answer(lack="no events")
     level = study.settings.confidence
-    margin = study.settings.margins.get("variance", 0.0)
+    margin = study.margins.get("variance", 0.0)
     rows = {one.group.label: _rows(one, level, margin) for one in measured}
     spectra = {one.group.label: _spectrum(one, level) for one in measured}
     tables = {

@@ -58,7 +58,7 @@ def answer(study: Study) -> Answer | None:
     pairs = list(_pairs(study, by_threshold))
     if not pairs:
         return None
-    level, margins = study.settings.confidence, study.settings.margins
+    level, margins = study.settings.confidence, study.margins
     compared = {group.label: group for pair in pairs for group in (pair.reference, pair.other)}
     whole = {label: sample(group) for label, group in compared.items()}
     families: dict[tuple[str, str], list[Row]] = {}
@@ -82,6 +82,7 @@ def answer(study: Study) -> Answer | None:
     if not any(facts.values()):
         lack = next((row["reason"] for row in found if row["reason"]), "nothing to count")
         return Answer({"n_matrices": max(row["n_first"] for row in found)}, lack=lack, tables=tables)
+    facts["with_episodes"] = study.data.episodes is not None
     drawn = [one["rows"] for one in facts["laws"] or facts["tolerances"]]
     return Answer(facts, tables=tables, figures={"contrasts": partial(contrasts, drawn[0])} if drawn else {})
 

@@ -209,7 +209,7 @@ def _point(study: Study, group: Group, at: dict[Axis, tuple[Value, ...]]) -> Poi
 
 
 def _statistics(study: Study) -> list[Statistic]:
-    return [*contrast.statistics(study.settings.margins, ("mean", "gamma")),
+    return [*contrast.statistics(study.margins, ("mean", "gamma")),
             Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
 
 

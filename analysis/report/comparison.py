@@ -88,7 +88,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     found: list[tuple[Match, list[Row]]] = []
     for match in matches:
         pair = sample(match.first), sample(match.second)
-        asked = statistics(settings.margins) + shares()
+        asked = statistics(one.margins) + shares()
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
     rows = [
         row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired}

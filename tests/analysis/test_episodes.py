@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis import catalogue as as_catalogue
-from stickslip.analysis.questions import episodes
+from stickslip.analysis.questions import engines, episodes, sweep
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
     FITTED,
@@ -294,6 +294,21 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     words = build(data, replace(settings, question=("episodes",)), "A chain", "", {})
     assert any(" more (" in line and "1e-5" in line for line in words.headline)
     assert "No episode at all: sigmoid \u03b5\u00a0=\u00a00.01" in words.html
+
+
+@pytest.mark.parametrize(("question", "table"), [(engines, "engines"), (sweep, "sweep_changes")])
+def test_where_episodes_are_recorded_gamma_is_not_asked_about(question, table, planted_episodes, planted, settings):
+    """It is of cascades, which no such page has."""
+    cases = {
+        engines: EXACT | {"smooth": (planted.sigmoid, 1.0)},
+        sweep: {"slow": ({"belt_speed": -0.1}, 1.0), "fast": ({"belt_speed": -0.2}, 1.0)},
+    }
+    data, asking = planted_episodes(cases[question]), replace(settings, margins={"mean": 0.1, "gamma": 0.05})
+    asked = [
+        set(question.answer(Study(one, asking)).tables[table]["quantity"])
+        for one in (data, replace(data, episodes=None))
+    ]
+    assert asked[1] - asked[0] == {"gamma"}
 
 
 def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_systems(
