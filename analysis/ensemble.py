@@ -221,7 +221,7 @@ class Study:
 
     @property
     def margins(self) -> dict[str, float]:
-        """By how much two runs may differ and be equivalent; where episodes are recorded, gamma is not asked about."""
+        """By how much runs may differ and be equivalent; where episodes are recorded, gamma is not asked about."""
         left_out = {"gamma"} if self.data.episodes is not None else set[str]()
         return {name: margin for name, margin in self.settings.margins.items() if name not in left_out}
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, System, simulate
-from stickslip.sim.engines import coulomb_steps
-from stickslip.sim.engines.overdamped import Slow
+from stickslip.sim.engines.coulomb import step as coulomb_steps
+from stickslip.sim.engines.coulomb.overdamped import Slow
 from tests import independent
 
 
