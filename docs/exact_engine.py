@@ -72,7 +72,7 @@ def _reach(ax: matplotlib.axes.Axes, system: System) -> None:
 
 
 def _series(system: System, z: np.ndarray, w: np.ndarray, mode: np.ndarray, order: int) -> np.ndarray:
-    """c_k, shape (order + 1, n), of blocks that slip: the recurrence of `stickslip.sim.engines.taylor`."""
+    """c_k, shape (order + 1, n), of blocks that slip: the recurrence of `stickslip.sim.engines.coulomb.taylor`."""
     c = np.zeros((order + 1, system.n))
     c[0], c[1] = z, w
     for k in range(order - 1):

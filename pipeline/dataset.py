@@ -20,7 +20,7 @@ from stickslip.pipeline.ledger import Manifest, Shard, planned, read_manifest, s
 from stickslip.pipeline.scene import Scene
 from stickslip.pipeline.schema import ASKED_BY, Recording
 from stickslip.pipeline.storage import DATA, SCENE, Directory, Place, Where, place_of
-from stickslip.sim.arguments import did_you_mean
+from stickslip.sim.numerics.arguments import did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd

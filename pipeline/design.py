@@ -23,11 +23,11 @@ from stickslip.pipeline.scene import Scene, parse_scene
 from stickslip.pipeline.schema import Recording
 from stickslip.pipeline.system_table import QUANTITIES
 from stickslip.pipeline.systems import OF_BLOCKS, SystemFile, SystemFunction, make, read
-from stickslip.sim.couplings import READINGS
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine, Ratios
 from stickslip.sim.simulation import as_engine, as_task
-from stickslip.sim.weakening import Rational, Stribeck
+from stickslip.sim.systems.couplings import READINGS
+from stickslip.sim.systems.friction import Rational, Stribeck
 
 # What a random draw is for: the first word of every seed's key. Never renumber: the data hang on it.
 MATRIX, PERTURBATION, RATIO, TWIN, FRICTION, DAMPING, START_Z, START_W, LEAF = range(9)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
 from stickslip.pipeline.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once
-from stickslip.sim.couplings import Reading
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
+from stickslip.sim.systems.couplings import Reading
 
 #: Tolerances of the engines where a scene gives none, by what it asks for.
 TOLERANCES: dict[Purpose, dict[str, float]] = {

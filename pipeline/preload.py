@@ -12,4 +12,4 @@ with loading():
 
     for engine in engines.ENGINES.values():
         if engine.kernels:
-            import_module(f"{engines.__name__}.{engine.kernels}")
+            import_module(f"{engine.kernels}.integrate")

@@ -14,7 +14,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
 from stickslip.pipeline.toml import once, shown, unquoted
-from stickslip.sim.arguments import Floats, did_you_mean
+from stickslip.sim.numerics.arguments import Floats, did_you_mean
 
 #: The distributions, by what their two numbers are.
 LAWS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}

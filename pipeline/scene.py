@@ -62,10 +62,10 @@ from stickslip.pipeline.toml import (
     shown,
     written,
 )
-from stickslip.sim.couplings import Reading
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Purpose
-from stickslip.sim.graphs import GRAPHS
+from stickslip.sim.systems.couplings import Reading
+from stickslip.sim.systems.graphs import GRAPHS
 
 #: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
 MAX_MEMBERS = 1_000_000

@@ -26,11 +26,11 @@ from stickslip.pipeline.quantity import (
 )
 from stickslip.pipeline.systems import OF_BLOCKS
 from stickslip.pipeline.toml import BlockNumbers, Blocks, List, Natural, StrictTable, shown
-from stickslip.sim.arguments import did_you_mean
-from stickslip.sim.couplings import COUPLINGS
-from stickslip.sim.drive import direction
-from stickslip.sim.graphs import GRAPHS
-from stickslip.sim.weakening import Rational, Stribeck, require_static
+from stickslip.sim.numerics.arguments import did_you_mean
+from stickslip.sim.systems.couplings import COUPLINGS
+from stickslip.sim.systems.drive import direction
+from stickslip.sim.systems.friction import Rational, Stribeck, require_static
+from stickslip.sim.systems.graphs import GRAPHS
 
 #: The name of the coupling whose systems are read from files.
 OF_FILE = "file"
@@ -118,7 +118,7 @@ class ForceTable(StrictTable):
 
 
 class WeakeningTable(StrictTable):
-    """[system.weakening]: how kinetic friction falls with the speed of slip; see `stickslip.sim.weakening`."""
+    """[system.weakening]: how kinetic friction falls with the speed of slip; see `stickslip.sim.systems.friction`."""
 
     law: Literal["rational", "stribeck"] = Field(
         description="friction / (1 + rate |w - v|), or friction + (static - friction) exp(-|w - v| / speed)",

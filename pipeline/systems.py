@@ -26,8 +26,8 @@ import numpy as np
 from stickslip.pipeline.errors import SceneError, foreign, printable
 from stickslip.pipeline.processes import Child, ChildDied
 from stickslip.pipeline.system_files import arrays_of
-from stickslip.sim.arguments import did_you_mean, per_block
-from stickslip.sim.system import System
+from stickslip.sim.numerics.arguments import did_you_mean, per_block
+from stickslip.sim.systems.system import System
 
 #: Arguments of `System` that are a number a block; and what a file may hold beside `stiffness`.
 OF_BLOCKS = ("damping", "friction", "static", "mass", "belt_speed")

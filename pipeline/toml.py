@@ -26,7 +26,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
 
 from stickslip.pipeline.errors import SceneError
-from stickslip.sim.arguments import did_you_mean
+from stickslip.sim.numerics.arguments import did_you_mean
 
 #: A dense K of this many blocks is 80 GB.
 MAX_BLOCKS = 100_000

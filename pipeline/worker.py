@@ -28,11 +28,11 @@ from stickslip.pipeline.schema import COLUMNS, Recording, encode
 from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.engines.kept import CacheError, has_kernel
-from stickslip.sim.engines.sources import source_digest
 from stickslip.sim.episodes import episodes
-from stickslip.sim.series import summaries
-from stickslip.sim.system import work_out
+from stickslip.sim.kernels.cache import CacheError, has_kernel
+from stickslip.sim.kernels.digest import source_digest
+from stickslip.sim.runs.series import summaries
+from stickslip.sim.systems.system import work_out
 from stickslip.version import __version__
 
 #: So many members are set up at once, with so many entries of K together.

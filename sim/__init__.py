@@ -1,12 +1,12 @@
 """The physics: a system in, an event series out. No files, no dask, no pandas."""
 
-from stickslip.sim.couplings import COUPLINGS, READINGS, draw_system, perturb_system
-from stickslip.sim.drive import Harmonic, Piecewise
-from stickslip.sim.run import IntegrationError, Run, Samples, Stats
-from stickslip.sim.series import EventSeries
+from stickslip.sim.runs.run import IntegrationError, Run, Samples, Stats
+from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.simulation import simulate
-from stickslip.sim.system import System
-from stickslip.sim.weakening import Rational, Stribeck
+from stickslip.sim.systems.couplings import COUPLINGS, READINGS, draw_system, perturb_system
+from stickslip.sim.systems.drive import Harmonic, Piecewise
+from stickslip.sim.systems.friction import Rational, Stribeck
+from stickslip.sim.systems.system import System
 
 __all__ = [
     "COUPLINGS",

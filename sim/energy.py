@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats
-from stickslip.sim.drive import Piecewise
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.run import Run, Samples
-from stickslip.sim.series import EventSeries
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.simulation import simulate
-from stickslip.sim.system import System
+from stickslip.sim.systems.drive import Piecewise
+from stickslip.sim.systems.system import System
 
 #: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats
-from stickslip.sim.drive import Piecewise, belt
-from stickslip.sim.run import Run
-from stickslip.sim.series import EventSeries
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run
+from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.systems.drive import Piecewise, belt
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import did_you_mean, flag, floats, number, per_block
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.run import Run, Samples
-from stickslip.sim.system import System, require_constant_friction, require_one_belt, require_one_friction
+from stickslip.sim.numerics.arguments import did_you_mean, flag, floats, number, per_block
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.systems.system import System, require_constant_friction, require_one_belt, require_one_friction
 
 #: Of `simulate` itself, for who writes one of them nearly right.
 _KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
@@ -52,9 +52,8 @@ def simulate(
         Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
         that escapes ends.
     **settings
-        coulomb: ``tol``, see `stickslip.sim.engines.coulomb.Coulomb`; sigmoid: ``eps``, ``ratio``, ``rtol``,
-        ``atol``, ``stick``, ``threshold``, ``thresholds``, see `stickslip.sim.engines.sigmoid.Sigmoid`; moreau:
-        ``step``, see `stickslip.sim.engines.moreau.Moreau`.
+        coulomb: ``tol``; sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds``;
+        moreau: ``step``. See `stickslip.sim.engines.ENGINES`, the classes `Coulomb`, `Sigmoid` and `Moreau`.
 
     Returns
     -------

@@ -37,7 +37,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     file = find(arguments.scene)
     if not file.exists() and file.suffix != ".toml":
-        from stickslip.sim.arguments import did_you_mean
+        from stickslip.sim.numerics.arguments import did_you_mean
 
         names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
         raise _Wrong(
@@ -394,6 +394,6 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return _UNFINISHED
-    except import_module("stickslip.sim.engines.kept").CacheError as error:  # loaded only if it is none of the above
+    except import_module("stickslip.sim.kernels.cache").CacheError as error:  # loaded only if it is none of the above
         print(f"stickslip: {error}", file=sys.stderr)
         return _WRONG

@@ -10,9 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.arguments import Floats
 from stickslip.sim.engines.watch import Watch
-from stickslip.sim.system import System
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.systems.system import System
 
 #: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
 _ESCAPE_FACTOR = 30.0

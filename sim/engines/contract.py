@@ -26,9 +26,9 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats, floats, number, per_block
-from stickslip.sim.run import Run, Samples
-from stickslip.sim.system import System
+from stickslip.sim.numerics.arguments import Floats, floats, number, per_block
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.systems.system import System
 
 #: What is asked of an ensemble: numbers of all its runs, or each run's own path.
 Purpose = Literal["statistics", "paths"]
@@ -158,7 +158,7 @@ class Engine(ABC):
     about : str
         One line for scenes.
     kernels : str
-        The module beside this one whose kernels it compiles; "" if it has none.
+        The package with the kernels that it compiles, whose module `integrate` loads them; "" if it has none.
     is_exact : bool
         Whether its law is the exact one, of which `stickslip.sim.energy` knows the balance.
     takes_damping_matrix : bool

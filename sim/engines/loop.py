@@ -12,16 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.arguments import Floats
 from stickslip.sim.engines import certificates
-from stickslip.sim.engines.compile import inner
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.outside import Drive, Outside
-from stickslip.sim.engines.products import Pairs
-from stickslip.sim.run import IntegrationError, Outcome, Run, Stats, Stills
-from stickslip.sim.series import EventSeries, without_returns
-from stickslip.sim.system import Columns, System
-from stickslip.sim.weakening import Rational, Stribeck, Weakening, registered
+from stickslip.sim.engines.forcing import Drive, Outside
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.products import Pairs
+from stickslip.sim.runs.run import IntegrationError, Outcome, Run, Stats, Stills
+from stickslip.sim.runs.series import EventSeries, without_returns
+from stickslip.sim.systems.friction import Rational, Stribeck, Weakening, registered
+from stickslip.sim.systems.system import Columns, System
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)

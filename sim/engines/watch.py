@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.arguments import Floats
-from stickslip.sim.engines.compile import inner
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 
 
 class Watch(NamedTuple):

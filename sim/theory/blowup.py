@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from stickslip.sim.arguments import Floats, per_block
-from stickslip.sim.run import IntegrationError
-from stickslip.sim.system import System, require_plain
+from stickslip.sim.numerics.arguments import Floats, per_block
+from stickslip.sim.runs.run import IntegrationError
+from stickslip.sim.systems.system import System, require_plain
 from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]

@@ -26,10 +26,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats, floats, integer, number, per_block, sign
-from stickslip.sim.engines.arithmetic import ROUNDING
-from stickslip.sim.engines.taylor import ORDER_MAX
-from stickslip.sim.system import System, require_plain
+from stickslip.sim.engines.coulomb.taylor import ORDER_MAX
+from stickslip.sim.numerics.arguments import Floats, floats, integer, number, per_block, sign
+from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.systems.system import System, require_plain
 
 Visibility: TypeAlias = Literal["visible", "invisible", "degenerate"]
 

@@ -18,8 +18,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats, floats, number
-from stickslip.sim.run import IntegrationError
+from stickslip.sim.numerics.arguments import Floats, floats, number
+from stickslip.sim.runs.run import IntegrationError
+from stickslip.sim.systems.friction import hidden_term, turning_point
 
 Slips = NDArray[np.int8]
 
@@ -124,18 +125,6 @@ class StaticAboveKinetic(SwitchingLaw):
         angle = np.arccos(-target / self.ratio)
         roots = 2 * self.turning_point * np.cos((angle - 2 * np.pi * np.arange(3)) / 3)
         return roots[:2] if target == -self.ratio else roots[1:] if target == self.ratio else roots
-
-
-def hidden_term(ratio: ArrayLike) -> Floats:
-    """c of `StaticAboveKinetic` by the ratio, of any shape; 0 for the ratio 1."""
-    r = np.asarray(ratio, dtype=np.float64)
-    return np.asarray(np.where(r == 1.0, 0.0, 3 * r * np.cos(np.arccos(-1 / r) / 3) - 1))
-
-
-def turning_point(c: ArrayLike) -> Floats:
-    """lambda_* of `StaticAboveKinetic` by its c, of any shape; 1 without a hidden term."""
-    c = np.asarray(c, dtype=np.float64)
-    return np.sqrt(np.divide(1 + c, 3 * c, out=np.ones_like(c), where=c > 0.5))
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.arguments import Floats, integer, per_block
-from stickslip.sim.engines.arithmetic import ROUNDING
-from stickslip.sim.system import System, require_plain
+from stickslip.sim.numerics.arguments import Floats, integer, per_block
+from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.systems.system import System, require_plain
 from stickslip.sim.theory.folds import Visibility, require_blocks, stiffness_rows, visibility_of
 
 #: Of a stratum: all its folds are visible, all invisible, some of each; or one is degenerate.

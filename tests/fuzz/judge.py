@@ -19,7 +19,7 @@ from scipy.linalg import eig
 from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, Run, Stribeck, System, simulate
-from stickslip.sim.engines import products
+from stickslip.sim.numerics import products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Ramp, Undecided, follow

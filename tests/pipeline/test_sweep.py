@@ -14,7 +14,7 @@ import scipy.sparse
 from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.cluster import check_memory
 from stickslip.pipeline.toml import written
-from stickslip.sim.weakening import Rational
+from stickslip.sim.systems.friction import Rational
 from stickslip.workflows.reporting import study_of
 from tests.scenes import COULOMB, ENDING, ensemble
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip import Harmonic, Piecewise, Stribeck, System, draw_system, simulate
-from stickslip.sim.theory.laws import hidden_term
+from stickslip.sim.systems.friction import hidden_term
 
 N = 200
 BEFORE, AFTER = 0.04, 0.05

@@ -8,9 +8,10 @@ import pytest
 import scipy.sparse
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.engines import friction, panels, radau
-from stickslip.sim.engines.lanes import on_number
-from stickslip.sim.theory.laws import hidden_term
+from stickslip.sim.engines.sigmoid import friction
+from stickslip.sim.numerics import panels, radau
+from stickslip.sim.numerics.lanes import on_number
+from stickslip.sim.systems.friction import hidden_term
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.sim import radau as reference

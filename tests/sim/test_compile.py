@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from stickslip.sim.engines import kept
-from stickslip.sim.engines.compile import kernel
-from stickslip.sim.engines.kept import KernelFiles, cache_directory
+from stickslip.sim.kernels import cache as kept
+from stickslip.sim.kernels.cache import KernelFiles, cache_directory
+from stickslip.sim.kernels.compile import kernel
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from stickslip.sim import (
 )
 from stickslip.sim.energy import TooLongError, energy
 from stickslip.sim.episodes import episodes
-from stickslip.sim.run import Stills
+from stickslip.sim.runs.run import Stills
 
 
 def run_with_energy(system, z, w, t_end, **settings):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import EventSeries, System, draw_system, perturb_system, simulate
-from stickslip.sim.couplings import COUPLINGS
+from stickslip.sim.systems.couplings import COUPLINGS
 
 START = (-0.7, -0.4)
 

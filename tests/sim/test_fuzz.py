@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import EventSeries, Run, System, draw_system, simulate
-from stickslip.sim.run import Samples
+from stickslip.sim.runs.run import Samples
 from tests.fuzz import judge as judging
 from tests.fuzz.draw import TERMS, Trial, draw
 from tests.fuzz.judge import exact_truth, judge

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.sim.engines.kept import CacheError, KernelFiles
+from stickslip.sim.kernels.cache import CacheError, KernelFiles
 from tests.processes import until
 from tests.scenes import COULOMB, ensemble
 

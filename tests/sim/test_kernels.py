@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from stickslip.sim.engines.roots import roots
+from stickslip.sim.numerics.roots import roots
 
 
 @numba.njit

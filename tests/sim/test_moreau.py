@@ -5,8 +5,7 @@ import pytest
 import scipy.sparse
 
 from stickslip import System, draw_system, simulate
-from stickslip.sim.engines.moreau import whole_steps
-from stickslip.sim.engines.moreau_steps import BEYOND
+from stickslip.sim.engines.moreau.step import BEYOND, whole_steps
 from stickslip.sim.episodes import episodes
 from stickslip.workflows.charts.peers import random_problem
 

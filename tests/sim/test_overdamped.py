@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, System, simulate
-from stickslip.sim.engines import coulomb_steps
-from stickslip.sim.engines.overdamped import Slow
+from stickslip.sim.engines.coulomb import integrate
+from stickslip.sim.engines.coulomb.overdamped import Slow
 from tests import independent
 
 
@@ -102,7 +102,7 @@ def test_against_short_steps(rng, monkeypatch):
         t_end = min(10.0, 5 / max(growth.max(), 1e-9))
         run = simulate(system, z0, w0, t_end, tol=1e-11, stop_early=False)
         with monkeypatch.context() as short:
-            short.setattr(coulomb_steps.Slow, "of", staticmethod(lambda *_: None))
+            short.setattr(integrate.Slow, "of", staticmethod(lambda *_: None))
             expected = simulate(system, z0, w0, t_end, tol=1e-13, stop_early=False)
         size = max(np.abs(expected.z).max(), np.abs(z0).max(), np.abs(w0).max())
         np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-8 * size)
@@ -201,7 +201,7 @@ def test_heavy_blocks_beside_light_ones_against_the_matrix_exponential(rng):
 
 def test_a_run_that_short_steps_make_long_says_so(monkeypatch):
     """Also where heavily damped blocks are there, which are followed on their slow motion."""
-    monkeypatch.setattr(coulomb_steps, "_MANY", 1e3)
+    monkeypatch.setattr(integrate, "_MANY", 1e3)
     for stiffness, damping in (([1.0], 30.0), ([1.0, 900.0], [1e7, 0.1])):
         with pytest.warns(RuntimeWarning, match=r"allow steps of 2e-01 while blocks slip, 3e\+03 of them to t = 500"):
             simulate(System(np.diag(stiffness), damping, belt_speed=-1.0), 0.0, 0.0, 500.0)

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.sparse import csc_array
 
 from stickslip.sim import System, simulate
-from stickslip.sim.engines import products
+from stickslip.sim.numerics import products
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import exact_truth, made
 from tests.independent import Undecided

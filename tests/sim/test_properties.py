@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim import EventSeries, System, draw_system, simulate
 from stickslip.sim.engines import certificates
-from stickslip.sim.series import without_returns
+from stickslip.sim.runs.series import without_returns
 from tests import independent
 from tests.fuzz.draw import FAMILIES, Trial
 from tests.fuzz.judge import judge

@@ -7,7 +7,8 @@ import pytest
 import scipy.sparse
 from matplotlib.figure import Figure
 
-from stickslip.sim import EventSeries, Samples, System, draw_system, show, simulate
+from stickslip.sim import EventSeries, Samples, System, draw_system, simulate
+from stickslip.sim.runs import show
 
 SYSTEM = draw_system("antisymmetric", n=30, seed=0)
 RUN = simulate(SYSTEM, -0.7, -0.4, 20.0, t_eval=[0.0, 10.0, 20.0])

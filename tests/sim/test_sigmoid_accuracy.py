@@ -20,7 +20,7 @@ from tests.sim import radau
 
 FAMILIES = ("soft", "one", "stiff", "undamped", "chain", "thin", "many", "undamped stiff")
 STIFF = ("one", "stiff", "undamped stiff")
-BOUND = 20.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
+BOUND = 20.0  # `stickslip.sim.engines.sigmoid.settings.Sigmoid` states it
 
 
 def draw(family, rng, t_max, kind=""):

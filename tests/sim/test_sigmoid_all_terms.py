@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
 from tests.chance import agrees
 
-BOUND = 20.0  # `stickslip.sim.engines.sigmoid.Sigmoid` states it
+BOUND = 20.0  # `stickslip.sim.engines.sigmoid.settings.Sigmoid` states it
 N_SENSITIVITY, MOVED = 2, 1e-5
 
 

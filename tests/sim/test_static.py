@@ -9,8 +9,9 @@ from scipy.sparse import csr_array
 from stickslip.sim import System, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.certificates import Collapse, Smoothed
+from stickslip.sim.systems.friction import hidden_term, turning_point
 from stickslip.sim.theory import blowup, folds, slow_time, strata
-from stickslip.sim.theory.laws import Coulomb, hidden_term, turning_point
+from stickslip.sim.theory.laws import Coulomb
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.independent import Case, follow

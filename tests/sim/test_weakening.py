@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
 from stickslip.sim.energy import energy
-from stickslip.sim.engines import ENGINES, friction
-from stickslip.sim.engines.lanes import on_number
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.sigmoid import friction
+from stickslip.sim.numerics.lanes import on_number
+from stickslip.sim.systems.friction import Weakening
 from stickslip.sim.theory import folds
-from stickslip.sim.weakening import Weakening
 
 # the system
 

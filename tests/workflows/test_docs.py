@@ -26,8 +26,9 @@ from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import SceneError, engine_table, expand, parse_scene, query, run_ensemble
-from stickslip.sim import couplings, draw_system, simulate
+from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
+from stickslip.sim.systems import couplings
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of

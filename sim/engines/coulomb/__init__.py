@@ -1,0 +1,1 @@
+"""The exact engine: set-valued friction, event by event."""

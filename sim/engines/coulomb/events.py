@@ -1,0 +1,81 @@
+"""When a block's mode ends: the first roots of its event functions, and which blocks need no search.
+
+A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.numerics.roots`, which misses no root.
+"""
+
+from __future__ import annotations
+
+from stickslip.sim.engines.coulomb.sticking import UNDECIDED_BOTH, push
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.roots import roots
+
+
+@inner
+def stray(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
+    """How far the event functions of n blocks can stray in h from their tangents, by the sizes of their terms."""
+    for i in range(n):
+        reach[i] = 0.0
+    power = h * h
+    for k in range(2, order - 1):
+        for i in range(n):
+            reach[i] += power * abs(slips[i] * (k + 1) * series[k + 1, i] + (1.0 - slips[i]) * forces[k, i])
+        power *= h
+    for i in range(n):  # F has two orders less: it is needed to the accuracy of w', not of w
+        reach[i] += power * abs(slips[i] * order * series[order, i])
+
+
+@inner
+def is_quiet(mode, zeros, side, w, half_slope, pull, pull_slope, h, v, drag, static, closed, reach):  # type: ignore[no-untyped-def]
+    """Whether a block's event functions, which stray by at most `reach` from their tangents, have no root within h.
+
+    `pull` is (K z)_i. It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    """
+    if mode != 0:
+        gap = mode * (w - v)
+        return zeros == 0 and min(gap, gap + mode * 2.0 * half_slope * h) > reach
+    force = drag + pull
+    return side == 0 and max(push(closed, force), push(closed, force + pull_slope * h)) + reach < static
+
+
+@inner
+def root(law, i, series, forces, at, mode, zeros, side, order, h, poly, found):  # type: ignore[no-untyped-def]
+    """Time to the first root of block i's event functions within h, and whether there is one; see `is_quiet` first.
+
+    Its series are the columns `at`.
+    """
+    v, static, closed, is_found = law.belt_speed[i], law.static[i], law.closed[i], False
+    if mode != 0:
+        degree = order - 1 - zeros
+        power = 1.0
+        for k in range(degree + 1):
+            j = k + zeros
+            c = (j + 1) * series[j + 1, at]
+            if j == 0:
+                c -= v
+            poly[k] = mode * c * power
+            power *= h
+        if roots(poly, degree, found) > 0:
+            h *= found[0]
+            is_found = True
+        return h, is_found
+    force = law.damping[i] * v + forces[0, at]
+    first = h
+    for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
+        if sigma == closed:
+            continue
+        skip = zeros if side in (sigma, UNDECIDED_BOTH) else 0
+        degree = order - 2 - skip
+        if degree < 1:
+            continue
+        if skip == 0:
+            poly[0] = static + sigma * force
+        else:
+            poly[0] = sigma * forces[skip, at]
+        power = h
+        for k in range(1, degree + 1):
+            poly[k] = sigma * forces[k + skip, at] * power
+            power *= h
+        if poly[0] != 0.0 and roots(poly, degree, found) > 0:
+            first = min(first, h * found[0])
+            is_found = True
+    return first, is_found

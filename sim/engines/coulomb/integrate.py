@@ -1,0 +1,163 @@
+"""A run of the exact engine: checks, the loop that its structure asks for, and what is said where it stalls."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines import loop
+from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.coulomb import sparse, step
+from stickslip.sim.engines.coulomb.overdamped import Slow
+from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, SPAN, Expansion
+from stickslip.sim.engines.coulomb.windows import STALL, Goal, Search
+from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.loop import Events, Law, State
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.products import Pairs
+from stickslip.sim.runs.run import Run
+from stickslip.sim.systems.system import require_diagonal_damping
+
+#: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
+#: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
+_TOUCH = 4.0
+#: So many steps are announced.
+_MANY = 1e8
+#: The loosest tolerance that is worked with. A looser one leaves events undecided: they end windows, and cost more.
+_LOOSEST = 1e-3
+#: The motion after a collapse is that of the modes if a bound of their rounding, some hundred times what it comes to,
+#: is below the tolerance, or below this.
+_FOLLOWED = 1e-10
+#: So many tolerances, of its terms, F may be off at an event where a run was cut.
+_AT_EVENTS = 100.0
+
+
+def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
+    """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
+
+    Raises
+    ------
+    ValueError
+        Of a run: if the system has cross damping, or a block starts ahead of its belt where that is barred.
+    IntegrationError
+        Of a run: if events accumulate at one instant.
+    """
+    tol, systems = min(tol, _LOOSEST), [task.system for task in tasks]
+    # from here on by task and block
+    rates, static, near, row_sums = (
+        np.array(rows)
+        for rows in zip(
+            *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
+        )
+    )
+    # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
+    is_touch = (rates > 0) & (static == near)
+    shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
+    of_runs = zip(
+        tasks,
+        Pairs.of([one.stiffness for one in systems], row_sums),
+        rates.max(axis=1).tolist(),
+        shortest,
+        strict=True,
+    )
+    return [partial(_integrate, tol, *of_run) for of_run in of_runs]
+
+
+def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
+    """Run a task. `rate` bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself."""
+    system = task.system
+    require_diagonal_damping(system, "engine='coulomb'")
+    drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
+    law, v = Law.of(system, pairs, drive), drive.belt_speed
+    near, far = system.slip_friction
+    if law.fall is not None:
+        rate += law.fall.steepness * float((near - far).max())
+    mode = np.sign(task.w0 - v).astype(np.int8)
+    if not system.back_slip:
+        _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
+        mode[mode * system.closed > 0] = 0
+    exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
+    state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
+    expansion, search = Expansion.blank(mode, law.fall is not None), Search.of(mode)
+    if task.modes is not None:
+        expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
+    collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
+    slow = Slow.of(system, drive.fastest) if law.fall is None else None
+    _warn_of_short_steps(task, rate if slow is None else slow.rate)
+    is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
+
+    def advance(events: Events, bound: float) -> tuple[int, int]:
+        goal = Goal(drive.length, drive.is_last, tol, rate)
+        if is_local:
+            found = sparse.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
+        else:
+            found = step.advance(law, goal, state, expansion, search, slow, events, bound, collapse.watch)
+        if task.modes is not None:
+            _require_modes(task, task.modes, search.initial_mode, tol)
+        return found
+
+    if is_local:
+        room, pull = sparse.Nearby.of(system.n), float(system.row_sums.max())
+    return loop.complete(
+        task,
+        state,
+        drive,
+        advance,
+        collapse,
+        stalled=f"more than {STALL} instants that rounding cannot tell apart; this start is degenerate:"
+        " perturb it, or use engine='sigmoid'",
+        events_a_step=system.n,
+        initial_modes=search.initial_mode[np.newaxis],
+        shortest=shortest,
+        touch=_TOUCH * math.sqrt(tol),
+    )
+
+
+def _warn_of_short_steps(task: Task, rate: float) -> None:
+    """RuntimeWarning if blocks that move at this rate throughout make a run as long as few would wait for."""
+    n_steps = rate * (task.t_end - task.t_start) / SPAN
+    if n_steps > _MANY:
+        fastest = f"damping up to {task.system.damping.max():g}, stiffness up to {task.system.row_sums.max():g} a row"
+        warnings.warn(
+            f"system: {fastest} allow steps of {SPAN / rate:.0e} while blocks slip, {n_steps:.0e} of them to"
+            f" t = {task.t_end:g}: a minute or more for each 1e8; engine='sigmoid' takes long ones under damping",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8], tol: float) -> None:
+    """ValueError if a block cannot start in the mode that was asked for, by more than the tolerance."""
+    if (asked == found).all():
+        return
+    s, z, t = task.system, task.z0, task.t_start
+    v, force = s.belt_speed_at(t), s.holding_force(z, task.w0, t)
+    # a run that was cut at an event has |F| at static friction to its own tolerance
+    size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + np.abs(s.force_at(t)) + s.static
+    allowed = _AT_EVENTS * tol * size
+    is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (np.abs(np.abs(force) - s.static) <= allowed)
+    # but friction does not push, and no block slips to a side that is barred
+    is_at_edge &= (asked * s.closed <= 0) & ((asked * force <= 0.0) | (s.static <= allowed))
+    if ((asked != found) & ~is_at_edge).any():
+        block = int(np.argmax((asked != found) & ~is_at_edge))
+        raise ValueError(
+            f"modes: expected what the state allows, got {asked[block]} for block {block}, which begins with"
+            f" {found[block]}: off the belt's speed a block slips to its side, on it one sticks if |F| is at most"
+            " its static friction, and slips, against F, if it is above its kinetic"
+        )
+
+
+def _refuse_closed(beyond: Floats, allowed: float) -> None:
+    """ValueError if a block starts ahead of its belt by more than is allowed: no force can have brought it there."""
+    if (beyond > allowed).any():
+        block = int(np.argmax(beyond))
+        raise ValueError(
+            f"w0: expected no block ahead of its belt with back_slip=False, got block {block} ahead by"
+            f" {beyond[block]:g}; start it at the belt's speed"
+        )

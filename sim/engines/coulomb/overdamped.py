@@ -1,0 +1,221 @@
+"""Heavily damped blocks in the exact engine: their slow motion, in the place of steps as short as 1 / R.
+
+A slipping block with w' = -R w + G(t) has a transient, exp(-R t) times what w is off at the start, and beside it a
+motion as slow as G. In the coefficients of series that is
+
+    w_k = (G_k - (k + 1) w_{k+1}) / R,    G = -(K z) - mu sigma, and a force from outside.
+
+Where R is far above all other rates, a few sweeps of this recurrence settle, w_{k+1} being that of the sweep before:
+each brings a factor of those rates over R. A block is taken to move so once what it is off is below the tolerance.
+Until then, when a block leaves the belt, and where sweeps do not settle, the step is that of `taylor.expand`. A block
+with a transient counts as one that is not heavily damped: those far above it move slowly all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
+from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, ORDER_MIN, SPAN
+from stickslip.sim.engines.forcing import begin, may_change, take_off
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.numerics.products import one_product
+from stickslip.sim.systems.system import System
+
+#: A block is heavily damped if R is this many times all rates without it: below, short steps cost no more.
+_HEAVY = 100.0
+#: Series have settled when a sweep changes w by this share of what it may err by.
+_SETTLED = 0.01
+_SWEEPS = 15
+#: A step whose series do not end by the highest order is made this much shorter, so many times.
+_SHORTER, _SHORTER_MAX = 0.6, 4
+#: After a failure so many steps of `expand` come first: those left, and what it will be the next time, up to a most.
+_LEFT, _NEXT, _PATIENCE_MAX = 0, 1, 64
+
+
+class Slow(NamedTuple):
+    """What it takes to follow heavily damped blocks."""
+
+    damping: Floats
+    pull: Floats  #: row sums of |K|
+    fastest: float  #: the largest frequency of a force
+    most: float  #: the largest damping
+    rate: float  #: of the motion that is left if all blocks move
+    moves: NDArray[np.bool_]  #: which blocks do now
+    decays: NDArray[np.bool_]  #: which have a transient
+    patience: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, system: System, fastest: float) -> Slow | None:
+        """None if there are no such blocks; `fastest` is the largest frequency of a force."""
+        damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
+        decays = np.zeros(system.n, dtype=np.bool_)
+        most = float(damping.max())
+        if not (damping > _HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
+            return None
+        slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
+        _, rate = _pace_of(slow)
+        return slow._replace(rate=rate)
+
+
+def _pace_of(slow: Slow) -> tuple[float, float]:
+    """The damping from which on blocks are heavily damped, while some move, and the rate of the motion that is left.
+
+    Heavy is what is far above that rate, to which all belong that are not heavy: it is found from below.
+    """
+    damping, pull, least = slow.damping, slow.pull, _HEAVY * slow.fastest
+    while True:
+        rate = slow.fastest
+        for i in range(len(damping)):
+            if slow.moves[i] or slow.decays[i]:
+                own = math.sqrt(pull[i])
+                is_heavy = damping[i] >= least and damping[i] > _HEAVY * own and not slow.decays[i]
+                rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
+        if _HEAVY * rate <= least:
+            return least, rate
+        least = _HEAVY * rate
+
+
+_pace = inner(_pace_of)
+
+
+@inner
+def _sweep(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+    """The series of all blocks anew, from what heavily damped ones have of the sweep before.
+
+    Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
+    """
+    damping, friction, mode, outside = law.damping, law.friction, expansion.mode, law.outside
+    series, forces, slips = expansion.series, expansion.forces, expansion.slips
+    begin(outside, t)
+    n_small, change, power = 0, 0.0, 1.0
+    for k in range(ORDER_MAX - 1):
+        one_product(law.columns, series[k], forces[k], law.pairs.columns)
+        pushed = take_off(outside, t, k, forces[k])
+        for i in range(len(mode)):
+            pull = -slips[i] * (forces[k, i] + (friction[i] * mode[i] if k == 0 else 0.0))
+            if slips[i] == 0.0 or damping[i] < least:
+                series[k + 2, i] = (pull - slips[i] * damping[i] * (k + 1) * series[k + 1, i]) / ((k + 2) * (k + 1))
+            else:
+                w = (pull - (k + 2) * (k + 1) * series[k + 2, i]) / damping[i]
+                change = max(change, abs(w - (k + 1) * series[k + 1, i]) * power)
+                series[k + 1, i] = w / (k + 1)
+        term = power * (k + 1) * largest(series[k + 1])
+        if pushed > 0.0:  # as in `expand`: where it moves a block, and where friction holds it
+            term = max(term, power * pushed * max(h / (k + 1), 1.0 / (h * slow.rate * slow.rate)))
+        n_small = n_small + 1 if term <= allowed else 0  # two in a row, since one can vanish by chance
+        if n_small >= 2 and k + 1 >= max(ORDER_MIN, rate * h):
+            return k + 1, change
+        power *= h
+    return 0, change
+
+
+@inner
+def _stays(law, expansion, moves, order):  # type: ignore[no-untyped-def]
+    """Whether by their series blocks that rest stay at rest, and those with |F| = m stay there."""
+    series, forces, zeros = expansion.series, expansion.forces, expansion.zeros
+    for k in range(1, order - 1):
+        c_max = largest(series[k])
+        for i in range(len(zeros)):
+            noise = ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i))
+            if zeros[i] == IDENTICALLY_ZERO and abs(forces[k, i]) > noise:
+                return False
+            if not moves[i] and series[k + 1, i] != 0.0:
+                return False
+    return True
+
+
+@inner
+def _passed(series, mode, v):  # type: ignore[no-untyped-def]
+    """Whether by its series a block is past the belt's speed that by its w it is yet to reach: no root would tell."""
+    is_past = False
+    for i in range(len(mode)):
+        is_past = is_past or (mode[i] != 0 and mode[i] * (series[1, i] - v[i]) <= 0.0)
+    return is_past
+
+
+@inner
+def _settled(law, expansion, slow, least, rate, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+    """As `follow`, with the number of products, order 0 if they do not settle, -1 if blocks were found to decay."""
+    series, mode, moves, v = expansion.series, expansion.mode, slow.moves, law.belt_speed
+    n, n_products, n_shorter = len(z), 0, 0
+    h = min(target, SPAN / rate) if rate > 0.0 else target
+    for k in range(2, ORDER_MAX + 1):
+        for i in range(n):
+            series[k, i] = 0.0
+    copy(z, series[0])
+    copy(w, series[1])
+    allowed = tol * max(largest(w), largest(v))
+    # if nothing moves yet
+    allowed = max(allowed, tol * h * may_change(law.outside, t, h) / (1.0 + h * largest(law.damping)))
+    for _ in range(_SWEEPS):
+        order, change = _sweep(law, expansion, slow, least, t, h, rate, allowed)
+        n_products += order if order > 0 else ORDER_MAX - 1
+        allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
+        is_transient = False
+        for i in range(n):
+            if abs(w[i] - series[1, i]) > allowed + change:
+                slow.decays[i], is_transient = True, True
+        if is_transient:
+            return -1, 0.0, 0.0, n_products
+        if n_shorter == _SHORTER_MAX:
+            break
+        if order == 0:
+            h *= _SHORTER
+            n_shorter += 1
+        elif change <= _SETTLED * allowed:
+            if not _stays(law, expansion, moves, order) or _passed(series, mode, v):
+                break
+            return order, h, allowed, n_products
+    return 0, 0.0, 0.0, n_products
+
+
+@inner
+def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+    """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
+    if slow is None:
+        return 0, 0.0, 0.0, 0
+    v, mode, touching, outside = law.belt_speed, expansion.mode, expansion.touching, law.outside
+    forces, zeros, patience = expansion.forces, expansion.zeros, slow.patience
+    n, n_products = len(z), 1
+    failed = 0, 0.0, 0.0
+    for i in range(n):
+        if touching[i] or mode[i] == 0:
+            w[i] = v[i]
+    one_product(law.columns, z, forces[0], law.pairs.columns)
+    begin(outside, t)
+    take_off(outside, t, 0, forces[0])
+    settle(law, largest(z), expansion)
+    is_free, moves = True, slow.moves
+    for i in range(n):
+        slips = mode[i] != 0
+        expansion.slips[i] = 1.0 if slips else 0.0
+        touching[i] = touching[i] or zeros[i] > 0  # so that `expand` decides the same
+        is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # see `_stays`
+        force = law.damping[i] * w[i] + forces[0, i] + law.friction[i] * mode[i]
+        moves[i] = slips and (w[i] != 0.0 or force != 0.0)
+        slow.decays[i] = False
+    least, rate = _pace(slow)
+    if slow.most < least:  # short steps cost no more
+        return (*failed, n_products)
+    if not is_free or patience[_LEFT] > 0:
+        patience[_LEFT] = max(patience[_LEFT] - 1, 0)
+        return (*failed, n_products)
+    while slow.most >= least:
+        order, h, allowed, n_swept = _settled(law, expansion, slow, least, rate, z, w, t, target, tol)
+        n_products += n_swept
+        if order > 0:
+            patience[_NEXT] = 1
+            return order, h, allowed, n_products
+        if order == 0:
+            break
+        least, rate = _pace(slow)
+    patience[_LEFT] = patience[_NEXT]
+    patience[_NEXT] = min(2 * patience[_NEXT], _PATIENCE_MAX)
+    return (*failed, n_products)

@@ -1,0 +1,103 @@
+"""Which blocks stick: those at the belt's speed, decided from |F| against mu, all at once.
+
+In the place of mu stands the static friction m, if that is above the kinetic. Where |F| = m, as at every exit, the
+first coefficient of the series of F that does not vanish decides. A block whose m is the kinetic friction leaves with
+w' = 0, as it sticks; one with m above leaves with a jump of w', which the others feel from the second order of F on.
+If that is found there or later, all that is at the edge is decided anew, with that block gone: so those that leave
+while the others stick leave together, and those that stay are then asked what they do without them.
+"""
+
+from __future__ import annotations
+
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import ROUNDING
+
+UNDECIDED_BOTH = 2  # a block without friction with w = v and F = 0: either side is open
+IDENTICALLY_ZERO = 320  # beyond every order of a series
+
+
+@inner
+def known(outside, k, i):  # type: ignore[no-untyped-def]
+    """The size of what the k-th coefficient of forces from outside on block i is summed up from."""
+    if outside is None:
+        return 0.0
+    return outside.noise[k, i]
+
+
+@inner
+def force_rounding(drag, pull, most, outside):  # type: ignore[no-untyped-def]
+    """What rounding may do to |F| - m of a block, from the sizes of its terms.
+
+    It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    """
+    return ROUNDING * (abs(drag) + pull + most + outside)
+
+
+@inner
+def push(closed, force):  # type: ignore[no-untyped-def]
+    """What of F drives a block that sticks to a side that is open to it: |F|, where both are."""
+    return abs(force) if closed == 0 else closed * force
+
+
+@inner
+def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
+    """Decide every block with w = v from |F| against m; returns how many have |F| = m and stay undecided."""
+    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
+    forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
+    zeros, side, leaves = expansion.zeros, expansion.side, expansion.leaves
+    n_undecided = 0
+    for i in range(len(mode)):
+        zeros[i] = 0
+        side[i] = 0
+        if touching[i] or mode[i] == 0:
+            most = static[i]
+            force = damping[i] * v[i] + forces[0, i]
+            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside, 0, i))
+            drive = push(closed[i], force)
+            if (leaves[i] != 0 and drive > law.friction[i]) or drive > most + slack:
+                mode[i] = -1 if force > 0.0 else 1
+                zeros[i] = 1
+                side[i] = leaves[i]
+            else:
+                mode[i] = 0
+                if drive >= most - slack:
+                    n_undecided += 1
+                    zeros[i] = IDENTICALLY_ZERO
+                    if closed[i] != 0:
+                        side[i] = -closed[i]
+                    else:
+                        side[i] = UNDECIDED_BOTH if most <= slack else (-1 if force > 0.0 else 1)
+    return n_undecided
+
+
+@inner
+def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
+    """Decide blocks with |F| = m whose F has its first coefficient at order k.
+
+    Returns how many that are, and whether to begin again because one of them leaves with a jump.
+    """
+    forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
+    friction, static, leaves = law.friction, law.static, expansion.leaves
+    n_decided, again = 0, False
+    for i in range(len(mode)):
+        if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
+            push = -forces[k, i]
+            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i)):
+                n_decided += 1
+                if side[i] == UNDECIDED_BOTH:
+                    side[i] = 1 if push > 0.0 else -1
+                if push * side[i] > 0.0:
+                    mode[i] = side[i]
+                    zeros[i] = k + 1
+                    if static[i] > friction[i]:
+                        zeros[i] = 1
+                        expansion.series[2, i] = 0.5 * (static[i] - friction[i]) * side[i]
+                        if k > 1 and leaves[i] == 0:  # else `settle` found it so far out that rounding decides
+                            leaves[i] = side[i]
+                            again = True
+                else:
+                    zeros[i] = k
+    if again:
+        for i in range(len(mode)):
+            expansion.touching[i] = expansion.touching[i] or side[i] != 0
+    return n_decided, again

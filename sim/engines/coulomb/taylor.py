@@ -1,0 +1,386 @@
+"""The Taylor series of all blocks between events: built, moved, and carried over an event.
+
+With z(t0 + s) = sum_k c_k s^k, a slipping block has
+
+    (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
+
+and a sticking one c_1 = v and no more; of a force from outside each coefficient is taken off K c_k. Where friction
+falls with the speed of slip p = sigma (w - v), mu is a series too, near (f + (1 - f) S), f = far / near; S_k follow
+from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
+
+    S = 1 / (1 + a p):   S_k = -a S_0 sum_{j=1..k} p_j S_{k-j}
+    S = exp(-a p):       S_k = -(a / k) sum_{j=1..k} j p_j S_{k-j}
+
+`expand` builds the series with one product an order, two to a pass over K, and decides on the way which blocks with
+w = v stick. `correct` carries them over an event of one block without a product, if friction does not fall: what it
+adds to the others is the response of linear laws.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
+from stickslip.sim.engines.forcing import begin, may_change, take_off
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.numerics.panels import ROUGH
+from stickslip.sim.numerics.products import two_products, two_rough_products
+
+#: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
+#: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
+ORDER_MAX = 32
+SPAN = 5.0
+ORDER_MIN = 4
+#: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
+#: far below the tolerance.
+PASSED_ON = 0.002
+
+#: The share of the tolerance that products in float32 may leave out. What is smaller than _TINY would leave float32.
+_ROUNDED_OFF = 0.05
+_TINY = 1e-200
+#: A coefficient of this size is not used, nor those behind it: they would leave float64.
+_HUGE = 1e250
+
+#: An event is decided by a series if the force is this many times its error away from another decision.
+_DOUBT = 10.0
+UNDECIDED = 2  #: what is no mode
+
+
+class Expansion(NamedTuple):
+    """The series of n blocks about the present instant, who sticks from then on, and room to work in."""
+
+    series: Floats  #: c_k by rows
+    forces: Floats  #: K c_k, less the coefficients of forces from outside
+    mode: NDArray[np.int8]
+    slips: Floats  #: 1 where a block slips, else 0
+    touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
+    leaves: NDArray[np.int8]  #: the side to which a block that could stick is known to leave, else 0
+    zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
+    side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
+    column: Floats
+    last: Floats
+    change: Floats
+    sizes: Floats
+    shape: Floats  #: S_k by rows; empty if friction does not fall with speed
+
+    @classmethod
+    def blank(cls, mode: NDArray[np.int8], falls: bool) -> Expansion:
+        """No series yet; blocks of mode 0 are to be decided."""
+        n = len(mode)
+        # NaN: a coefficient used before it was computed would show
+        series, forces = np.full((2, ORDER_MAX + 1, n), np.nan)
+        zeros, side = np.zeros((2, n), np.int64)
+        slips, column, last = np.zeros((3, n))
+        rows = column, last, np.zeros(ORDER_MAX + 1), np.zeros(2)
+        leaves = np.zeros(n, np.int8)
+        shape = np.full((ORDER_MAX + 1, n if falls else 0), np.nan)
+        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
+
+
+@inner
+def _is_lost(fall, law, expansion, i):  # type: ignore[no-untyped-def]
+    """Whether what a block's friction may fall by is lost in the rounding of its other forces.
+
+    Such a block passes its belt in so short a time that friction, as a series in time, leaves float64.
+    """
+    force = law.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
+    return law.friction[i] * (1.0 - fall.far[i]) <= ROUNDING * abs(force)
+
+
+@inner
+def _shape(fall, law, expansion, k):  # type: ignore[no-untyped-def]
+    """S_k of all blocks."""
+    series, shape, mode = expansion.series, expansion.shape, expansion.mode
+    n = len(mode)
+    if k == 0:
+        for i in range(n):
+            x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+            shape[0, i] = math.exp(-x) if fall.is_exponential else 1.0 / (1.0 + x)
+            if _is_lost(fall, law, expansion, i):
+                shape[0, i] = 0.0  # and with it all others
+        return
+    shape[k] = 0.0
+    for j in range(1, k + 1):
+        weight = j * (j + 1.0) / k if fall.is_exponential else j + 1.0
+        for i in range(n):
+            shape[k, i] += weight * series[j + 1, i] * shape[k - j, i]
+    for i in range(n):
+        shape[k, i] *= -fall.steepness * mode[i] * (1.0 if fall.is_exponential else shape[0, i])
+
+
+@inner
+def _resist(fall, law, expansion, k):  # type: ignore[no-untyped-def]
+    """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
+    if fall is None:
+        return
+    series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
+    _shape(fall, law, expansion, k)
+    factor = -1.0 / ((k + 2) * (k + 1))
+    for i in range(len(mode)):
+        falls = law.friction[i] * (1.0 - fall.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
+        series[k + 2, i] += slips[i] * factor * falls * mode[i]
+
+
+@inner
+def _known_within(fall, expansion):  # type: ignore[no-untyped-def]
+    """How far the series of 1 / (1 + a p) may be of use: half of where a p with the slope that it has is -1."""
+    time = np.inf
+    if fall is None:
+        return time
+    for i in range(len(expansion.mode)):
+        rise = abs(2.0 * fall.steepness * expansion.series[2, i] * expansion.shape[0, i])
+        if rise * time > 0.5:
+            time = 0.5 / rise
+    return time
+
+
+@inner
+def _falls_off(fall, law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether terms of exp(-x) beyond an order are on their way down, or too small to matter, up to h.
+
+    Where x is large the first terms are far below any tolerance, and yet x may fall by more than the order.
+    """
+    if fall is None or not fall.is_exponential:
+        return True
+    series, mode = expansion.series, expansion.mode
+    for i in range(len(mode)):
+        drop = law.friction[i] * (1.0 - fall.far[i]) * h
+        if mode[i] == 0 or drop == 0.0 or _is_lost(fall, law, expansion, i):
+            continue
+        change, power = 0.0, fall.steepness
+        for k in range(1, order):
+            power *= h
+            change += (k + 1) * abs(series[k + 1, i]) * power
+        x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+        if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > PASSED_ON * allowed:
+            return False
+    return True
+
+
+@inner
+def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether products of K with c_k and c_{k+1}, of these sizes, may err by what float32 does to them.
+
+    An error e of K c_k, relative to the row sums of K, is one of h^k e in F, and of h^(k + 1) e in w; F is wanted to
+    what w, off by `allowed`, makes of it.
+    """
+    if len(law.pairs.single_panels) == 0:
+        return False
+    power = ROUGH * h**k * max(1.0 / h, largest(law.row_sums) * h)
+    low, high = sizes[0], h * sizes[1]
+    fits = (low == 0.0 or low > _TINY) and (high == 0.0 or high > _TINY)
+    return fits and power * max(low, high) <= _ROUNDED_OFF * allowed
+
+
+@inner
+def expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
+
+    Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
+    the number of products.
+    """
+    n_products = 0
+    while True:
+        order, h, allowed, n_more = _expand(law, expansion, z, w, t, target, remaining, tol, rate)
+        n_products += n_more
+        if order > 0:
+            expansion.leaves[:] = 0
+            return order, h, allowed, n_products
+
+
+@inner
+def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+    """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
+    damping, friction, v = law.damping, law.friction, law.belt_speed
+    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
+    touching, sizes = expansion.touching, expansion.sizes
+    n = len(z)
+    for i in range(n):
+        if touching[i] or mode[i] == 0:
+            w[i] = v[i]
+    copy(z, series[0])
+    copy(w, series[1])
+    two_products(law.columns, law.pairs, series[:2], forces[:2])
+    outside, fall, pushed, pushed_next = law.outside, law.fall, 0.0, 0.0
+    begin(outside, t)
+    for k in range(2):
+        pushed_next = take_off(outside, t, k, forces[k])
+    w_max = largest(w)
+    n_undecided = settle(law, largest(z), expansion)
+    for i in range(n):
+        slips[i] = 1.0 if mode[i] != 0 else 0.0
+        series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
+    _resist(fall, law, expansion, 0)
+    target = min(target, _known_within(fall, expansion))
+    # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
+    allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
+    allowed = max(allowed, tol * target * may_change(outside, t, target))
+
+    n_small = 0
+    last = 0.0
+    sizes[1] = largest(series[2])
+    is_rough = False
+    for k in range(1, ORDER_MAX - 1):
+        if k % 2 == 0:
+            if n_undecided == 0 and _may_be_rough(law, k, sizes, target, allowed):
+                is_rough = True
+                two_rough_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
+            else:
+                two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
+            pushed = take_off(outside, t, k, forces[k])
+            pushed_next = take_off(outside, t, k + 1, forces[k + 1])
+        else:
+            pushed = pushed_next
+        if n_undecided > 0:
+            n_decided, again = settle_by_order(law, k, largest(series[k]), expansion)
+            if again:
+                return 0, 0.0, 0.0, k + 1 + (k + 1) % 2
+            n_undecided -= n_decided
+            for i in range(n):
+                slips[i] = 1.0 if mode[i] != 0 else 0.0
+            if k == 1:
+                sizes[1] = largest(series[2])
+        factor = -1.0 / ((k + 2) * (k + 1))
+        for i in range(n):
+            series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+        _resist(fall, law, expansion, k)
+        size = largest(series[k + 2])
+        sizes[0], sizes[1] = sizes[1], size
+        order = k + 2
+        if order > ORDER_MIN and not size < _HUGE:  # the step is then as short as the terms before make it
+            order -= 1
+            break
+        if pushed > 0.0:  # what a force leaves out counts where it moves a block, and where friction holds it
+            size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
+        n_products = k + 1 + (k + 1) % 2
+        # the last term's share of w decides; two in a row, since one can vanish by chance
+        if size == 0.0 and last == 0.0 and order >= ORDER_MIN:
+            # a polynomial: exact however far
+            is_exact = not is_rough and (fall is None or largest(slips) == 0.0)
+            return order, remaining if is_exact else target, allowed, n_products
+        if order * size * target ** (order - 1) <= allowed:
+            n_small += 1
+            # before order = rate * target the terms of a small state may still be on their way up
+            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(ORDER_MIN, rate * target)
+            if is_enough and _falls_off(fall, law, expansion, order, target, allowed):
+                return order, target, allowed, n_products
+        else:
+            n_small = 0
+        before = last
+        last = size
+    h = target
+    if last > 0.0:
+        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
+    if before > 0.0:
+        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
+    while h > 0.0 and not _falls_off(fall, law, expansion, order, h, allowed):
+        h *= 0.7
+    return order, h, allowed, n_products
+
+
+@inner
+def shift(series, order, step):  # type: ignore[no-untyped-def]
+    """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
+    n = series.shape[1]
+    for k in range(order):
+        for m in range(order - 1, k - 1, -1):
+            for i in range(n):
+                series[m, i] += step * series[m + 1, i]
+
+
+@inner
+def decide(law, i, was_stuck, force, slope, z_max, span, allowed, rate):  # type: ignore[no-untyped-def]
+    """Mode of block i after its event, from F and its slope; UNDECIDED if that is beyond the accuracy of the series.
+
+    `span` is the length of the window, over which an error `allowed` of w becomes one of z, and z_max bounds |z|.
+    """
+    most, row_sum = law.static[i], law.row_sums[i]
+    rate_error = row_sum * allowed if law.outside is None else max(row_sum, rate * rate) * allowed
+    drag, noise = law.damping[i] * law.belt_speed[i], known(law.outside, 0, i)
+    doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
+    new = -1 if force > 0.0 else 1
+    if was_stuck:
+        if abs(abs(force) - most) > doubt or -slope * new <= _DOUBT * rate_error:
+            new = UNDECIDED
+    elif push(law.closed[i], force) < most - doubt:
+        new = 0
+    elif push(law.closed[i], force) <= most + doubt:
+        new = UNDECIDED
+    return new
+
+
+@inner
+def correct(law, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
+    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
+
+    From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
+    K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
+    like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
+    to the accuracy of the series (then nothing has changed, and a new expansion decides).
+
+    `span` is the length of the window, over which an error `allowed` of w becomes one of z.
+    """
+    columns, row_sums, damping, v = law.columns, law.row_sums, law.damping, law.belt_speed
+    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
+    zeros, side = expansion.zeros, expansion.side
+    column, change, last = expansion.column, expansion.change, expansion.last
+    i = block
+    n = len(mode)
+    mu, most = law.friction[i], law.static[i]
+    was_stuck = mode[i] == 0
+    force = damping[i] * v[i] + forces[0, i]
+    new = decide(law, i, was_stuck, force, forces[1, i], largest(series[0]), span, allowed, rate)
+    if new == UNDECIDED:
+        return 0.0
+
+    if len(columns.dense) == 0:
+        column[:] = 0.0
+        for k in range(columns.indptr[i], columns.indptr[i + 1]):
+            column[columns.indices[k]] = columns.data[k]
+    else:
+        copy(columns.dense[i], column)
+    own = column[i]
+    column[i] = 0.0
+    series[1, i] = v[i]
+    for k in range(order - 1):
+        c = 0.0
+        if new != 0:
+            c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
+            if k == 0:
+                c = 0.5 * (most - mu) * new if was_stuck else c - 0.5 * mu * new
+        change[k + 2] = c - series[k + 2, i]
+        series[k + 2, i] = c
+        if k + 2 <= order - 2:
+            forces[k + 2, i] += own * change[k + 2]
+    mode[i] = new
+    slips[i] = 1.0 if new != 0 else 0.0
+    zeros[:] = 0
+    side[:] = 0
+    zeros[i] = 0 if new == 0 else (2 if was_stuck and most == mu else 1)
+
+    last[:] = 0.0
+    passed_on = 0.0
+    power = h**4
+    for k in range(2, order - 1):
+        factor = -1.0 / ((k + 2) * (k + 1))
+        for j in range(n):
+            pull = column[j] * change[k]
+            forces[k, j] += pull
+            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + pull)
+            series[k + 2, j] += last[j]
+        passed_on += largest(last) * power
+        power *= h
+    error = largest(row_sums) * passed_on * h / 5.0
+    if error > PASSED_ON * allowed:
+        h *= (PASSED_ON * allowed / error) ** 0.2
+    for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
+        tail = k * abs(series[k, i]) * h ** (k - 1)
+        if tail > allowed:
+            h *= (allowed / tail) ** (1.0 / (k - 1))
+    return h

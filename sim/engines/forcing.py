@@ -1,0 +1,271 @@
+"""Forces from outside, and belts whose speeds change, as the engines take them: piece by piece, by series or values.
+
+Between the times at which a force or a speed has a bend, a *piece*, every belt has a speed v + a s, s from the start
+of the piece. With y = z - a s^2 / 2 the belts keep to v, and what the engines follow is
+
+    y'' + R y' + (N y') + K y + mu lambda = g(s),    g = f - a - (R + N) a s - K a s^2 / 2,    lambda in Sign(y' - v),
+
+f the force from outside: g is a polynomial and harmonics. What friction holds, F = R v + K y + N y' - g, is the same
+in both frames. A piece is cut where y and z would be far apart.
+
+The clock of every engine is s: a time is rounded by how far it is from the start of its piece, not from t = 0. What
+is at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.systems.drive import Harmonic, Piecewise
+from stickslip.sim.systems.system import System
+
+#: What rounding does to a time or a phase, over what it does to a sum.
+_OF_PHASE = np.finfo(np.float64).eps / ROUNDING
+#: How far y and z may be apart, over what a belt moves in the shortest time scale.
+_APART = 100.0
+
+
+class Outside(NamedTuple):
+    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m), in place."""
+
+    poly: Floats  #: shape (3, n)
+    amplitude: Floats  #: shape (m, n), as the next
+    frequency: Floats
+    phase: Floats  #: at the start of the piece
+    waves: Floats  #: room for the coefficients of the harmonics, shape (2 m, n)
+    noise: Floats  #: the sizes of what each coefficient is summed up from, by order as a series, shape (orders, n)
+
+
+@inner
+def begin(outside, s):  # type: ignore[no-untyped-def]
+    """Prepare the coefficients about the time s."""
+    if outside is None:
+        return
+    amplitude, frequency, phase, waves = outside.amplitude, outside.frequency, outside.phase, outside.waves
+    m = len(amplitude)
+    for j in range(m):
+        for i in range(amplitude.shape[1]):
+            angle = frequency[j, i] * s + phase[j, i]
+            waves[j, i] = amplitude[j, i] * math.cos(angle)
+            waves[m + j, i] = amplitude[j, i] * math.sin(angle)
+
+
+@inner
+def take_off(outside, s, k, forces):  # type: ignore[no-untyped-def]
+    """Take the k-th coefficient of g about s off the k-th of K z, both shape (n,); k counts up from 0 after `begin`.
+
+    Returns the largest coefficient.
+    """
+    if outside is None:
+        return 0.0
+    poly, waves, noise = outside.poly, outside.waves, outside.noise[k]
+    frequency, phase = outside.frequency, outside.phase
+    m, most = len(frequency), 0.0
+    for i in range(len(forces)):
+        value, size = 0.0, 0.0
+        if k < 3:
+            for p in range(k, 3):
+                factor = (2.0 if k == 1 and p == 2 else 1.0) * poly[p, i]
+                term = factor * s ** (p - k)
+                value += term
+                size += abs(term) * (1.0 + _OF_PHASE * (p - k))
+        for j in range(m):
+            cosine, sine = waves[j, i], waves[m + j, i]
+            value += cosine
+            size += (abs(cosine) + abs(sine)) * (1.0 + _OF_PHASE * abs(frequency[j, i] * s + phase[j, i]))
+            factor = frequency[j, i] / (k + 1)
+            waves[j, i], waves[m + j, i] = -sine * factor, cosine * factor
+        forces[i] -= value
+        noise[i] = size
+        most = max(most, abs(value))
+    return most
+
+
+@inner
+def may_change(outside, s, h):  # type: ignore[no-untyped-def]
+    """Bounds what g changes by from s to s + h."""
+    if outside is None:
+        return 0.0
+    poly, amplitude, frequency, most = outside.poly, outside.amplitude, outside.frequency, 0.0
+    for i in range(poly.shape[1]):
+        change = abs(poly[1, i] + 2.0 * s * poly[2, i]) * h + abs(poly[2, i]) * h * h
+        for j in range(len(amplitude)):
+            change += abs(amplitude[j, i]) * min(2.0, abs(frequency[j, i]) * h)
+        most = max(most, change)
+    return most
+
+
+@inner
+def value_at(outside, s, values):  # type: ignore[no-untyped-def]
+    """g at the time s, shape (n,)."""
+    if outside is None:
+        return
+    poly, amplitude, frequency, phase = outside.poly, outside.amplitude, outside.frequency, outside.phase
+    for i in range(len(values)):
+        value = poly[0, i] + s * (poly[1, i] + s * poly[2, i])
+        for j in range(len(amplitude)):
+            value += amplitude[j, i] * math.cos(frequency[j, i] * s + phase[j, i])
+        values[i] = value
+
+
+class Drive:
+    """The pieces of a run, and what kernels read of the present one.
+
+    Attributes
+    ----------
+    belt_speed : float64, shape (n,)
+        v of the present piece, as `outside` kept in place.
+    outside : Outside or None
+        None if there is no force from outside, and no belt changes its speed.
+    start, end, length : float
+        Of the present piece.
+    is_last, is_instant : bool
+        An instant is the last piece of a run that ends at a bend; what happens there depends on what comes after.
+    ahead, instant : float
+        How long what drives the blocks from there keeps its law, and what the end is rounded to.
+    fastest : float
+        The largest frequency of a force.
+    """
+
+    def __init__(self, system: System, t_start: float, t_end: float, orders: int) -> None:
+        n = system.n
+        self._system, self._moves = system, isinstance(system.belt_speed, Piecewise)
+        self.belt_speed = np.empty(n)
+        self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
+        self._gains, self._is_carried = np.zeros(n), False
+        self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
+        self.outside: Any = None
+        self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
+        if not (self._moves or system.force):
+            self._next = iter([(t_end, True)])
+            self._enter(t_start)
+            return
+        self._bends = [term for term in system.force if isinstance(term, Piecewise)]
+        self._waves = [term for term in system.force if isinstance(term, Harmonic)]
+        amplitude, frequency = (
+            np.array([getattr(wave, name) for wave in self._waves]).reshape(-1, n)
+            for name in ("amplitude", "frequency")
+        )
+        m = len(self._waves)
+        self.outside = Outside(
+            np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
+        )
+        self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in self._waves), default=0.0)
+        changing = [term for term in self._bends if not term.is_constant]
+        knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
+        inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
+        self._next = self._cut(t_start, [*inside[(inside > t_start) & (inside <= t_end)].tolist(), t_end])
+        self._enter(t_start)
+
+    def value(self) -> Floats:
+        """g at the start of the present piece, shape (n,)."""
+        outside = self.outside
+        return outside.poly[0] + (outside.amplitude * np.cos(outside.phase)).sum(axis=0)
+
+    def go_on(self, z: Floats, w: Floats) -> None:
+        """To the next piece, from a state at the end of this one, which is put into its frame in place."""
+        u = w - self.belt_speed
+        z[:] = self.of_user(self.end, z, w)[0]
+        self._enter(self.end)
+        w[:] = self.belt_speed + u
+
+    def of_user(self, t: float | Floats, z: Floats, w: Floats) -> tuple[Floats, Floats]:
+        """The user's z and w from those of the present piece, shape (n,) at a time, (m, n) at m times.
+
+        A block that sticks has its belt's speed at that time to the last bit.
+        """
+        if not self._is_carried:
+            return z, w
+        s = np.expand_dims(t - self.start, -1)
+        return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
+
+    def place_stills(self, stills: Floats) -> None:
+        """Put sums of z, the second row, at the times of the first, both of the present piece, into the user's."""
+        if not stills.size:
+            return
+        if self._is_carried:
+            stills[1] += 0.5 * stills[0] ** 2 * self._gains.sum()
+        stills[0] = _times(self.start, self.end, stills[0])
+
+    def time(self, s: float) -> float:
+        """The time at s of the present piece."""
+        return self.end if s >= self.length else min(self.start + s, self.end)
+
+    def times(self, counts: list[int], s: Floats) -> Floats:
+        """The times at s of pieces up to the present one, of which so many come from each: as `time`."""
+        if len(counts) == 1:
+            return _times(self.start, self.end, s)
+        return _times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
+
+    def turns(self, counts: list[int]) -> Floats:
+        """The rates at which ramps of forces and belts turn blocks round, for each of what `times` takes.
+
+        Those of harmonics are among `System.rates`.
+
+        What changes a block's acceleration by G a unit of time makes of its speed v another one at the rate
+        (G / v)^(1/2), and by its end at the latest.
+        """
+        return np.repeat(self._turns, counts)
+
+    def _enter(self, t: float) -> None:
+        """The next piece, which begins at a time."""
+        system, outside = self._system, self.outside
+        self.start = t
+        self.end, self.is_last = next(self._next)
+        self.length = self.end - t
+        if self._ends and t == self.end:
+            self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
+            self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
+        turn = 0.0
+        if outside is not None:
+            outside.poly[:] = 0.0
+            for term in self._bends:
+                outside.poly[0] += term.at(t)
+                outside.poly[1] += term.slope_at(t)
+            for phase, wave in zip(outside.phase, self._waves, strict=True):
+                phase[:] = wave.phase_at(t)
+            if self._moves:
+                gains = self._gains = system.belt_speed.slope_at(t)
+                self._is_carried = bool(gains.any())
+                self.belt_speed[:] = system.belt_speed.at(t)
+                cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
+                outside.poly[0] -= gains
+                outside.poly[1] -= system.damping * gains + cross
+                outside.poly[2] -= 0.5 * (system.stiffness @ gains)
+            change = float((np.abs(outside.poly[1]) + 2.0 * self.length * np.abs(outside.poly[2])).max())
+            if change > 0.0:
+                speed = system.fastest_belt
+                turn = min(math.sqrt(change / speed) if speed > 0.0 else math.inf, 1.0 / max(self.length, 1e-300))
+        self._starts.append(t)
+        self._ends.append(self.end)
+        self._turns.append(turn)
+
+    def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
+        """The ends of pieces that are short enough, and whether each is the last."""
+        rate = float(self._system.rates.max())
+        for k, end in enumerate(ends):
+            parts = 1
+            if self._moves and rate > 0 and end > start:
+                speeds = self._system.belt_speed
+                gain = float(np.abs(speeds.slope_at(start)).max())
+                speed = float(np.abs(speeds.at([start, end])).max())
+                if gain > 0:
+                    parts = max(1, math.ceil((end - start) / math.sqrt(2 * _APART * speed / (rate * gain))))
+            for part in range(1, parts):
+                yield start + (end - start) * (part / parts), False
+            yield end, k == len(ends) - 1
+            start = end
+
+
+def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
+    """The times at s of pieces with these bounds, which are the user's to the last bit."""
+    if isinstance(start, float) and start == 0.0:
+        return np.asarray(s)
+    return np.where(s >= end - start, end, np.minimum(start + s, end))

@@ -1,0 +1,94 @@
+"""A run of the engine `moreau`: its steps, and what is recorded of them as a series of events."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.moreau.step import (
+    BEYOND,
+    DONE,
+    IS_STILL,
+    N_COUNTERS,
+    SAMPLED,
+    STILLS,
+    advance,
+    whole_steps,
+)
+from stickslip.sim.runs.run import IntegrationError, Run, Stats, Stills
+from stickslip.sim.runs.series import EventSeries, without_returns
+
+
+def integrate(task: Task, longest: float) -> Run:
+    """Run a task in equal steps of at most that length."""
+    system = task.system
+    if system.cross_damping is not None:
+        raise ValueError('damping: expected its diagonal, all that engine="moreau" takes, got a full matrix')
+    n, span = system.n, task.t_end - task.t_start
+    n_steps = whole_steps(span, longest)
+    h = span / n_steps if n_steps else longest
+    law = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
+    z, w = task.z0.copy(), task.w0.copy()
+    mode = np.sign(w - system.belt_speed).astype(np.int8)
+    initial_mode = mode.copy()
+    samples, counters = task.samples, np.zeros(N_COUNTERS, dtype=np.int64)
+    since_start = samples.t - task.t_start
+    n_first = int(np.searchsorted(samples.t, task.t_start, side="right"))
+    samples.z[:n_first], samples.w[:n_first], counters[SAMPLED] = z, w, n_first
+    capacity = max(2 * n, 4096)
+    at, block, to = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty(capacity, np.int8)
+    stills = np.empty((2, capacity))
+    if not mode.any():
+        stills[:, 0] = 0, z.sum()
+        counters[[IS_STILL, STILLS]] = 1
+    parts = []
+    is_within = True
+    while counters[DONE] < n_steps and is_within:
+        recorded, is_within = advance(
+            law, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
+            (at, block, to, stills), counters,
+        )  # fmt: skip
+        n_stills = counters[STILLS]
+        kept = (at[:recorded], block[:recorded], to[:recorded], stills[:, :n_stills])
+        parts.append(tuple(one.copy() for one in kept))
+        counters[STILLS] = 0
+    if not np.isfinite(z).all() or not np.isfinite(w).all():
+        raise IntegrationError(f"the state is not finite after t = {task.t_start + counters[DONE] * h:g}")
+    no_events = at[:0], block[:0], to[:0], stills[:, : counters[STILLS]]
+    steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(no_events, *parts, strict=True))
+    is_first = steps == 0  # what leaves at once does not stick
+    initial_mode[blocks[is_first]] = modes[is_first]
+    steps, blocks, modes = steps[~is_first], blocks[~is_first], modes[~is_first]
+    order = np.lexsort((blocks, steps))  # stable: a block enters before it leaves at the same instant
+    reached = task.t_start + int(counters[DONE]) * h if counters[DONE] < n_steps else task.t_end
+    done = int(counters[DONE])
+    # on the clock of the run until nothing is compared any more
+    series = _crossed(EventSeries(steps[order] * h, blocks[order], modes[order], initial_mode, 0.0, span))
+    series = without_returns(series, np.zeros(len(series), np.intp), series.t, np.zeros(len(series)))
+    series = replace(series, t=np.minimum(task.t_start + series.t, reached), t_start=task.t_start, t_end=reached)
+    return Run(
+        z=z,
+        w=w,
+        t_end=reached,
+        events=series,
+        outcome="finished" if is_within else "diverged",
+        reason="" if is_within else f"|z| or |w| passed {BEYOND:g} after t = {reached:.4g}",
+        stats=Stats(n_steps=done, n_rejected=0, n_products=done, n_events=len(series)),
+        samples=samples.first(int(counters[SAMPLED])),
+        stills=Stills(np.minimum(task.t_start + noted[0] * h, reached), noted[1]),
+    )
+
+
+def _crossed(series: EventSeries) -> EventSeries:
+    """A block that ends a step on the belt and leaves to the other side at once has crossed it."""
+    order = series.by_block
+    block, t, mode = series.block[order], series.t[order], series.mode[order]
+    passes = (block[1:] == block[:-1]) & (t[1:] == t[:-1]) & (mode[:-1] == 0)
+    passes &= mode[1:] == -series.previous_mode[order][:-1]
+    kept = np.ones(len(series), dtype=bool)
+    kept[order[:-1][passes]] = False
+    return EventSeries(
+        series.t[kept], series.block[kept], series.mode[kept], series.initial_mode, series.t_start, series.t_end
+    )

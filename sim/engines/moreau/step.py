@@ -1,0 +1,92 @@
+"""Kernels of the engine `moreau`: steps of fixed length, and what they record."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stickslip.sim.kernels.compile import inner, kernel
+from stickslip.sim.numerics.arithmetic import largest
+from stickslip.sim.numerics.products import one_product
+
+#: |z| or |w| beyond which a run is not followed: far from any state of a scene, and from overflow.
+BEYOND = 1e12
+DONE, STILLS, SAMPLED, IS_STILL, N_COUNTERS = range(5)
+
+
+def whole_steps(span: float, longest: float) -> int:
+    """The least number of equal steps of at most that length; rounding of the quotient adds none."""
+    return math.ceil(span / longest * (1.0 - 1e-12))
+
+
+@inner
+def step_of(law, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
+    """One step in place; False if the state passed `BEYOND`. A block that ends on the belt has w == v exactly."""
+    columns, damping, friction, static, v = law
+    n = len(z)
+    for i in range(n):
+        middle[i] = z[i] + 0.5 * h * w[i]
+    one_product(columns, middle, pull, moving)
+    for i in range(n):
+        a, b = 1.0 + 0.5 * h * damping[i], h * friction[i]
+        free = w[i] - h * (0.5 * damping[i] * w[i] + pull[i]) - a * v  # a (w - v) without friction
+        new = v + math.copysign(max(abs(free) - b, 0.0), free) / a
+        if w[i] == v and abs(free) <= h * static[i]:
+            new = v
+        if (w[i] - v) * (new - v) < 0.0 and abs(damping[i] * v + pull[i]) <= static[i]:  # it passes the belt's speed
+            new = v
+        z[i] += 0.5 * h * (w[i] + new)
+        w[i] = new
+    return max(largest(z), largest(w)) <= BEYOND
+
+
+@inner(counts=True)
+def _note_still(is_still, step, z, stills, counters):  # type: ignore[no-untyped-def]
+    """Keep where the blocks are if from this step on, and not before, all of them stick, or the other way round."""
+    counters[IS_STILL] = is_still
+    stills[0, counters[STILLS]], stills[1, counters[STILLS]] = step, z.sum()
+    counters[STILLS] += 1
+
+
+@kernel(counts=True)
+def advance(law, state, grid, samples, events, counters):  # type: ignore[no-untyped-def]
+    """Steps until the end, until the state passes `BEYOND`, or until one more might not fit what is recorded."""
+    z, w, mode = state
+    h, n_steps = grid
+    times, sampled_z, sampled_w = samples
+    at, block, to, stills = events
+    v, n = law[4], len(z)
+    middle, pull, moving = np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
+    z_before, w_before = np.empty(n), np.empty(n)
+    recorded = 0
+    for step in range(counters[DONE], n_steps):
+        if recorded + n > len(at) or counters[STILLS] + 2 > stills.shape[1]:
+            return recorded, True
+        z_before[:] = z
+        w_before[:] = w
+        is_within = step_of(law, z, w, h, middle, pull, moving)
+        if not is_within:
+            return recorded, False
+        counters[DONE] = step + 1
+        n_stick = 0
+        for i in range(n):
+            new = (w[i] > v) - (w[i] < v)
+            n_stick += new == 0
+            if new != mode[i]:
+                at[recorded], block[recorded], to[recorded] = step + (mode[i] != 0), i, new
+                mode[i] = new
+                recorded += 1
+        if counters[IS_STILL] and n_stick < n:
+            _note_still(0, step, z_before, stills, counters)
+        elif n_stick == n and not counters[IS_STILL]:
+            _note_still(1, step + 1, z, stills, counters)
+        while counters[SAMPLED] < len(times) and (step + 1 == n_steps or times[counters[SAMPLED]] <= (step + 1) * h):
+            k = counters[SAMPLED]
+            past = min(max(times[k] - step * h, 0.0), h)
+            for i in range(n):
+                change = w[i] - w_before[i]
+                sampled_z[k, i] = z_before[i] + past * (w_before[i] + 0.5 * past / h * change)
+                sampled_w[k, i] = w_before[i] + past / h * change
+            counters[SAMPLED] += 1
+    return recorded, True

@@ -1,0 +1,1 @@
+"""The stiff engine: smoothed friction by collocation and waveform iteration."""

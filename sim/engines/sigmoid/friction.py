@@ -1,0 +1,91 @@
+"""Friction laws, as the smoothed engine takes them: phi(x) and its derivative, x = (w - v) / delta.
+
+A law is written once, for numbers of `lanes`, and friction is mu phi. What the steps ask of phi: it is odd, and
+smooth on the scale of 1. Which law a kernel is compiled for, the type of what it is given says: `Plain`, `Peaked`, or
+one of those that change with the speed of slip, whose shapes `SHAPES` has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.lanes import Lane, absolute, exponential, less, on_number, where
+
+
+class Plain(NamedTuple):
+    """tanh x."""
+
+
+class Peaked(NamedTuple):
+    """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic; see `StaticAboveKinetic`."""
+
+
+class Steady(NamedTuple):
+    """As `Peaked`, with a side that may be closed: `open_sign` with a shape that does not fall."""
+
+
+class Rational(NamedTuple):
+    """`open_sign` with 1 / (1 + y)."""
+
+
+class Exponential(NamedTuple):
+    """`open_sign` with exp(-y)."""
+
+
+#: A friction law.
+Law: TypeAlias = type[Plain] | type[Peaked] | type[Steady] | type[Rational] | type[Exponential]
+
+
+def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
+    """tanh x, to 2 units in the last place of 1, and its derivative."""
+    e = exponential(less(absolute(x), 20.0) * -2.0)
+    size = (1.0 - e) / (1.0 + e)
+    return size.call("copysign", x), 1.0 - size * size
+
+
+def peaked_sign(x: Lane, c: Lane) -> tuple[Lane, Lane]:
+    """s(tanh x), and its derivative, which is negative beyond the peak."""
+    lam, rise = smooth_sign(x)
+    return lam + c * (lam * rise), rise * (c * (rise * 3.0 - 2.0) + 1.0)
+
+
+def _rational(y: Lane) -> tuple[Lane, Lane]:
+    value = 1.0 / (1.0 + y)
+    return value, -(value * value)
+
+
+def _exponential(y: Lane) -> tuple[Lane, Lane]:
+    value = exponential(less(y, 700.0) * -1.0)
+    return value, -value
+
+
+#: How friction falls with y = steepness |w - v|, and its derivative; a law that is not here does not.
+SHAPES: dict[Law, Callable[[Lane], tuple[Lane, Lane]]] = {Rational: _rational, Exponential: _exponential}
+
+
+def open_sign(law: Law, x: Lane, c: Lane, far: Lane, fall: Lane, closed: Lane) -> tuple[Lane, Lane]:
+    """s(tanh x) (f + (1 - f) S(b |x|)), and its derivative; on a side that is closed, its tangent at x = 0.
+
+    f is `far`, b is `fall`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows with
+    the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
+    """
+    value, slope = peaked_sign(x, c)
+    if law in SHAPES:
+        shape, falls = SHAPES[law](absolute(x) * fall)
+        rest = 1.0 - far
+        slope = slope * (far + rest * shape) + absolute(value) * (rest * fall * falls)
+        value = value * (far + rest * shape)
+    is_closed = x * closed > 0.0
+    return where(is_closed, (c + 1.0) * x, value), where(is_closed, c + 1.0, slope)
+
+
+_smooth_sign_of_number = on_number(smooth_sign)
+
+
+@inner
+def sign_of_number(x, c):  # type: ignore[no-untyped-def]
+    """s(tanh x); with c = 0 that is tanh x to the last bit."""
+    lam, rise = _smooth_sign_of_number(x)
+    return lam + c * (lam * rise)

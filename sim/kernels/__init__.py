@@ -1,0 +1,1 @@
+"""Compiled kernels: the one policy of compiling, the cache, and the digest that both are known by."""

@@ -1,0 +1,227 @@
+"""Compiled kernels on disk: where they lie, whose they may be, and how they are kept.
+
+A kept kernel is a pickle of machine code: whoever can put one there can make whoever loads it do anything. So the
+cache, the directories that lead to it and its files must belong to this user or root, and nobody else may write them.
+Each is checked as it was opened, in the one before it, from the root on: in a directory that others cannot write, or
+only under the sticky bit, they cannot replace what belongs to this user or root.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import pickle
+import stat
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from stickslip.sim.kernels.digest import kernel_digest
+
+#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
+_PATIENCE = 180.0
+_DIGEST_SIZE = hashlib.sha256().digest_size
+_ENDING = ".nbc"
+_MOST_LINKS = 40  # as Linux follows them
+# one may pass through a directory without the right to list it; macOS knows no such descriptor
+_PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
+
+
+class CacheError(Exception):
+    """Others could write the kernel cache. The message says which directory or file it is, and what to do."""
+
+
+def cache_directory() -> Path:
+    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "stickslip" / kernel_digest()
+
+
+def has_kernel(package: str) -> bool:
+    """Whether a kernel of a package, or of a module, is kept.
+
+    Raises
+    ------
+    CacheError
+        If others could write there.
+    """
+    try:
+        with _opened(cache_directory()) as directory:
+            return any(name.startswith(f"{package}.") for name in _kernels(directory))
+    except OSError:
+        return False
+
+
+class KernelFiles:
+    """Compiled kernels on disk, each in a file named by its key; what numba asks of the files of its caches."""
+
+    def __init__(self, directory: Path, name: str) -> None:
+        self._directory, self._name = directory, name
+        self._locks: dict[str, contextlib.ExitStack] = {}
+
+    def _file(self, key: object, ending: str = _ENDING) -> str:
+        return f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}{ending}"
+
+    def load(self, key: object) -> Any:
+        """What was saved under a key; None if nothing, or if a byte of it has changed: compile it then.
+
+        If another process does so now, wait and load its own.
+
+        Raises
+        ------
+        CacheError
+            If others could have written it.
+        """
+        kept = self._read(key)
+        if kept is None and repr(key) not in self._locks:
+            self._locks[repr(key)] = self._alone(key)
+            kept = self._read(key)
+            if kept is not None:
+                self._locks.pop(repr(key)).close()
+        return kept
+
+    def _alone(self, key: object) -> contextlib.ExitStack:
+        """Until this is closed no other process compiles it, unless nothing can be locked, or it takes too long."""
+        held = contextlib.ExitStack()
+        with contextlib.suppress(OSError), _opened(self._directory) as directory:
+            # others may not read it either: they could lock it
+            how = os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW
+            lock = os.open(self._file(key, ".lock"), how, 0o600, dir_fd=directory)
+            held.callback(os.close, lock)
+            end = time.monotonic() + _PATIENCE
+            while time.monotonic() < end:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    time.sleep(0.05)
+        return held
+
+    def _read(self, key: object) -> Any:
+        try:
+            with _opened(self._directory) as directory:
+                content = _content(directory, self._directory / self._file(key))
+        except OSError:
+            return None
+        data, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
+        return pickle.loads(data) if hashlib.sha256(data).digest() == digest else None
+
+    def save(self, key: object, kernel: object) -> None:
+        from numba.core.serialize import dumps  # this module is known without loading numba
+
+        data = dumps(kernel)
+        temporary = f"{self._name}.{uuid.uuid4().hex}.tmp"
+        try:
+            with _opened(self._directory) as directory:
+                try:
+                    new = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644, dir_fd=directory)
+                    with open(new, "wb") as stream:
+                        stream.write(data + hashlib.sha256(data).digest())
+                    os.replace(temporary, self._file(key), src_dir_fd=directory, dst_dir_fd=directory)
+                except BaseException:
+                    with contextlib.suppress(OSError):
+                        os.unlink(temporary, dir_fd=directory)
+                    raise
+        finally:
+            self._locks.pop(repr(key), contextlib.ExitStack()).close()
+
+    def flush(self) -> None:
+        with _opened(self._directory) as directory:
+            for name in _kernels(directory):
+                if name.startswith(f"{self._name}."):
+                    os.unlink(name, dir_fd=directory)
+
+
+def _kernels(directory: int) -> list[str]:
+    listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=directory)
+    try:
+        return [name for name in os.listdir(listed) if name.endswith(_ENDING)]
+    finally:
+        os.close(listed)
+
+
+# ---------------------------------------------------------------------------------------------- whose it may be
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    """A descriptor of a directory, which is made if it is not there, by which its files are opened."""
+    parts, at, n_links = [*reversed(path.absolute().parts)], Path("/"), 0
+    held = os.open("/", _PASS)
+    try:
+        while parts:
+            name = parts.pop()
+            found = _found(name, held)
+            if stat.S_ISLNK(found.st_mode):
+                if not _is_ours(found):
+                    raise _refusal(at / name, f"a link of {_owner(found)}", path)
+                n_links += 1
+                if n_links > _MOST_LINKS:
+                    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+                parts += reversed(Path(os.readlink(name, dir_fd=held)).parts)
+                continue
+            inner = os.open(name, _PASS, dir_fd=held)
+            os.close(held)
+            held, at = inner, at.parent if name == ".." else at / name  # no part of `at` is a link
+            _check(os.fstat(held), at, path, is_passed=bool(parts))
+        yield held
+    finally:
+        os.close(held)
+
+
+def _found(name: str, directory: int) -> os.stat_result:
+    try:
+        return os.stat(name, dir_fd=directory, follow_symlinks=False)
+    except FileNotFoundError:
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(name, 0o755, dir_fd=directory)
+        return os.stat(name, dir_fd=directory, follow_symlinks=False)
+
+
+def _content(directory: int, file: Path) -> bytes:
+    """What is in a file of an opened directory; neither a link is followed nor a pipe waited for."""
+    try:
+        descriptor = os.open(file.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=directory)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise _refusal(file, "a link", file.parent) from None
+        raise
+    try:
+        found = os.fstat(descriptor)
+        _check(found, file, file.parent)
+        if not stat.S_ISREG(found.st_mode):
+            raise _refusal(file, "no plain file", file.parent)
+        with open(descriptor, "rb", closefd=False) as stream:
+            return stream.read()
+    finally:
+        os.close(descriptor)
+
+
+def _is_ours(found: os.stat_result) -> bool:
+    return found.st_uid in (0, os.geteuid())
+
+
+def _owner(found: os.stat_result) -> str:
+    return f"the user with the id {found.st_uid}"
+
+
+def _check(found: os.stat_result, at: Path, cache: Path, is_passed: bool = False) -> None:
+    """Refuse what is another's, or what others may write; of what is only passed, the sticky bit keeps our parts."""
+    if not _is_ours(found):
+        raise _refusal(at, f"one of {_owner(found)}", cache)
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (is_passed and found.st_mode & stat.S_ISVTX):
+        raise _refusal(at, f"one that others may write (mode {stat.S_IMODE(found.st_mode):o})", cache)
+
+
+def _refusal(at: Path, got: str, cache: Path) -> CacheError:
+    return CacheError(
+        f"kernel cache {cache} on {os.uname().nodename}: expected directories and files of your own or root's that "
+        f"nobody else may write, as what is kept there is run; got {at}, {got}; set NUMBA_CACHE_DIR to a directory "
+        f"of your own (mkdir -m 700), or remove what is not yours and `chmod go-w` what is"
+    )

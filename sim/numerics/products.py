@@ -1,0 +1,139 @@
+"""Products of K with one vector or two: what most of a run's time goes into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_products, panels
+
+_pair, _single_pair = pair_products(), pair_products(single=True)
+#: Systems smaller than this gain nothing from float32; row sums beyond this, or below its inverse, may leave it.
+_SMALL, _LARGE = 48, 1e30
+
+
+class Pairs(NamedTuple):
+    """What it takes to multiply K with two vectors at a time: K in panels, and room to work in.
+
+    Both kinds of panels are empty if K is sparse, those in float32 also where they do not pay.
+    """
+
+    panels: Floats
+    product: Floats
+    single_panels: NDArray[np.float32]
+    single: NDArray[np.float32]
+    single_product: NDArray[np.float32]
+    columns: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, matrices: Sequence[Any], row_sums: Floats) -> list[Pairs]:
+        """Of some K, shape (n, n), dense or the only one, with the sums of |K| by row; they share the room."""
+        n, is_dense = matrices[0].shape[0], isinstance(matrices[0], np.ndarray)
+        none = np.empty((len(matrices), 0, 0))
+        dense = np.array(matrices) if is_dense else none
+        double = panels(dense, PAIR_HEIGHT, np.float64)
+        is_rough = [is_dense and n >= _SMALL and _fits_single(sums) for sums in row_sums]
+        single = panels(dense if any(is_rough) else none, SINGLE_PAIR_HEIGHT, np.float32)
+        padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
+        product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
+        room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
+        # without rows of panels there are none
+        return [
+            cls(double[k], product, single[k] if is_rough[k] else single[k, :0], *room) for k in range(len(matrices))
+        ]
+
+
+def _fits_single(sums: Floats) -> bool:
+    """Whether what a row of K comes to is well within float32."""
+    sums = sums[sums > 0.0]
+    return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
+
+
+@inner
+def _moving(x, u, moving):  # type: ignore[no-untyped-def]
+    """List the blocks with x_j or u_j not zero; returns how many there are."""
+    m = 0
+    for j in range(len(x)):
+        if x[j] != 0.0 or u[j] != 0.0:
+            moving[m] = j
+            m += 1
+    return m
+
+
+@inner
+def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
+    """y = K x over the columns listed; eight columns share a pass over y."""
+    n = len(x)
+    for i in range(n):
+        y[i] = 0.0
+    eights = m - m % 8
+    for j in range(0, eights, 8):
+        c0, c1, c2, c3 = moving[j], moving[j + 1], moving[j + 2], moving[j + 3]
+        c4, c5, c6, c7 = moving[j + 4], moving[j + 5], moving[j + 6], moving[j + 7]
+        k0, k1, k2, k3, k4, k5, k6, k7 = (
+            dense[c0], dense[c1], dense[c2], dense[c3], dense[c4], dense[c5], dense[c6], dense[c7],
+        )  # fmt: skip
+        x0, x1, x2, x3, x4, x5, x6, x7 = x[c0], x[c1], x[c2], x[c3], x[c4], x[c5], x[c6], x[c7]
+        for i in range(n):
+            y[i] += ((k0[i] * x0 + k1[i] * x1) + (k2[i] * x2 + k3[i] * x3)) + (
+                (k4[i] * x4 + k5[i] * x5) + (k6[i] * x6 + k7[i] * x7)
+            )
+    for j in range(eights, m):
+        column, xj = dense[moving[j]], x[moving[j]]
+        for i in range(n):
+            y[i] += column[i] * xj
+
+
+@inner
+def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
+    indptr, indices, data = columns.indptr, columns.indices, columns.data
+    for i in range(len(x)):
+        y[i] = 0.0
+    for j in range(len(x)):
+        if x[j] != 0.0:
+            for k in range(indptr[j], indptr[j + 1]):
+                y[indices[k]] += data[k] * x[j]
+
+
+@inner
+def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
+    """y = K x; see `two_products`."""
+    if len(columns.dense) == 0:
+        _sparse_product(columns, x, y)
+    else:
+        _one_pass(columns.dense, x, y, moving, _moving(x, x, moving))
+
+
+@inner
+def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
+    """y_k = K x_k of two vectors, shape (2, n), in one pass over K: reading K, not the arithmetic, is what it costs.
+
+    Columns of blocks that do not move (x_j = 0 in both) are not read.
+    """
+    if len(pairs.panels) == 0:
+        _sparse_product(columns, x[0], y[0])
+        _sparse_product(columns, x[1], y[1])
+    else:
+        _pair(pairs.panels, x, pairs.product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+        for k in range(2):
+            for i in range(y.shape[1]):
+                y[k, i] = pairs.product[k, i]
+
+
+@inner
+def two_rough_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
+    """As `two_products`, in float32, relative to the size of each vector: right to `ROUGH` of it and the row sums."""
+    single, product = pairs.single, pairs.single_product
+    for k in range(2):
+        scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0
+        for j in range(x.shape[1]):
+            single[k, j] = np.float32(x[k, j] * scale)
+    _single_pair(pairs.single_panels, single, product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+    for k in range(2):
+        for i in range(y.shape[1]):
+            y[k, i] = sizes[k] * product[k, i]

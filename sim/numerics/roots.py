@@ -1,0 +1,156 @@
+"""Roots of polynomials in (0, 1], none missed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import room
+
+#: The deepest halving of the unit interval in search of a root; below it two roots count as one touching
+_MAX_DEPTH = 44
+_MAX_DEGREE = 40
+#: Where the search keeps an interval: its coefficients, then its lower end and its width.
+_LOW, _WIDTH = _MAX_DEGREE + 1, _MAX_DEGREE + 2
+_ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
+_NARROWEST = 0.5**_MAX_DEPTH
+
+
+#: Pascal's triangle; exact in float64 up to row 56
+BINOMIALS = np.array([[float(math.comb(i, j)) for j in range(_MAX_DEGREE + 1)] for i in range(_MAX_DEGREE + 1)])
+
+
+@inner
+def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-def]
+    """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k, by sums of neighbours."""
+    for k in range(degree + 1):
+        bernstein[k] = coefficients[k] / BINOMIALS[degree, k]
+    for k in range(1, degree + 1):
+        for j in range(degree, k - 1, -1):
+            bernstein[j] += bernstein[j - 1]
+
+
+@inner
+def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
+    """Value of a polynomial."""
+    value = coefficients[degree]
+    for k in range(degree - 1, -1, -1):
+        value = value * x + coefficients[k]
+    return value
+
+
+@inner
+def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
+    changes = 0
+    last = 0.0
+    for j in range(degree + 1):
+        if bernstein[j] != 0.0:
+            if last * bernstein[j] < 0.0:
+                changes += 1
+            last = bernstein[j]
+    return changes
+
+
+@inner
+def refine(coefficients, degree, low, high, rises):  # type: ignore[no-untyped-def]
+    """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket.
+
+    Whether the polynomial rises through it is said by the caller: at an end that is a root too, its value does not.
+    """
+    x = 0.5 * (low + high)
+    for _ in range(100):
+        value = coefficients[degree]
+        slope = 0.0
+        for k in range(degree - 1, -1, -1):
+            slope = slope * x + value
+            value = value * x + coefficients[k]
+        if value == 0.0:
+            return x
+        if (value < 0.0) == rises:
+            low = x
+        else:
+            high = x
+        new = x - value / slope if slope != 0.0 else low
+        if not (low < new < high):
+            new = 0.5 * (low + high)
+        if abs(new - x) <= 2.2e-16 * abs(x) or new in (low, high):
+            return new
+        x = new
+    return x
+
+
+@inner
+def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
+    """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
+
+    By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
+    root, one change means exactly one root, more are halved. So two roots close together are both found;
+    where a polynomial only touches zero, rounding decides between a pair, one root at the touch, and none.
+
+    Returns the number of roots; their places are in `found`, and as many are looked for as it holds.
+    """
+    stack = room(_ROWS, _COLUMNS)
+    n_found = 0
+    to_bernstein(coefficients, degree, stack[0])
+    stack[0, _LOW], stack[0, _WIDTH] = 0.0, 1.0
+    top = 0
+    while top >= 0:
+        changes = _sign_changes(stack[top], degree)
+        low, width = stack[top, _LOW], stack[top, _WIDTH]
+        at_end = stack[top, degree] == 0.0 and changes == 0 and width >= _NARROWEST
+        if changes == 0:
+            top -= 1
+            if not at_end:
+                continue
+            root = low + width
+        elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
+            top -= 1
+            root = refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
+        elif width <= _NARROWEST:
+            top -= 1
+            root = low
+        else:
+            # de Casteljau: the left half goes on top of the right half
+            right = stack[top]
+            left = stack[top + 1]
+            for j in range(degree + 1):
+                left[j] = right[0]
+                for k in range(degree - j):
+                    right[k] = 0.5 * (right[k] + right[k + 1])
+            right[_LOW], right[_WIDTH] = low + 0.5 * width, 0.5 * width
+            left[_LOW], left[_WIDTH] = low, 0.5 * width
+            top += 1
+            continue
+        if n_found == 0 or root > found[n_found - 1]:
+            found[n_found] = root
+            n_found += 1
+            if n_found == len(found):
+                return n_found
+    return n_found
+
+
+@inner
+def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
+    """Put a place among `n_marks` others in rising order; returns how many there are."""
+    k = n_marks
+    while k > 0 and marks[k - 1] > place:
+        marks[k] = marks[k - 1]
+        k -= 1
+    marks[k] = place
+    return n_marks + 1
+
+
+@inner
+def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untyped-def]
+    """Put the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
+
+    A root at the start belongs to the step before; the others count. `found` is work space.
+    """
+    skip = 0
+    while skip < degree and poly[skip] == 0.0:
+        skip += 1
+    for k in range(roots(poly[skip:], degree - skip, found)):
+        n_marks = insert(found[k], marks, n_marks)
+    return n_marks

@@ -1,0 +1,144 @@
+"""What `simulate` returns: a run, what it cost, and the state at given times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs import show
+from stickslip.sim.runs.series import EventSeries
+
+if TYPE_CHECKING:
+    from stickslip.sim.runs.show import Axes
+
+Outcome = Literal["finished", "collapsed", "diverged"]
+
+
+class IntegrationError(RuntimeError):
+    """An engine could not go on; the message names the time, the block and what to try."""
+
+
+@dataclass(frozen=True)
+class Stats:
+    """What a run cost: steps taken, steps rejected, products of K (and of N, see `System`) with a vector, events."""
+
+    n_steps: int
+    n_rejected: int
+    n_products: int
+    n_events: int
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The state at given times.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+    z, w : float64, shape (m, n)
+    """
+
+    t: Floats
+    z: Floats
+    w: Floats
+
+    @classmethod
+    def blank(cls, t: Floats, n: int) -> Samples:
+        """Room for the state at times `t`; NaN until it is known."""
+        z, w = np.full((2, len(t), n), np.nan)
+        return cls(t, z, w)
+
+    def first(self, m: int) -> Samples:
+        """The first m of them."""
+        return Samples(self.t[:m], self.z[:m], self.w[:m])
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        where = f" on [{self.t[0]:g}, {self.t[-1]:g}]" if len(self) else ""
+        return f"Samples(n={self.z.shape[1]}, {len(self)} times{where})"
+
+
+@dataclass(frozen=True, eq=False)
+class Stills:
+    """When all blocks come to stick, or one of them leaves, and where they are then; a start at rest is one.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+        Never decreasing.
+    total : float64, shape (m,)
+        Sum of z over the blocks.
+    """
+
+    t: Floats
+    total: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The result of `simulate` (dimensionless).
+
+    Attributes
+    ----------
+    z, w : float64, shape (n,)
+        Displacements and velocities at `t_end`.
+    t_end : float
+        The time asked for; earlier if the run diverged.
+    events : EventSeries
+        On [t_start, t_end].
+    outcome : "finished", "collapsed" or "diverged"
+    reason : str
+        How a run collapsed or diverged; empty for a finished run.
+    stats : Stats
+    t_collapse : float or None
+        From when on it is certain that no block sticks again; None if the run did not collapse.
+    samples : Samples
+        The state at those times of ``t_eval`` that the run reached.
+    stills : Stills or None
+        What `stickslip.sim.episodes` needs; None if the engine does not keep it.
+    by_threshold : mapping of float to EventSeries
+        What sticks by each of the further definitions ``thresholds`` of the sigmoid engine.
+    """
+
+    z: Floats
+    w: Floats
+    t_end: float
+    events: EventSeries
+    outcome: Outcome
+    reason: str
+    stats: Stats
+    t_collapse: float | None = None
+    samples: Samples = field(default_factory=lambda: Samples.blank(np.empty(0), 0))
+    stills: Stills | None = None
+    by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
+
+    def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
+        """Number of sticking blocks at given times; see `EventSeries.n_stick`."""
+        return self.events.n_stick(times)
+
+    def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
+        """Draw n_stick(t) on the axes given or on new ones; returns them. `style` goes to `Axes.step`."""
+        return show.draw_n_stick(self.events, ax, style)
+
+    def __repr__(self) -> str:
+        return f"Run({self._ended()}, n = {self.events.n}, {self.stats.n_events} events)"
+
+    def _ended(self) -> str:
+        return f"{self.outcome} at t = {self.t_end if self.t_collapse is None else self.t_collapse:g}"
+
+    def _repr_html_(self) -> str:
+        rows: dict[str, object] = {"blocks": self.events.n, "outcome": self._ended()}
+        if self.reason:
+            rows["reason"] = self.reason
+        rows["n_stick at the end"] = int(self.n_stick(self.events.t_end))
+        rows |= {name.removeprefix("n_"): count for name, count in self.events.counts().items()}
+        rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
+        rows["products"] = self.stats.n_products
+        return f"<div>{show.table('run', rows)}{show.picture(self.events)}</div>"

@@ -1,0 +1,218 @@
+"""What a run leaves behind: when which block entered, left or crossed the sticking mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs import show
+
+if TYPE_CHECKING:
+    from stickslip.sim.runs.show import Axes
+
+
+@dataclass(frozen=True, eq=False)
+class EventSeries:
+    """The modes of n blocks as a series of events.
+
+    Block i sticks (mode 0), slips right (+1) or left (-1). An event changes one block's mode:
+    stick -> slip is an *exit*, slip -> stick an *entry*, + <-> - a *crossing*.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+        Times of the events, never decreasing (dimensionless).
+    block : int32, shape (m,)
+    mode : int8, shape (m,)
+        The block's mode from t on.
+    initial_mode : int8, shape (n,)
+        Modes right after `t_start`.
+    t_start, t_end : float
+        The series is complete on [t_start, t_end].
+    """
+
+    t: Floats
+    block: NDArray[np.int32]
+    mode: NDArray[np.int8]
+    initial_mode: NDArray[np.int8]
+    t_start: float
+    t_end: float
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return len(self.initial_mode)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def by_block(self) -> NDArray[np.intp]:
+        """The order of the events by block; those of one block as they stand."""
+        return np.argsort(self.block, kind="stable")
+
+    @cached_property
+    def previous_mode(self) -> NDArray[np.int8]:
+        """The mode that each event ended, int8, shape (m,)."""
+        order = self.by_block
+        block, mode = self.block[order], self.mode[order]
+        before = self.initial_mode[block]
+        np.copyto(before[1:], mode[:-1], where=block[1:] == block[:-1])
+        previous = np.empty_like(before)
+        previous[order] = before
+        return previous
+
+    def counts(self) -> dict[str, int]:
+        """Numbers of entries, exits and crossings."""
+        return summaries([self])[0].counts
+
+    def change_points(self) -> tuple[Floats, NDArray[np.int32]]:
+        """Times at which n_stick changes, and its values: n_stick[k] holds on [t[k], t[k+1]).
+
+        t[0] is `t_start`; what happens at one instant is merged, and an instant that leaves n_stick as it
+        was is no change point.
+        """
+        found = summaries([self])[0]
+        return found.t, found.n_stick
+
+    def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
+        """Number of sticking blocks at given times (the sticking codimension), right-continuous.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside [t_start, t_end].
+        """
+        times = self._known(times)
+        t, n_stick = self.change_points()
+        return n_stick[np.searchsorted(t, times, side="right") - 1]
+
+    def mode_at(self, time: float) -> NDArray[np.int8]:
+        """Modes of all blocks at one time, int8, shape (n,), right-continuous.
+
+        Raises
+        ------
+        ValueError
+            If the time is no number in [t_start, t_end].
+        """
+        if np.ndim(time) != 0:
+            raise ValueError(f"time: expected one number, got {time!r}")
+        self._known(time)
+        mode = self.initial_mode.copy()
+        upto = np.searchsorted(self.t, time, side="right")
+        mode[self.block[:upto]] = self.mode[:upto]  # of repeated blocks the last assignment holds
+        return mode
+
+    def _known(self, times: ArrayLike) -> Floats:
+        array = np.asarray(times, dtype=np.float64)
+        inside = (array >= self.t_start) & (array <= self.t_end)
+        if not inside.all():
+            raise ValueError(
+                f"times: expected values in [{self.t_start}, {self.t_end}], where the series is known,"
+                f" got {array[~inside].flat[0]}"
+            )
+        return array
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the mode of every block against time, on the axes given or on new ones; returns them."""
+        return show.draw_modes(self, ax)
+
+    def __repr__(self) -> str:
+        return f"EventSeries(n={self.n}, {len(self)} events on [{self.t_start:g}, {self.t_end:g}])"
+
+    def _repr_html_(self) -> str:
+        counts = {name.removeprefix("n_"): count for name, count in self.counts().items()}
+        return show.table(
+            f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
+        )
+
+
+class Summary(NamedTuple):
+    """See `EventSeries.change_points` and `EventSeries.counts`."""
+
+    t: Floats
+    n_stick: NDArray[np.int32]
+    counts: dict[str, int]
+
+
+def summaries(many: Sequence[EventSeries]) -> list[Summary]:
+    """A summary of each series, all at once: with few events each, one by one they take as long as their runs."""
+    if not many:
+        return []
+    which, lengths, sizes = np.arange(len(many)), [len(one) for one in many], [one.n for one in many]
+    # one series, whose blocks are numbered on
+    mode, initial_mode = (np.concatenate([getattr(one, name) for one in many]) for name in ("mode", "initial_mode"))
+    block = np.concatenate([one.block for one in many]) + np.repeat(np.cumsum(sizes) - sizes, lengths)
+    enters = mode == 0
+    leaves = EventSeries(np.empty(0), block, mode, initial_mode, 0.0, 0.0).previous_mode == 0
+    of_event = which.repeat(lengths)
+    n_entries, n_exits, at_start = (
+        np.bincount(of, minlength=len(many))
+        for of in (of_event[enters], of_event[leaves], which.repeat(sizes)[initial_mode == 0])
+    )
+
+    # a row for each start too, where the sum of the changes begins anew
+    of_row = which.repeat(np.add(lengths, 1))
+    is_start = _differs(of_row)
+    t, change = np.empty(len(of_row)), np.empty(len(of_row), dtype=np.int32)
+    t[is_start], t[~is_start] = [one.t_start for one in many], np.concatenate([one.t for one in many])
+    change[is_start], change[~is_start] = at_start, enters.astype(np.int8) - leaves
+    change[np.flatnonzero(is_start)[1:]] -= (at_start + n_entries - n_exits)[:-1]
+    n_stick = np.cumsum(change, dtype=np.int32)
+    kept = np.roll(is_start | _differs(t), -1)  # the last event of an instant holds
+    t, n_stick, of_row = t[kept], n_stick[kept], of_row[kept]
+    kept = _differs(n_stick) | _differs(of_row)
+    t, n_stick = t[kept], n_stick[kept]
+    ends = np.cumsum(np.bincount(of_row[kept])).tolist()
+    kinds = zip([0, *ends[:-1]], ends, n_entries.tolist(), n_exits.tolist(), lengths, strict=True)
+    return [
+        Summary(t[first:end], n_stick[first:end], {"n_entries": n_in, "n_exits": out, "n_crossings": n - n_in - out})
+        for first, end, n_in, out, n in kinds
+    ]
+
+
+def _differs(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each is another than the one before; the first one is."""
+    found = np.ones(len(values), dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=found[1:])
+    return found
+
+
+def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, shortest: Floats) -> EventSeries:
+    """The series without changes of mode that the same block takes back within `shortest`.
+
+    A block that only touches the belt's speed, or the force that friction can hold, has one instant of contact:
+    whether that is two events or none is decided by rounding. So two events of a block that undo each other count
+    only if more than `shortest` lies between them, or what drives the block has a bend there.
+
+    Parameters
+    ----------
+    series : EventSeries
+    piece, s : intp and float64, shape (m,)
+        Of each event: the number of its piece between such bends, and the time since its start.
+    shortest : float64, shape (m,)
+        How long what the event takes back must last.
+    """
+    while True:
+        order = series.by_block
+        block, mode, at, of = series.block[order], series.mode[order], s[order], piece[order]
+        undone = (block[1:] == block[:-1]) & (of[1:] == of[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])
+        if not undone.any():
+            break
+        undone &= mode[1:] == series.previous_mode[order][:-1]
+        if not undone.any():
+            break
+        kept = np.ones(len(s), dtype=bool)
+        for first in np.flatnonzero(undone):
+            if kept[first]:  # not itself an undoing
+                kept[first : first + 2] = False
+        kept = np.isin(np.arange(len(s)), order[kept])
+        series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])
+        piece, s, shortest = piece[kept], s[kept], shortest[kept]
+    return series

@@ -1,0 +1,1 @@
+"""Blocks, what couples, drives and brakes them."""

@@ -1,0 +1,562 @@
+"""The mechanical system: blocks on a belt, coupled by springs, held by dry friction.
+
+    z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
+
+A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. Static
+friction above kinetic: a block that sticks is held while |mu_i lambda_i| is at most its static friction. Masses m_i
+stand before z_i'' (else scaled to one), forces from outside f_i(t) on the right side, and each block may have a belt
+of its own, of speed v_i(t). Everything is dimensionless.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stickslip.sim.numerics.arguments import Floats, flag, floats, number, per_block
+from stickslip.sim.runs import show
+from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
+from stickslip.sim.systems.friction import Weakening, require_static
+
+if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
+    import scipy.sparse
+
+
+class Columns(NamedTuple):
+    """K by columns as the exact engine takes it: K transposed or, when this is empty, CSC."""
+
+    dense: Floats
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    data: Floats
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class System:
+    """n blocks: stiffness K, damping R, friction mu, the speed v of the belt, and what drives them (dimensionless).
+
+    Parameters
+    ----------
+    stiffness : array_like or scipy.sparse matrix, shape (n, n)
+        K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
+    damping : float or array_like, shape (n,) or (n, n)
+        R, the diagonal of the damping matrix C, or C itself, dense.
+    friction : float or array_like, shape (n,)
+        mu >= 0, kinetic friction; a block with mu = 0 slides freely, but to a side that is barred.
+    belt_speed : float, array_like, shape (n,), or Piecewise
+        v; the paper takes v < 0. One for all blocks or one for each, constant or piecewise linear in time.
+    static : float or array_like, shape (n,), optional
+        Static friction, at least the kinetic; left out it is the kinetic.
+    mass : float or array_like, shape (n,)
+        m > 0.
+    force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
+        The force on each block from outside; of a list that holds a `Harmonic` or a `Piecewise`, the sum.
+    weakening : Rational or Stribeck, optional
+        How kinetic friction falls with the speed of slip |w - v|; see `stickslip.sim.systems.friction`.
+    back_slip : bool
+        Whether a block may slip either way. If not, none gets ahead of its belt (w < v for v < 0, w > v for v > 0):
+        there friction holds whatever comes, and a block that sticks leaves to the other side alone, to which the
+        belt loads it.
+
+    Attributes
+    ----------
+    belt_speed : float, ndarray, shape (n,), or Piecewise
+        A number where all blocks have one belt of constant speed, (n,) where speeds differ, `Piecewise` with values
+        of shape (k, n) where they change.
+    mass : ndarray, shape (n,)
+    force : tuple of Harmonic and Piecewise
+        Its terms, by block: the constant one first, a `Piecewise` of one time, then what changes; empty if none.
+    closed : ndarray of int8, shape (n,)
+        The side, -1 or +1, to which a block may not slip; 0 where it may slip either way.
+    static : ndarray, shape (n,)
+        What holds a block that sticks; `friction` itself where it was left out.
+    damping : ndarray, shape (n,)
+        R, also of a full matrix.
+    cross_damping : ndarray, shape (n, n), or None
+        N = C - diag(R); None if that is zero.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong type or shape, is not finite, a friction is negative, a static friction is
+        below the kinetic, or left out beside `Stribeck`, or a mass is not positive.
+    """
+
+    stiffness: Floats | scipy.sparse.csc_array
+    damping: Floats
+    cross_damping: Floats | None
+    friction: Floats
+    belt_speed: Any  # code for one belt of constant speed takes the number
+    static: Floats
+    mass: Floats
+    force: tuple[Term, ...]
+    weakening: Weakening | None
+    closed: NDArray[np.int8]
+
+    def __init__(
+        self,
+        stiffness: ArrayLike | scipy.sparse.sparray | scipy.sparse.spmatrix,
+        damping: ArrayLike,
+        friction: ArrayLike = 1.0,
+        belt_speed: ArrayLike | Piecewise = -0.2,
+        static: ArrayLike | None = None,
+        *,
+        mass: ArrayLike = 1.0,
+        force: Force = None,
+        weakening: Weakening | None = None,
+        back_slip: bool = True,
+    ) -> None:
+        if _is_sparse(stiffness):
+            from scipy.sparse import csc_array
+
+            matrix = csc_array(_checked(stiffness), copy=True)  # its entries are sorted in place
+            matrix = csc_array(
+                (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
+            )
+            matrix.sum_duplicates()
+            entries = matrix.data
+        else:
+            matrix = floats("stiffness", stiffness, "a square matrix of numbers")
+            entries = matrix
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
+            raise ValueError(f"stiffness: expected a square matrix, got shape {matrix.shape}")
+        if not np.isfinite(entries).all():
+            raise ValueError("stiffness: expected finite entries, got NaN or infinity")
+        entries.flags.writeable = False
+        n = matrix.shape[0]
+        mu = per_block("friction", friction, n, "mu >= 0")
+        object.__setattr__(self, "stiffness", matrix)
+        diagonal, cross = _damping(damping, n)
+        object.__setattr__(self, "damping", diagonal)
+        object.__setattr__(self, "cross_damping", cross)
+        object.__setattr__(self, "friction", mu)
+        object.__setattr__(self, "belt_speed", belt(belt_speed, n))
+        object.__setattr__(self, "static", _static(static, mu))
+        object.__setattr__(self, "mass", per_block("mass", mass, n, "m > 0"))
+        object.__setattr__(self, "force", forces(force, n))
+        object.__setattr__(self, "weakening", _weakening(weakening, static))
+        object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
+
+    @cached_property
+    def n(self) -> int:
+        """Number of blocks."""
+        return int(self.stiffness.shape[0])
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether it is that of eq. (10) with a dense K: all differ from each other in numbers alone."""
+        is_driven = bool(self.force) or not self.has_one_belt
+        is_plain = isinstance(self.stiffness, np.ndarray) and self.cross_damping is None and not is_driven
+        return is_plain and self.weakening is None and self.back_slip and not self.is_static_above
+
+    @cached_property
+    def is_static_above(self) -> bool:
+        """Whether any block has a static friction above the kinetic that it begins to slip with."""
+        return self.static is not self.friction and bool((self.static > self.slip_friction[0]).any())
+
+    @cached_property
+    def slip_friction(self) -> tuple[Floats, Floats]:
+        """Kinetic friction of a block that begins to slip, and of one whose slip has no bound, shape (n,) each."""
+        if self.weakening is None:
+            return self.friction, self.friction
+        return self.weakening.ends(self.friction, self.static)
+
+    def kinetic(self, slip: ArrayLike) -> Floats:
+        """Kinetic friction at the speeds of slip w - v, shape (..., n)."""
+        near, far = self.slip_friction
+        if self.weakening is None:
+            return near
+        return far + (near - far) * self.weakening.shape(self.weakening.steepness * np.abs(slip))
+
+    @cached_property
+    def back_slip(self) -> bool:
+        """Whether every block may slip either way."""
+        return not self.closed.any()
+
+    @cached_property
+    def has_mass(self) -> bool:
+        """Whether any block has a mass other than one."""
+        return bool((self.mass != 1.0).any())
+
+    @cached_property
+    def has_one_belt(self) -> bool:
+        """Whether all blocks have one belt of constant speed."""
+        return isinstance(self.belt_speed, float)
+
+    @cached_property
+    def changes(self) -> bool:
+        """Whether a force or the speed of a belt depends on time."""
+        return isinstance(self.belt_speed, Piecewise) or not all(term.is_constant for term in self.force)
+
+    def force_at(self, times: ArrayLike) -> Floats:
+        """The force from outside at given times, of any shape: that shape, and (n,) behind it."""
+        total = np.zeros((*np.shape(times), self.n))
+        for term in self.force:
+            total += term.at(times)
+        return total
+
+    def belt_speed_at(self, times: ArrayLike) -> Floats:
+        """The speeds of the belts at given times, of any shape: that shape, and (n,) behind it."""
+        moving = isinstance(self.belt_speed, Piecewise)
+        return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
+
+    @cached_property
+    def fastest_belt(self) -> float:
+        """The largest |v| there is at any time."""
+        if self.has_one_belt:
+            return abs(self.belt_speed)
+        speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
+        return float(np.abs(speeds).max())
+
+    @cached_property
+    def most_force(self) -> Floats:
+        """Bounds |f_i| at all times, shape (n,)."""
+        bounds = (
+            np.abs(term.amplitude) if isinstance(term, Harmonic) else np.abs(term.values).max(axis=0)
+            for term in self.force
+        )
+        return np.asarray(sum(bounds, np.zeros(self.n)))
+
+    @property
+    def of_unit_mass(self) -> System:
+        """The system that moves as this one does with every mass one: each block's equation divided by its mass."""
+        return self._divided_by_mass if self.has_mass else self  # one that held itself would outlive its last user
+
+    @cached_property
+    def _divided_by_mass(self) -> System:
+        share = 1.0 / self.mass
+        if isinstance(self.stiffness, np.ndarray):
+            stiffness = self.stiffness * share[:, np.newaxis]
+        else:
+            from scipy.sparse import diags_array
+
+            stiffness = diags_array(share) @ self.stiffness
+        return self.changed(
+            stiffness=stiffness,
+            damping=self.damping * share
+            if self.cross_damping is None
+            else (self.cross_damping + np.diag(self.damping)) * share[:, np.newaxis],
+            friction=self.friction * share,
+            static=None if self.static is self.friction else self.static * share,
+            mass=1.0,
+            force=[term.scaled(share) for term in self.force],
+        )
+
+    @cached_property
+    def columns(self) -> Columns:
+        """K by columns, the form in which the kernels stream it."""
+        if isinstance(self.stiffness, np.ndarray):
+            none = np.empty(0, dtype=np.int32)
+            # a copy always: kernels are compiled anew for what is read-only
+            return Columns(np.array(self.stiffness.T, order="C"), none, none, np.empty(0))
+        csc = self.stiffness
+        indptr, indices = csc.indptr.astype(np.int32), csc.indices.astype(np.int32)
+        return Columns(np.empty((0, 0)), indptr, indices, csc.data.copy())
+
+    @cached_property
+    def row_sums(self) -> Floats:
+        """sum_j |K_ij|, shape (n,): bounds what rounding does to (K x)_i."""
+        return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
+
+    def holding_force(self, z: ArrayLike, w: ArrayLike | None = None, t: float | None = None) -> Floats:
+        """What friction holds while block i sticks, -mu_i lambda_i, shape (n,).
+
+        F_i = R_i v_i + (K z)_i + (N w)_i - f_i + m_i v_i'. The velocities `w` are needed with cross damping only;
+        that of block i does not enter F_i. The time is needed where a force or the speed of a belt depends on it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument has the wrong type or shape, or `w` or `t` is needed and missing.
+        """
+        if self.changes and t is None:
+            raise ValueError("t: expected the time, on which forces or belts depend, got None; pass it")
+        at = 0.0 if t is None else number("t", t)
+        force = self.damping * self.belt_speed_at(at) + self.stiffness @ per_block("z", z, self.n)
+        if self.force:
+            force -= self.force_at(at)
+        if isinstance(self.belt_speed, Piecewise):
+            force += self.mass * self.belt_speed.slope_at(at)
+        if self.cross_damping is None:
+            return force
+        if w is None:
+            raise ValueError("w: expected the velocities, on which cross damping depends, got None; pass them")
+        return np.asarray(force + self.cross_damping @ per_block("w", w, self.n))
+
+    def slip_matrix(self, drag: Floats | float = 0.0) -> Floats:
+        """A of the all-slip system x' = A x + b, x = (z, w), each block's row divided by its mass; shape (2n, 2n).
+
+        What friction gains with speed adds `drag` to R.
+        """
+        n = self.n
+        stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
+        damping = np.diag(self.damping + drag)
+        if self.cross_damping is not None:
+            damping += self.cross_damping
+        matrix = np.zeros((2 * n, 2 * n))
+        np.fill_diagonal(matrix[:n, n:], 1.0)
+        matrix[n:, :n], matrix[n:, n:] = -stiffness, -damping
+        if self.has_mass:
+            matrix[n:] /= self.mass[:, np.newaxis]
+        return matrix
+
+    def rest_state(self, slip: ArrayLike) -> Floats:
+        """Rest state with block i slipping in direction slip_i: K z = f - mu slip, the fixed point at w = 0.
+
+        Raises
+        ------
+        ValueError
+            If a force depends on time: there is no rest state.
+        numpy.linalg.LinAlgError
+            If K is singular: the blocks then drift and there is no rest state.
+        """
+        if not all(term.is_constant for term in self.force):
+            raise ValueError("force: expected a constant one, under which blocks may rest, got one that changes")
+        return self.rest_under(-self.friction * per_block("slip", slip, self.n))
+
+    def rest_under(self, friction: Floats) -> Floats:
+        """As `rest_state`, from the forces of friction, shape (n,), where those from outside are constant."""
+        force = friction + self.force_at(0.0) if self.force else friction
+        if isinstance(self.stiffness, np.ndarray):
+            return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
+        from scipy.sparse.linalg import splu  # with csgraph it takes a tenth of a second to load
+
+        try:
+            return np.asarray(splu(self.stiffness).solve(force), dtype=np.float64)
+        except RuntimeError as error:  # what SuperLU raises for a singular matrix
+            raise np.linalg.LinAlgError(str(error)) from error
+
+    @cached_property
+    def rates(self) -> Floats:
+        """How fast blocks can change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of those each is tied to, shape (n,).
+
+        Masses divide R and K. The frequency of a force on one of them counts if it is larger.
+
+        Blocks are tied if K leads from one to the other, either way and over any number of blocks.
+        """
+        if self.has_mass:
+            return self.of_unit_mass.rates
+        own = np.abs(self.damping) + np.sqrt(self.row_sums)
+        for term in self.force:
+            if isinstance(term, Harmonic):
+                own = np.maximum(own, np.abs(term.frequency) * (term.amplitude != 0.0))
+        if isinstance(self.stiffness, np.ndarray) and self.stiffness.all():
+            return np.full(self.n, own.max())
+        from scipy.sparse import csgraph, csr_array  # as above
+
+        _, group = csgraph.connected_components(csr_array(self.stiffness), directed=True, connection="weak")
+        fastest = np.zeros(self.n)
+        np.maximum.at(fastest, group, own)
+        return np.asarray(fastest[group])
+
+    def changed(self, **arguments: Any) -> System:
+        """The same blocks with other arguments, by name; a static friction that was left out stays the kinetic.
+
+        Without back slip the closed sides stay what they are, also on another belt.
+        """
+        cross = self.cross_damping
+        own = {
+            "stiffness": self.stiffness,
+            "damping": self.damping if cross is None else cross + np.diag(self.damping),
+            "friction": self.friction,
+            "belt_speed": self.belt_speed,
+            "static": None if self.static is self.friction else self.static,
+            "mass": self.mass,
+            "force": self.force,
+            "weakening": self.weakening,
+        }
+        other = System(**{**own, **arguments})
+        if "back_slip" not in arguments:
+            object.__setattr__(other, "closed", self.closed)
+        return other
+
+    def __repr__(self) -> str:
+        kind = "dense" if isinstance(self.stiffness, np.ndarray) else f"sparse, {self.stiffness.nnz} entries"
+        damping = "" if self.cross_damping is None else ", C full"
+        static = f", static {show.span(self.static)}" if (self.static > self.friction).any() else ""
+        weakening = "" if self.weakening is None else f", {self.weakening}"
+        one_way = "" if self.back_slip else ", no back slip"
+        mass = f", mass {show.span(self.mass)}" if self.has_mass else ""
+        force = f", force {self._forces()}" if self.force else ""
+        terms = f"K {kind}{damping}{static}{weakening}{one_way}{mass}{force}"
+        return f"System(n={self.n}, {terms}, belt_speed={self._belts()})"
+
+    def _belts(self, numbers: str = "") -> str:
+        """Speeds of the belts in a few words."""
+        if self.has_one_belt:
+            return format(self.belt_speed, numbers)
+        if isinstance(self.belt_speed, Piecewise):
+            return f"{show.span(self.belt_speed.values)} in {len(self.belt_speed.times)} times"
+        return show.span(self.belt_speed)
+
+    def _forces(self) -> str:
+        """Forces from outside in a few words."""
+        return " + ".join(
+            f"{show.span(term.amplitude)} cos({show.span(term.frequency)} t)"
+            if isinstance(term, Harmonic)
+            else show.span(term.values) + ("" if term.is_constant else f" in {len(term.times)} times")
+            for term in self.force
+        )
+
+    def _repr_html_(self) -> str:
+        sparse = "" if isinstance(self.stiffness, np.ndarray) else f", sparse with {self.stiffness.nnz} entries"
+        rows = {
+            "stiffness K": f"|K_ij| up to {abs(self.stiffness).max():.6g}{sparse}",
+            "damping R": show.span(self.damping) + ("" if self.cross_damping is None else ", C full"),
+            "friction mu": show.span(self.friction),
+        }
+        if (self.static > self.friction).any():
+            rows["static friction"] = show.span(self.static)
+        if self.has_mass:
+            rows["mass"] = show.span(self.mass)
+        if self.force:
+            rows["force"] = self._forces()
+        if self.weakening is not None:
+            rows["weakening"] = str(self.weakening)
+        if not self.back_slip:
+            rows["back slip"] = "none"
+        rows["belt speed v"] = self._belts(".6g")
+        return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
+
+
+def work_out(systems: Sequence[System]) -> None:
+    """Find `columns`, `row_sums`, `rates` of plain systems of as many blocks at once: one by one it takes longer."""
+    stiffness = np.array([system.stiffness for system in systems])
+    none = np.empty(0, dtype=np.int32)
+    transposed, sums = np.array(stiffness.transpose(0, 2, 1), order="C"), abs(stiffness).sum(axis=2)
+    own = np.abs([system.damping for system in systems]) + np.sqrt(sums)
+    rates, is_tied = np.broadcast_to(own.max(axis=1, keepdims=True), own.shape), (stiffness != 0.0).all(axis=(1, 2))
+    for k, system in enumerate(systems):
+        system.__dict__["columns"] = Columns(transposed[k], none, none, np.empty(0))
+        system.__dict__["row_sums"] = sums[k]
+        if is_tied[k]:  # else they take a look at who is tied to whom
+            system.__dict__["rates"] = rates[k]
+
+
+def require_diagonal_damping(system: System, what: str) -> None:
+    """ValueError if the system has cross damping, naming what cannot do with it."""
+    if system.cross_damping is not None:
+        block, other = np.argwhere(system.cross_damping)[0]
+        raise ValueError(
+            f"system: expected a diagonal damping matrix, all that {what} takes, got"
+            f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
+            " diagonal, or use engine='sigmoid'"
+        )
+
+
+def require_one_friction(system: System, what: str) -> None:
+    """ValueError if static friction is above the kinetic, naming what cannot do with it."""
+    if system.is_static_above:
+        block = int(np.argmax(system.static - system.friction))
+        raise ValueError(
+            f"static: expected the kinetic friction, the one friction that {what} takes, got"
+            f" {system.static[block]:g} above {system.friction[block]:g} at block {block}; leave it out"
+        )
+
+
+def require_one_belt(system: System, what: str) -> None:
+    """ValueError if blocks have masses, forces from outside, or belts of several speeds, naming what cannot do so."""
+    for name, holds, expected, got in (
+        ("mass", not system.has_mass, "1", f"{show.span(system.mass)}"),
+        ("force", not system.force, "none", f"{len(system.force)} of them"),
+        ("belt_speed", system.has_one_belt, "one constant number", system._belts()),
+    ):
+        if not holds:
+            raise ValueError(f"{name}: expected {expected}, all that {what} takes, got {got}; leave it out")
+
+
+def require_constant_friction(system: System, what: str) -> None:
+    """ValueError if kinetic friction falls with speed, or one side is closed, naming what cannot do with it."""
+    if system.weakening is not None:
+        raise ValueError(f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out")
+    if not system.back_slip:
+        raise ValueError(f"back_slip: expected True, all that {what} takes, got False; leave it out")
+
+
+def require_plain(system: System, what: str) -> None:
+    """ValueError if the system is not that of eq. (10), with a diagonal damping and one friction."""
+    require_diagonal_damping(system, what)
+    require_one_friction(system, what)
+    require_one_belt(system, what)
+    require_constant_friction(system, what)
+
+
+def _is_sparse(matrix: object) -> bool:
+    """As `scipy.sparse.issparse`, without loading that: who has a sparse matrix has done so."""
+    sparse = sys.modules.get("scipy.sparse")
+    return sparse is not None and bool(sparse.issparse(matrix))
+
+
+def _checked(matrix: Any) -> Any:
+    """A sparse matrix whose indices are in range, as SciPy's compiled code takes for granted."""
+    from scipy.sparse import coo_array
+
+    try:
+        if matrix.format in ("csc", "csr", "bsr"):
+            matrix.check_format(full_check=True)
+            return matrix
+        entries = matrix.tocoo()
+        return coo_array((entries.data, entries.coords), entries.shape)  # which checks them
+    except ValueError as error:
+        raise ValueError(
+            f"stiffness: expected a sparse matrix with its indices in range, got one with {error}"
+        ) from None
+
+
+def _static(static: ArrayLike | None, friction: Floats) -> Floats:
+    """Static friction by block, from what was given beside the kinetic."""
+    if static is None:
+        return friction
+    held = per_block("static", static, len(friction))
+    if (held < friction).any():
+        block = int(np.argmax(friction - held))
+        raise ValueError(
+            f"static: expected at least the kinetic friction, got {held[block]:g} below {friction[block]:g} at block"
+            f" {block}; raise it, or leave it out for the same"
+        )
+    return held
+
+
+def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakening | None:
+    """A weakening, or none, as it was given."""
+    if weakening is None:
+        return None
+    if not isinstance(weakening, Weakening):
+        raise TypeError(f"weakening: expected Rational(rate) or Stribeck(speed), got {weakening!r}; left out: none")
+    require_static(type(weakening), static)
+    return weakening
+
+
+def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
+    """The side to which each block may not slip, from what was given."""
+    if flag("back_slip", back_slip):
+        return np.zeros(n, dtype=np.int8)
+    speeds = np.atleast_2d(belt_speed.values if isinstance(belt_speed, Piecewise) else belt_speed)
+    goes = direction(np.broadcast_to(speeds, (len(speeds), n)))
+    if not goes.all():
+        raise ValueError(
+            f"back_slip: expected True for a belt that rests or turns, as that of block {int(np.argmin(goes != 0))}:"
+            " it loads to neither side, or to both; got False"
+        )
+    return goes
+
+
+def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
+    """R and N of a damping given as a number, by block, or as a matrix."""
+    cross = floats("damping", damping, f"a number, {n} numbers or a dense matrix")
+    if cross.ndim != 2:
+        return per_block("damping", cross, n), None
+    if cross.shape != (n, n):
+        raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {cross.shape}")
+    if not np.isfinite(cross).all():
+        raise ValueError("damping: expected finite entries, got NaN or infinity")
+    diagonal = per_block("damping", np.diag(cross), n)
+    np.fill_diagonal(cross, 0.0)
+    cross.flags.writeable = False
+    return diagonal, cross if cross.any() else None
