@@ -172,14 +172,17 @@ def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estim
 
 
 def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
-    """Write verdicts into contrasts that were tested, by Holm's rule over all `n_tests`, each kind by itself."""
+    """Write verdicts into contrasts that were tested, by Holm's rule over all `n_tests`, each kind by itself.
+
+    What is compared with the margin is `relative`.
+    """
     tested = [row for row in rows if row["p_equivalent"] is not None]
     for name in ("p_equivalent", "p_different"):
         for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
             row[f"{name}_holm"] = float(adjusted)
     for row in tested:
         p_values = row["p_equivalent_holm"], row["p_different_holm"]
-        row |= {"verdict": verdict(*p_values, alpha, row["difference"], words), "n_tests": len(tested)}
+        row |= {"verdict": verdict(*p_values, alpha, row["relative"], row["margin"], words), "n_tests": len(tested)}
 
 
 def told(rows: Iterable[Row]) -> list[Row]:

@@ -286,11 +286,7 @@ def _contrasts(systems: Sequence[Sequence[_Of]], level: float) -> list[list[Row]
 
 
 def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
-    """Every law of each setting against that of the first of the same systems, judged together; by setting.
-
-    One that is shown to be off by less than its margin, as far as is known, does not differ: more data would have it
-    agree. It cannot be told.
-    """
+    """Every law of each setting against that of the first of the same systems, judged together; by setting."""
     made: list[Row] = []
     for reference, *others in systems:
         rows = [
@@ -300,9 +296,6 @@ def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
             for name, law in _COMPARED.items()
         ]  # fmt: skip
         judge(rows, 1 - study.settings.confidence)
-        for row in rows:
-            if row["verdict"] == DIFFER and abs(float(row["size"])) < float(row["margin"]):
-                row["verdict"] = UNKNOWN
         made += rows
     return made
 
@@ -322,7 +315,7 @@ def _apart(study: Study, first: _Of, second: _Of, name: str, law: _Law) -> Row:
     except Undefined as why:
         return row | named("size", Estimate()) | {"reason": str(why)}
     return row | named("size", found.size) | {
-        "difference": found.size.value, "p_equivalent": found.p_equivalent, "p_different": found.p_different,
+        "relative": found.size.value, "p_equivalent": found.p_equivalent, "p_different": found.p_different,
     }  # fmt: skip
 
 

@@ -151,7 +151,7 @@ class _Judged:
                 row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}
             if not self.lack:
                 row["verdict"] = verdict(
-                    float(p_stays), float(p_moves), 1 - self.level, words=Words(STAYS, MOVES, MOVES)
+                    float(p_stays), float(p_moves), 1 - self.level, row["theta"], BOUND, Words(STAYS, MOVES, MOVES)
                 )
         return rows
 

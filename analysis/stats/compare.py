@@ -33,7 +33,7 @@ class Words:
     same : str
         A difference beyond the margin is excluded, be there one within it or none.
     more, less : str
-        That is not so, but there is a difference, of this sign.
+        There is a difference, of this sign, and the estimate is beyond the margin.
     """
 
     same: str = AGREE
@@ -70,7 +70,7 @@ class Compared:
 
     def verdict(self, level: float, words: Words = ALIKE) -> str:
         """The rule of this module for one comparison by itself."""
-        return verdict(self.p_equivalent, self.p_different, 1 - level, self.difference, words)
+        return verdict(self.p_equivalent, self.p_different, 1 - level, self.difference, self.margin, words)
 
 
 def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
@@ -153,14 +153,17 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
 
 
 def verdict(
-    p_equivalent: float, p_different: float, alpha: float, difference: float = 0.0, words: Words = ALIKE
+    p_equivalent: float, p_different: float, alpha: float, difference: float, margin: float, words: Words = ALIKE
 ) -> str:
-    """The rule: `words.same` if p_equivalent < alpha; else, if p_different < alpha, `words.more` or `words.less` by
-    the sign of the difference; else `UNKNOWN`. The p-values may be adjusted ones.
+    """The rule: `words.same` if p_equivalent < alpha; `words.more` or `words.less`, by the sign of the difference, if
+    p_different < alpha and the estimate is beyond the margin; else `UNKNOWN`. The p-values may be adjusted ones.
+
+    What is within the margin by its estimate, and may lie beyond, cannot be told, however surely it is not zero: more
+    data may yet show that it agrees.
     """
     if p_equivalent < alpha:
         return words.same
-    if p_different >= alpha:
+    if p_different >= alpha or abs(difference) <= margin:
         return UNKNOWN
     return words.more if difference > 0 else words.less
 

@@ -26,6 +26,8 @@ class Effect:
         That it is 1, by itself and among the comparisons that are made together (`together`).
     p_equivalent, p_equivalent_adjusted : float or None
         That it lies beyond the margin.
+    margin : float
+        Of its logarithm.
     """
 
     ratio: Estimate
@@ -33,12 +35,14 @@ class Effect:
     p_equivalent: float | None = None
     p_adjusted: float | None = None
     p_equivalent_adjusted: float | None = None
+    margin: float = 0.0
 
     def verdict(self, level: float, words: Words = MANY) -> str:
         """By the rule of `stats.compare`."""
         if self.p_adjusted is None or self.p_equivalent_adjusted is None or self.ratio.value is None:
             return UNKNOWN
-        return verdict(self.p_equivalent_adjusted, self.p_adjusted, level, np.log(self.ratio.value), words)
+        difference = float(np.log(self.ratio.value))
+        return verdict(self.p_equivalent_adjusted, self.p_adjusted, level, difference, self.margin, words)
 
     @property
     def shown(self) -> float:
@@ -76,7 +80,7 @@ def over_null(
     except Undefined as undefined:
         return Effect(Estimate(reason=str(undefined)))
     value, low, high = (float(np.exp(x)) for x in (test.difference, *test.interval(confidence)))
-    return Effect(Estimate(value, low, high), test.p_different, test.p_equivalent)
+    return Effect(Estimate(value, low, high), test.p_different, test.p_equivalent, margin=test.margin)
 
 
 def together(found: Sequence[Effect], n_primary: int = 0) -> list[Effect]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.stats.cascades import Window
-from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test, verdict
+from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
 ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
@@ -79,12 +79,11 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
         return Basis(FEW_CASCADES, g, n_cascades, Estimate(reason=str(undefined)))
     test = equivalence_test(value, error, g - 1, MARGIN)
     drift = Estimate(value, *test.interval(confidence))
-    answer = verdict(test.p_equivalent, test.p_different, 1 - confidence)
+    answer = test.verdict(confidence)
     if g < LEAST_MATRICES:
         code = FEW_MATRICES
     elif n_cascades < LEAST_CASCADES:
         code = FEW_CASCADES
     else:
-        is_shown = answer == DIFFER and abs(value) >= MARGIN
-        code = ENOUGH if answer == AGREE else DRIFTS if is_shown else DRIFT_UNKNOWN
+        code = ENOUGH if answer == AGREE else DRIFTS if answer == DIFFER else DRIFT_UNKNOWN
     return Basis(code, g, n_cascades, drift)

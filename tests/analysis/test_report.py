@@ -84,7 +84,10 @@ def test_as_chance_has_to_be_shown():
 
     assert verdicts(0.002, 0.0005, 0.007) == verdicts(0.0, 0.003, 0.007) == "as chance"
     assert verdicts(0.002, 0.003, 0.007) == "cannot be told"
-    assert [verdicts(sign * 0.006, 0.002, 0.007) for sign in (1, -1)] == ["steeper", "shallower"]
+    assert verdicts(0.006, 0.002, 0.007) == "cannot be told", (
+        "there is a difference, by its estimate within the margin"
+    )
+    assert [verdicts(sign * 0.012, 0.003, 0.007) for sign in (1, -1)] == ["steeper", "shallower"]
     assert verdicts(0.002, 0.0005, 0.0) == "steeper", "nothing is declared to be close"
 
 
