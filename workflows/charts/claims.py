@@ -2,7 +2,8 @@
 
 One rule (`told`): a claim says that a number lies in a region. It is reproduced if the whole 95% interval does, not
 reproduced if none of it does, and else cannot be told. It is corrected if it is not reproduced, but is after a change
-that is named. What is said to make no difference is judged as everywhere: within a margin, or different from none.
+that is named. What is said to make no difference (`alike`) is judged as everywhere: it is reproduced if a difference
+beyond a margin is excluded, not reproduced if a difference is shown and its estimate is beyond the margin.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import pandas as pd
 
 from stickslip.analysis.answer import F, I, S, frame
 from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.estimates import Estimate
 
 REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
 CONFIDENCE = 0.95
@@ -44,6 +46,13 @@ def told(
     if least <= low and high <= most:
         return REPRODUCED
     return otherwise if high < least or low > most else UNTOLD
+
+
+def alike(found: Estimate, margin: float) -> str:
+    """Whether a difference is none, to within a margin."""
+    if found.value is not None and abs(found.value) > margin:
+        return CONTRADICTED if told(found.low, found.high, 0.0, 0.0) == CONTRADICTED else UNTOLD
+    return told(found.low, found.high, -margin, margin)
 
 
 def every(verdicts: Sequence[str]) -> str:

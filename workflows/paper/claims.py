@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +13,10 @@ import numpy as np
 from stickslip import sim
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.questions.exponential import MARGIN as FORM
+from stickslip.analysis.questions.robustness import BOUND
+from stickslip.analysis.stats import components
+from stickslip.analysis.stats.compare import Words
+from stickslip.analysis.stats.compare import verdict as compared
 from stickslip.analysis.stats.enough import LEAST_MATRICES
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
 from stickslip.analysis.stats.estimates import gamma as law_gamma
@@ -32,6 +38,7 @@ from stickslip.workflows.charts.claims import (
     REPRODUCED,
     UNTOLD,
     Claim,
+    alike,
     every,
     share,
     told,
@@ -163,11 +170,10 @@ def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
     moved = over_matrices(ratio, pairs, CONFIDENCE) if fates["moving"] == len(rows) and len(pairs) else Estimate()
     untold = fates[QUIET] + usual[QUIET]
     is_other = fates != usual and not untold
-    alike = UNTOLD if untold else told(moved.low, moved.high, -MARGIN, MARGIN)
     return {
-        "n_runs": len(rows), **{kind: fates[kind] for kind in _KINDS.values()},
+        "n_runs": len(rows), "fates": Counter(row.fate for row in rows),
         "moved": moved.value, "low": moved.low, "high": moved.high,
-        "is_other": is_other, "alike": CONTRADICTED if is_other else alike,
+        "is_other": is_other, "alike": CONTRADICTED if is_other else UNTOLD if untold else alike(moved, MARGIN),
     }  # fmt: skip
 
 
@@ -204,61 +210,73 @@ def details(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def sensitive(scene: PaperScene, measured: Measured) -> Claim:
-    """Whether changed runs part from the unchanged one within the time that is drawn."""
-    rows = _little_changed(scene, measured)
-    apart = [(row.study, row.t_apart) for row in rows if row.t_apart is not None and row.t_apart <= scene.t_shown]
-    times = {study: sorted(t for one, t in apart if one == study) for study in ("r", "constants")}
-    parted = share(len(apart), len(rows))
-    return parted | {
-        "verdict": told(parted["low"], parted["high"], MOST), "times": times, "size": scene.size,
+    """Whether runs with a small change part from the unchanged ones by `t_shown`: under each change most do."""
+    each = {}
+    for one in LITTLE:
+        rows = [row for row in _of(measured, "lasting") if row.setting == one]
+        times = sorted(row.t_apart for row in rows if row.t_apart is not None and row.t_apart <= scene.t_shown)
+        each[one] = share(len(times), len(rows)) | {"times": times}
+    fewest = min(each.values(), key=lambda one: one["low"] or 0.0)
+    return {name: fewest[name] for name in ("found", "tried", "low", "high")} | {
+        "verdict": every([told(one["low"], one["high"], MOST) for one in each.values()]),
+        "each": each, "size": scene.size,
+        "is_few_at_rest": all(row.fate == COLLAPSED for row in _of(measured, "r", scene.n[0])),
     }  # fmt: skip
 
 
 def robust(scene: PaperScene, measured: Measured) -> Claim:
-    """Whether small changes move a matrix's mean n_stick by less than `MARGIN`, beside what another start does.
+    """Whether a small change moves mean n_stick by less than `BOUND` of what another matrix would, in mean squares.
 
-    Of matrix i the unchanged run and one from another start, y_i1 and y_i2, and changed ones c_ij: the mean square of
-    what a change does is E (c - y)^2 - E (y_1 - y_2)^2, over the square of the mean, by the jackknife over matrices.
-    Only matrices all of whose runs keep on enter; how many changed runs do is counted.
+    As in `analysis.questions.robustness`: replicates are the unchanged run and one from another start, and only
+    matrices all of whose runs are in motion enter. How many runs are, under each change, is counted beside it.
     """
     by_setting: dict[str, dict[int, Row]] = {}
     for row in _of(measured, "lasting"):
         by_setting.setdefault(row.setting, {})[row.matrix] = row
-    same, changed = ([by_setting.get(one, {}) for one in some] for some in (("unchanged", "start"), LITTLE))
+    all_of = [by_setting.get(one, {}) for one in ("unchanged", "start", *LITTLE)]
     kept = [
-        [rows[k].mean for rows in (*same, *changed)]
-        for k in (same[0] if all((*same, *changed)) else ())
-        if all(k in rows and rows[k].fate in MOVING for rows in (*same, *changed))
+        [rows[k].mean for rows in all_of]
+        for k in all_of[0]
+        if all(k in rows and rows[k].fate in MOVING for rows in all_of)
     ]
-    keep_on, usual = (
-        _share([row for rows in some for row in rows.values()], *MOVING) for some in (changed, same[:1])
-    )
-    facts = {"runs": keep_on, "usual": usual, "margin": MARGIN, "tried": len(kept), "size": scene.size}
+    moving = {one: _share(list(by_setting.get(one, {}).values()), *MOVING) for one in ("unchanged", *LITTLE)}
+    facts = {"moving": moving, "bound": BOUND, "tried": len(kept), "size": scene.size}
     if len(kept) < LEAST_MATRICES:
-        return facts | {"verdict": UNTOLD, "value": None}
+        return facts | {"verdict": UNTOLD, "rms": None}
     values = np.array(kept, dtype=float)
-    y, c = values[:, :2], values[:, 2:]
-    start, usual_mean = (y[:, 0] - y[:, 1]) ** 2, y.mean(axis=1)
-    moved = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2)) - start
-    found = over_matrices(ratio, np.column_stack([moved, usual_mean**2]), CONFIDENCE)
-    fresh = 2 * usual_mean.var(ddof=1) - start.mean() / 2
-    low, value, high = (float(np.sqrt(max(one or 0.0, 0.0))) for one in (found.low, found.value, found.high))
+    found = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
+    theta = found.theta
     return facts | {
-        "verdict": told(low, high, most=MARGIN), "value": value, "low": low, "high": high,
-        "start": float(np.sqrt(start.mean()) / usual_mean.mean()),
-        "fresh": float(np.sqrt(max(fresh, 0.0)) / usual_mean.mean()),
+        "verdict": compared(
+            found.p_below(BOUND), found.p_above(0.0), 1 - CONFIDENCE, np.inf if theta.value is None else theta.value,
+            BOUND, Words(REPRODUCED, CONTRADICTED, CONTRADICTED),
+        ),
+        "value": theta.value if found.kind == components.BOUNDED else None, "low": theta.low, "high": theta.high,
+        "rms": {
+            name: float(np.sqrt(of) / values[:, :2].mean())
+            for name, of in (("change", found.change), ("start", found.replicate), ("matrix", found.redraw))
+        },
     }  # fmt: skip
 
 
-def _little_changed(scene: PaperScene, measured: Measured) -> list[Row]:
-    return _of(measured, "r", scene.n[-1]) + _of(measured, "constants")
-
-
 def oscillations(scene: PaperScene, measured: Measured) -> Claim:
-    """Half of the runs have a period near the paper's."""
+    """Half of the runs have a period near the paper's; beside it the runs without noise and with the least."""
     found = _dampings(scene, measured, STRONG)
-    half = _median(found.get("periods", ()))
-    return found | {"verdict": told(half.low, half.high, PERIOD / NEAR, PERIOD * NEAR)}
+    runs = _of(measured, "base", scene.n[-1]) + _of(measured, "dampings")
+    seen: dict[float, list[tuple[float, float]]] = {}
+    for row in sorted(runs, key=lambda row: row.size):
+        if row.period is not None and row.swing is not None:
+            seen.setdefault(row.size, []).append((row.period, row.swing))
+    if found["found"] is None or STRONG not in seen:
+        return {"found": None, "verdict": UNTOLD}
+    half, near = _median([period for period, _ in seen[STRONG]]), (PERIOD / NEAR, PERIOD * NEAR)
+    less = [one for size, some in list(seen.items())[:2] for one in some if size < STRONG]
+    return found | {
+        "verdict": told(half.low, half.high, *near),
+        "seen": {size: seen[size] for size in [*list(seen)[:2], STRONG]},
+        "is_old": bool(less) and all(near[0] <= period <= near[1] for period, _ in less),
+        "is_wider": min(swing for _, swing in seen[STRONG]) > max((swing for _, swing in less), default=0.0),
+    }  # fmt: skip
 
 
 def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
@@ -276,18 +294,12 @@ def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
 
 
 def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
+    """Under noise of a size on all dampings how many run away, and when."""
     rows = [row for row in _of(measured, "dampings") if row.size == size]
-    base = _of(measured, "base", scene.n[-1])
-    periods = sorted(row.period for row in rows if row.period is not None)
-    if not rows or (size == STRONG and not periods):
+    if not rows:
         return {"found": None}
-    moved, usual = ([row.swing for row in some if row.swing is not None] for some in (rows, base))
     ends = sorted(row.t_stop for row in rows if row.fate == DIVERGED)
-    return _share(rows, DIVERGED) | {
-        "size": size, "periods": periods, "ends": ends,
-        "swing": {"moved": moved, "usual": usual},
-        "escapes": escapes(measured.runs, scene.t_few),
-    }  # fmt: skip
+    return _share(rows, DIVERGED) | {"ends": ends, "escapes": escapes(measured.runs, scene.t_few)}
 
 
 def paths_and_laws(scene: PaperScene, measured: Measured) -> Claim:
@@ -307,8 +319,7 @@ def paths_and_laws(scene: PaperScene, measured: Measured) -> Claim:
     mean = over_matrices(ratio, means, CONFIDENCE)
     steep = over_matrices(lambda s: law_gamma(s[:, :2]) / law_gamma(s[:, 2:]) - 1, sizes, CONFIDENCE)
     return {
-        "verdict": every([told(beyond.low, beyond.high, -COMMON, COMMON), told(mean.low, mean.high, -MARGIN, MARGIN),
-                          told(steep.low, steep.high, -SAME, SAME)]),
+        "verdict": every([alike(beyond, COMMON), alike(mean, MARGIN), alike(steep, SAME)]),
         "tried": len(found), "value": shared.value, "low": shared.low, "high": shared.high, "chance": chance.value,
         "mean": mean, "gamma": steep, "t_from": scene.t_burn,
     }  # fmt: skip
@@ -325,39 +336,49 @@ def sigmoid(scene: PaperScene, measured: Measured) -> Claim:
 # ---------------------------------------------------------------------------------------------- figures 5 and 6
 
 
+#: The paper's size, the number of successive steps of time in which n_stick falls, with a pause between them or not.
+READINGS = ("decreases", "length")
+
+
 def form(scene: PaperScene, measured: Measured) -> Claim:
-    """By events, which need no step, the variance of sizes is an exponential's to within `FORM`."""
-    rows = [row for row in _readings(measured.cascades) if row.excess is not None]
-    events, longest = by_definition(rows, "events"), by_definition(rows, "length")
-    low, high = (events.excess_low, events.excess_high) if events else (None, None)
+    """The variance of sizes is an exponential's to within `FORM`: by each reading at each step."""
+    rows = [row for row in measured.cascades if row.excess is not None]
+    events = by_definition(rows, "events")
+    low, high = _ends(rows, "excess_low", "excess_high")
     return {
-        "verdict": told(low, high, -FORM, FORM), "value": events and events.excess, "low": low, "high": high,
-        "margin": FORM, "longest": longest,
+        "verdict": told(low, high, -FORM, FORM), "margin": FORM,
+        "value": events and events.excess, "low": events and events.excess_low, "high": events and events.excess_high,
+        "readings": {one: [row.excess for row in rows if row.definition == one] for one in READINGS},
     }  # fmt: skip
 
 
-def _readings(rows: Sequence[Cascades]) -> list[Cascades]:
-    """Cascades as the paper counts them, at each step, and by events, which short steps tend to."""
-    return [row for row in rows if row.definition in ("events", "length")]
+def _ends(rows: Sequence[Cascades], low: str, high: str) -> tuple[float | None, float | None]:
+    """The lowest and the highest end of the intervals of all readings."""
+    read = [row for row in rows if row.definition in READINGS]
+    lows, highs = ([end for row in read if (end := getattr(row, name)) is not None] for name in (low, high))
+    return min(lows, default=None), max(highs, default=None)
 
 
 def gamma(scene: PaperScene, measured: Measured) -> Claim:
-    """By falls in a row, as the paper counts, over steps that it leaves open: all readings together have to say it.
-
-    They go on from cascades by events, what short steps tend to, to those of the longest step.
-    """
-    rows = [row for row in measured.cascades if row.gamma is not None]
+    """By falls, as the paper counts; it leaves the step and pauses open, so all readings together have to say it."""
+    rows = [row for row in measured.cascades if row.definition in ("events", *READINGS) and row.gamma is not None]
     events = by_definition(rows, "events")
-    inside = sum(row.low is not None and row.high is not None and row.low <= PAPER_GAMMA <= row.high for row in rows)
-    gammas = [row.gamma for row in rows if row.gamma is not None]
+    steps = [
+        (row.dt, row.gamma)
+        for row in rows
+        if row.definition == READINGS[0] and row.dt is not None and row.gamma is not None
+    ]
+    around = [
+        (short, long)
+        for (short, one), (long, other) in pairwise(sorted(steps))
+        if min(one, other) <= PAPER_GAMMA <= max(one, other)
+    ]
     ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
-    lows, highs = ([end for row in _readings(rows) for end in [getattr(row, name)] if end is not None]
-                   for name in ("low", "high"))  # fmt: skip
     return {
-        "verdict": told(min(lows, default=None), max(highs, default=None), *ends),
-        "rows": rows, "inside": inside, "paper": PAPER_GAMMA,
+        "verdict": told(*_ends(rows, "low", "high"), *ends), "paper": PAPER_GAMMA, "around": around,
         "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
-        "least": min(gammas, default=None), "most": max(gammas, default=None),
+        "readings": {one: [row.gamma for row in rows if row.definition == one] for one in READINGS},
+        "rows": [asdict(row) for row in rows],
     }  # fmt: skip
 
 

@@ -30,16 +30,16 @@ _RUSH = 5.0
 #: The period of n_stick is that of the highest peak of its spectrum, the ends of the run left out; sampled so often.
 _ENDS, _PERIOD_DT, _PERIODS = 50.0, 0.25, (3.0, 60.0)
 #: Matrices drawn in figure 5; sizes of the noise in figure 4 (iv).
-_DRAWN, _NOISE_DRAWN = 3, (0.02, 0.05, 0.1)
+_DRAWN, _NOISE_DRAWN = 3, (0.01, 0.02, 0.05, 0.1)
 
 
 @dataclass(frozen=True)
 class Row:
     """One run of a random system: a row of the table `runs`; null what it has not.
 
-    `t_last` is its last event, `mean` the time mean of n_stick after t_burn, `t_apart` when n_stick parts from that
-    of the unchanged run; `period` and `swing`, its standard deviation, are those of n_stick but for the ends of the
-    run.
+    `t_last` is its last event, `mean` the time mean of n_stick after t_burn; `t_apart`, of the study "lasting", when
+    n_stick parts from that of the same matrix unchanged; `period` and `swing`, its standard deviation, are those of
+    n_stick but for the ends of the run.
     """
 
     study: str
@@ -115,13 +115,16 @@ class Pairing:
 
 def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
     """A row for each run, in order."""
-    bases = {path.ask.n: path for path in paths if path.ask.study == "base"}
-    long = [path for path in paths if path.ask.study == "long" and path.ask.n == max(bases, default=0)]
+    bases = {
+        path.ask.matrix: path for path in paths if (path.ask.study, path.ask.setting) == ("lasting", "unchanged")
+    }
+    n = max((base.ask.n for base in bases.values()), default=0)
+    long = [path for path in paths if path.ask.study == "long" and path.ask.n == n]
     apart = _APART * _between_matrices(long, t_burn)
     found = []
     for path in paths:
-        ask, base = path.ask, bases.get(path.ask.n)
-        is_changed = ask.matrix == 0 and ask.study in ("r", "constants", "dampings") and apart > 0
+        ask = path.ask
+        base = bases[ask.matrix] if ask.study == "lasting" and ask.setting != "unchanged" and apart > 0 else None
         fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end, path.growth_rate)
         mean = None
         if fate != fates.DIVERGED and path.t_stop > t_burn:
@@ -129,7 +132,7 @@ def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
         period, swing = oscillation(path) if ask.study in ("dampings", "base") else (None, None)
         found.append(Row(
             ask.study, ask.setting, ask.law, ask.n, ask.matrix, ask.size, fate, path.t_stop, float(path.t[-1]), mean,
-            apart_from(path, base, apart) if is_changed and base is not None else None, period, swing,
+            apart_from(path, base, apart) if base is not None else None, period, swing,
         ))  # fmt: skip
     return found
 
@@ -337,7 +340,7 @@ def by_definition(rows: Sequence[Cascades], definition: str) -> Cascades | None:
 
 @panel(ncols=2, sharey=True)
 def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
-    """Cascades of each size on a log axis, by events and by the paper's own words; the fits and the paper's law."""
+    """Cascades of each size on a log axis, by events and by falls; the fits and the paper's law."""
     for ax, definition in zip(axes, ("events", "length"), strict=True):
         one = by_definition(rows, definition)
         if one is None or not any(map(any, one.counts)):
@@ -352,7 +355,7 @@ def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
                 ax.plot(ends, level * np.exp(-gamma * (ends - 1)), color=colour, linestyle=dash,
                         label=f"{label}, γ = {gamma:.2f}")  # fmt: skip
         ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
-        ax.set_title("(ii) by events" if definition == "events" else f"(ii) successive steps of {one.dt:g}")
+        ax.set_title("(ii) by events" if definition == "events" else f"(ii) by falls, step {one.dt:g}")
         size_axis(ax, int(ends[1]))
         ax.legend(fontsize=6)
     axes[0].set_ylabel("number of cascades f")
