@@ -173,7 +173,7 @@ def answer(study: Study) -> Answer | None:
     facts = {
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
         "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
-        "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) / WINDOWS,
+        "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
         "margins": {name: law.margin for name, law in _COMPARED.items()},
         "settings": settings, "agree": [one for one in settings if one["verdict"] == AGREE],
         "differ": _by_laws(settings),

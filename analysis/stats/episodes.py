@@ -165,14 +165,16 @@ def _spread(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 def _counts(found: Catalogue, _: float) -> tuple[float, float]:
-    """Variance and mean of the numbers of episodes in windows, each `WINDOWS`-th of the time."""
-    counts = np.histogram(found.start, WINDOWS, (found.t_start, found.t_stop))[0]
+    """Variance and mean of the numbers of episodes in `WINDOWS` windows of equal quiet time, which has no dead time."""
+    took = np.cumsum(found.duration)
+    quiet = found.t_stop - found.t_start - float(found.duration.sum())
+    counts = np.histogram(found.start - found.t_start - took + found.duration, WINDOWS, (0.0, max(quiet, 0.0)))[0]
     return float(counts.var(ddof=1)), float(counts.mean())
 
 
 RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
 SIZE, OCCUPANCY, BY_WAY, FANO = "mean size", "share of time in episodes", "episodes by block and way", "Fano factor"
-WINDOWS = 20  # of a run, in which episodes are counted
+WINDOWS = 20  # of a run's quiet time, in which episodes are counted
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.questions import engines, episodes, sweep
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
+    FANO,
     FITTED,
     OCCUPANCY,
     QUANTITIES,
@@ -267,7 +268,7 @@ def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, 
         ("episodes by block and way", "differ", True),
     ]
     assert [row["relative"] for row in changes] == pytest.approx([1.0, -0.5], abs=0.1)
-    alike = replace(data, episodes=data.episodes.assign(size=2 + np.arange(len(table)) % 2))
+    alike = replace(data, episodes=data.episodes.assign(size=2))
     words = " ".join(build(alike, replace(settings, question=("episodes",)), "A chain", "", {}).headline)
     assert "no change of their mean size is shown" in words
     assert "unit of belt travel falls by" in words
@@ -367,6 +368,7 @@ def test_dead_time_is_no_regularity_and_no_order(planted_episodes, settings, rng
     lead = episodes.answer(Study(replace(data, episodes=stretched), settings)).facts["lead"]
     assert lead[OCCUPANCY] == pytest.approx(0.5, abs=0.05)
     assert lead["regularity"] == episodes.AS_POISSON
+    assert lead[FANO] == pytest.approx(1.0, abs=ERRORS * np.sqrt(2 / 19 / 12))
     sizes, starts_of = (stretched[name].to_numpy(float) for name in ("size", "start"))
     whole = Catalogue(0.0, 1e3, starts_of[:300], 0.1 * sizes[:300], sizes[:300], sizes[:300], 1e3, sizes[:300])
     assert abs(np.corrcoef(whole.sizes_and_quiets, rowvar=False)[0, 1]) < ERRORS / np.sqrt(299)
