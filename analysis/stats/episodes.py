@@ -165,7 +165,7 @@ def _spread(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 def _counts(found: Catalogue, _: float) -> tuple[float, float]:
-    """Variance and mean of the numbers of episodes in `WINDOWS` windows of equal quiet time, which has no dead time."""
+    """Variance and mean of the numbers of episodes in `WINDOWS` windows of equal quiet time, so no dead time."""
     took = np.cumsum(found.duration)
     quiet = found.t_stop - found.t_start - float(found.duration.sum())
     counts = np.histogram(found.start - found.t_start - took + found.duration, WINDOWS, (0.0, max(quiet, 0.0)))[0]

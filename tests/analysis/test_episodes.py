@@ -12,6 +12,7 @@ from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.questions import engines, episodes, sweep
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
+    DRIVE,
     FANO,
     FITTED,
     OCCUPANCY,
@@ -135,12 +136,12 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
 
 def test_intervals_cover(rng):
     """Of 400 ensembles of twelve systems each."""
-    planted = {RATE: 0.3 * np.exp(0.005), "b by Aki": 1.0, QUIET: 1.0, "law": 0.5}
+    planted = {RATE: 0.3 * np.exp(0.005), "b by Aki": 1.0, QUIET: 1.0, FANO: 1.0, "law": 0.5}
     held, with_cut_off = dict.fromkeys(planted, 0), laws_of_moments(0.0, 30.0)[1]
     for _ in range(400):
         runs = [catalogue(rng, 0.3 * np.exp(0.1 * rng.normal()), power_law(1.0)) for _ in range(12)]
-        for name in (RATE, "b by Aki", QUIET):
-            one = QUANTITIES[name]
+        for name in (RATE, "b by Aki", QUIET, FANO):
+            one = {**QUANTITIES, **DRIVE}[name]
             found = over_matrices(one.of, np.array([one.sums(run, 0.0) for run in runs]), 0.95)
             held[name] += found.low <= planted[name] <= found.high
         counts = np.array([in_classes(np.log10(power_law(0.5, 30.0)(rng, 200)), 0.0, 125) for _ in range(12)])
