@@ -22,30 +22,33 @@ from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import AGREE, DIFFER, Words, against, relative_difference
 from stickslip.analysis.stats.episodes import (
+    BY_WAY,
     CLASS,
     DRIVE,
     FITTED,
     OCCUPANCY,
     QUANTITIES,
+    QUIET,
     RATE,
-    RECURRENCE,
+    SIZE,
+    WINDOWS,
     BValue,
     Catalogue,
     b_values,
     completeness,
     drift,
+    follows,
     in_classes,
-    is_stable,
     laws_of_moments,
 )
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.families import maximise, parameter
+from stickslip.analysis.stats.families import Fit, maximise, parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
 from stickslip.analysis.stats.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
-MARGIN = 0.1  # of every statistic, relative, and of Poisson's recurrence: what some twenty systems can exclude
+MARGIN = 0.1  # of every statistic, relative, and of Poisson's CV: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",
 )  # fmt: skip
@@ -56,17 +59,23 @@ GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
 SLOW = 0.05  # of the time in episodes, at most, where the drive is slow for the chain
 FEWEST = 30  # episodes from a magnitude on for its rate to be drawn
 _STEP = 2  # classes from point to point of the figures
+MOST_OVER = 2.5  # times the reference's rate that a figure shows
 _ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first, which is what the others are held against
 _GROUPS: Mapping[str, str] = {
-    "group": S, "method": S, "n_systems": I, "n_episodes": I, "largest": F, "whole": F,
-    **{f"{name}{end}": F for name in (*QUANTITIES, *DRIVE) for end in ("", "_low", "_high")}, "drift": F, "basis": S,
+    "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
+    **{f"{name}{end}": F for name in (*QUANTITIES, *DRIVE) for end in ("", "_low", "_high")},
+    "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
-    "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "margin": F, "p_equivalent": F,
+    "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
+    "margin": F, "p_equivalent": F,
     "p_different": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S, "reason": S,
 }  # fmt: skip
-_B_VALUES: Mapping[str, str] = {"group": S, "magnitude": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F}
+_B_VALUES: Mapping[str, str] = {
+    "group": S, "magnitude": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F,
+    "predicted": F,
+}  # fmt: skip
 _SIZES: Mapping[str, str] = {
     "group": S, "size": I, "n_episodes": I, "share": F, "share_low": F, "share_high": F,
 }  # fmt: skip
@@ -117,9 +126,9 @@ class _Law:
 _COMPARED: Mapping[str, _Law] = {
     "magnitudes": _Law(lambda run, _: run.magnitude, largest_gap, GAP),
     "sizes": _Law(lambda run, _: run.size, largest_gap, GAP),
-    "waiting times": _Law(lambda run, _: run.wait, largest_gap, GAP),
+    "quiet times": _Law(lambda run, _: run.quiet, largest_gap, GAP),
     "first blocks": _Law(Catalogue.first_blocks, distance_of_shares, DISTANCE, lambda runs: np.sum(runs, axis=0)),
-    "order in time": _Law(lambda run, _: run.sizes_and_waits, difference_of_order, CORRELATION),
+    "order in time": _Law(lambda run, _: run.sizes_and_quiets, difference_of_order, CORRELATION),
 }
 
 
@@ -132,15 +141,15 @@ def answer(study: Study) -> Answer | None:
     found = [_Of(group, _runs(study, group, of_member), Sample(), {}) for group in sorted(study.groups, key=_order)]
     found = [one for one in found if one.runs]
     level = study.settings.confidence
-    every = [one.magnitudes() for one in found]
-    try:
-        least = completeness(next((some for some in every if len(some)), np.zeros(0)))
-    except Undefined as why:
-        return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack=str(why))
-    of_one_size = len({one.group.key["n"] for one in found}) == 1
-    for one in found:
-        _fill(one, least, level)
-        one.row["method"] = _method(one.label, of_one_size)
+    systems = _systems(found)
+    if not any(len(one.magnitudes()) for one in found):
+        return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack="no episode")
+    for some in systems:
+        least = _least(some)
+        for one in some:
+            _fill(one, least, level)
+    for one, method in zip(found, _methods(found), strict=True):
+        one.row["method"] = method
     judged = [one for one in found if one.is_judged]
     tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
     if not judged:
@@ -148,31 +157,37 @@ def answer(study: Study) -> Answer | None:
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
     first = _order(judged[0].group)  # of several sizes the largest: what ends of a chain do is least there
     lead = max((one for one in judged if _order(one.group) == first), key=lambda one: int(one.group.key["n"]))
-    systems = _systems(found)
+    least = float(lead.row["least"])
     contrasts = _contrasts(systems, level)
     compared = _compared(study, systems)
     rates = _rates(systems, lead, least - CLASS, level)  # from the fullest class on: no law is asked of a rate
-    laws, moments = _laws(study, lead, least)
-    b = {one.label: b_values(list(one.runs.values()), least, enough.LEAST_CASCADES, level) for one in judged}
+    laws, moments = _laws(study, lead)
+    b = {one.label: _b_values(one, level) for one in judged}
     b_rows = [_b_row(label, at) for label, some in b.items() for at in some]
     sizes = [row for first, *_ in systems if first.is_judged for row in _sizes(first, level)]
     methods = {one.label: str(one.row["method"]) for one in found}
     settings = [_setting(rows, compared, methods) for rows in contrasts]
-    references = [first.row for first, *_ in systems if first.is_judged]
+    leaders = [first for first, *_ in systems if first.is_judged]
+    references = [one.row for one in leaders]
+    changes = _changes(leaders, level)
     facts = {
         "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
-        "fitted": FITTED, "margin": MARGIN, "margins": {name: law.margin for name, law in _COMPARED.items()},
+        "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
+        "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
+        "margins": {name: law.margin for name, law in _COMPARED.items()},
         "settings": settings, "agree": [one for one in settings if one["verdict"] == AGREE],
         "differ": _by_laws(settings),
         "untold": [one for one in settings if one["verdict"] == UNKNOWN and one["rows"]],
         "farthest": max((one for one in settings if one["rate"]["verdict"] == DIFFER), key=_rate_off, default=None),
         "t_burn": study.settings.t_burn, "n_tests": sum(row["p_equivalent"] is not None for row in compared),
         "refused": [one.row for one in found if not one.is_judged], "n_blocks": lead.group.key["n"],
-        "ends": (references[0], references[-1]), "b": b[lead.label], "has_b": is_stable(b[lead.label]), "slow": SLOW,
+        "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label], "slow": SLOW,
+        "has_b": follows(b[lead.label], len(lead.runs), level),
+        "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
         "fast": [row for row in references if row[OCCUPANCY] > SLOW],
     }  # fmt: skip
     tables |= {
-        "episode_contrasts": frame(_CONTRASTS, [row for rows in contrasts for row in rows]),
+        "episode_contrasts": frame(_CONTRASTS, [row for rows in (*contrasts, changes) for row in rows]),
         "episode_methods": frame(_METHODS, compared),
         "episode_laws": frame(_LAWS, laws),
         "episode_rates": frame(_RATES, rates),
@@ -182,7 +197,8 @@ def answer(study: Study) -> Answer | None:
     labels = {one.label: (str(one.group.key["engine"]), methods[one.label]) for one in found}
     figures = {"episode_rates": partial(frequencies, rates, labels)}
     if b_rows:
-        figures["b_values"] = partial(b_by_least, b_rows, {label: labels[label] for label, some in b.items() if some})
+        shown = {label: labels[label] for label, some in b.items() if some}
+        figures["b_values"] = partial(b_by_least, b_rows, shown, lead.label)
     if settings:
         figures["episode_rates_over"] = partial(over_reference, rates, labels)
     elif len(references) > 1:
@@ -224,8 +240,16 @@ def _runs(study: Study, group: Group, of_member: Mapping[str, Any]) -> dict[int,
     return found
 
 
+def _least(some: Sequence[_Of]) -> float:
+    """Completeness of the first group of the same systems that has episodes: one for all, so that they compare."""
+    for one in some:
+        if len(magnitudes := one.magnitudes()):
+            return completeness(magnitudes)
+    return 0.0
+
+
 def _fill(one: _Of, least: float, level: float) -> None:
-    """The statistics of a group, each with its interval over units."""
+    """The statistics of a group, each with its interval over units, as columns and, in `of`, as estimates."""
     quantities = {**QUANTITIES, **DRIVE}
     for unit, runs in one.runs.items():
         for run in runs:
@@ -238,20 +262,31 @@ def _fill(one: _Of, least: float, level: float) -> None:
     basis = enough.basis(halves, n_episodes, level, drift)
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
-        "group": one.label, "n_systems": len(one.runs), "n_episodes": n_episodes,
-        "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, "drift": basis.drift.value,
+        "group": one.label, "least": least, "stuck_below": _stuck_below(one.group),
+        "n_systems": len(one.runs), "n_episodes": n_episodes,
+        "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
     }  # fmt: skip
-    for name, quantity in quantities.items():
-        one.row |= named(name, over_matrices(quantity.of, one.sample.rows(name)[1], level))
-    of_recurrence = one.sample.rows(RECURRENCE)[1]
-    one.row["regularity"] = _regularity(of_recurrence, level) if one.row["basis"] in enough.JUDGED else UNKNOWN
+    one.row["of"] = {
+        name: over_matrices(quantity.of, one.sample.rows(name)[1], level) for name, quantity in quantities.items()
+    }
+    for name, estimate in one.row["of"].items():
+        one.row |= named(name, estimate)
+    one.row["regularity"] = _regularity(one.sample.rows(QUIET)[1], level) if one.is_judged else UNKNOWN
+
+
+def _stuck_below(group: Group) -> float | None:
+    """Speed on the belt, in units of the belt's, below which a smoothed block may count as stuck."""
+    key = group.key
+    if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
+        return None
+    return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
 
 
 def _regularity(sums: np.ndarray, level: float) -> str:
     try:
-        test = against(lambda of: QUANTITIES[RECURRENCE].of(of) - 1.0, sums, MARGIN)
+        test = against(lambda of: QUANTITIES[QUIET].of(of) - 1.0, sums, MARGIN)
     except Undefined:
         return UNKNOWN
     return test.verdict(level, Words(AS_POISSON, CLUSTERED, REGULAR))
@@ -285,6 +320,22 @@ def _contrasts(systems: Sequence[Sequence[_Of]], level: float) -> list[list[Row]
     return made
 
 
+def _changes(leaders: Sequence[_Of], level: float) -> list[Row]:
+    """From the first to the last of some systems: mean size, and the number of episodes by way of the belt."""
+    first, last = leaders[0], leaders[-1]
+    if first is last:
+        return []
+    asked = [Statistic(SIZE, QUANTITIES[SIZE].of, MARGIN), Statistic(BY_WAY, DRIVE[BY_WAY].of, MARGIN)]
+    rows: list[Row] = [
+        {"setting": last.label, "reference": first.label} | contrast(one, first.sample, last.sample, False, level)
+        for one in asked
+    ]
+    judge(rows, 1 - level)
+    for row in rows:
+        row["is_shown"] = row["p_different"] is not None and row["p_different_holm"] < 1 - level
+    return rows
+
+
 def _compared(study: Study, systems: Sequence[Sequence[_Of]]) -> list[Row]:
     """Every law of each setting against that of the first of the same systems, judged together; by setting."""
     made: list[Row] = []
@@ -309,38 +360,48 @@ def _apart(study: Study, first: _Of, second: _Of, name: str, law: _Law) -> Row:
         )
         for unit in both
     ]
-    row: Row = {"margin": law.margin, "verdict": UNKNOWN, "p_equivalent": None, "p_different": None, "reason": None}
+    row: Row = {"margin": law.margin, "verdict": UNKNOWN, "reason": None}
+    row |= dict.fromkeys(("at", "below", "p_equivalent", "p_different"))
     try:
         found = law.apart(pairs, law.margin, study.settings.confidence, study.generator(f"{name} {second.label}"))
     except Undefined as why:
         return row | named("size", Estimate()) | {"reason": str(why)}
     return row | named("size", found.size) | {
-        "relative": found.size.value, "p_equivalent": found.p_equivalent, "p_different": found.p_different,
+        "at": found.at, "below": found.below, "relative": found.size.value, "p_equivalent": found.p_equivalent,
+        "p_different": found.p_different,
     }  # fmt: skip
 
 
 def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:
-    """A setting by its laws that could be compared, its rate, and what they come to."""
+    """A setting by its laws, its rate, and what those that could be compared come to; no rows if none could be."""
     label = contrasts[0]["setting"]
-    known = [row for row in compared if row["setting"] == label and row["p_equivalent"] is not None]
-    rows = [row | {"method": methods[label]} for row in known]
-    differ = [row["law"] for row in rows if row["verdict"] == DIFFER]
-    is_one_law = bool(rows) and all(row["verdict"] == AGREE for row in rows)
+    rows = [row | {"method": methods[label]} for row in compared if row["setting"] == label]
+    known = [row for row in rows if row["p_equivalent"] is not None]
+    by = {verdict: [row["law"] for row in known if row["verdict"] == verdict] for verdict in (AGREE, DIFFER, UNKNOWN)}
     return {
-        "setting": label, "method": methods[label], "rows": rows, "differ": differ,
-        "verdict": DIFFER if differ else AGREE if is_one_law else UNKNOWN,
+        "setting": label, "method": methods[label], "rows": rows if known else [], "n_known": len(known),
+        "agree": by[AGREE], "differ": by[DIFFER], "open": by[UNKNOWN],
+        "verdict": DIFFER if by[DIFFER] else AGREE if known and len(by[AGREE]) == len(known) else UNKNOWN,
         "rate": next(row for row in contrasts if row["quantity"] == RATE),
     }  # fmt: skip
 
 
 def _by_laws(settings: Sequence[Row]) -> list[Row]:
     """Methods that differ, together where it is in the same laws, or in all that could be compared."""
-    found: dict[tuple[str, ...], list[str]] = {}
+    found: dict[tuple[str, ...], list[Row]] = {}
     for one in settings:
         if one["differ"]:
-            every = len(one["differ"]) == len(one["rows"])
-            found.setdefault(() if every else tuple(one["differ"]), []).append(one["method"])
-    return [{"laws": laws, "methods": methods} for laws, methods in found.items()]
+            every = len(one["differ"]) == one["n_known"]
+            found.setdefault(() if every else tuple(one["differ"]), []).append(one)
+    return [
+        {
+            "laws": laws, "methods": [one["method"] for one in some],
+            "is_all": all(one["n_known"] == len(one["rows"]) for one in some),
+            "alone": next((row for row in some[0]["rows"] if row["law"] in laws), None) if len(some) == len(laws) == 1
+            else None,
+        }
+        for laws, some in found.items()
+    ]  # fmt: skip
 
 
 def _rate_off(one: Row) -> float:
@@ -350,7 +411,10 @@ def _rate_off(one: Row) -> float:
 
 
 def _b_row(label: str, one: BValue) -> Row:
-    return {"group": label, "magnitude": one.least, "n_episodes": one.n_episodes, **named("b", one.b)}
+    return {
+        "group": label, "magnitude": one.least, "n_episodes": one.n_episodes, **named("b", one.b),
+        "predicted": one.predicted,
+    }  # fmt: skip
 
 
 def _sizes(one: _Of, level: float) -> list[Row]:
@@ -369,31 +433,50 @@ def _sizes(one: _Of, level: float) -> list[Row]:
 # ---------------------------------------------------------------------------------------------- the law
 
 
-def _laws(study: Study, lead: _Of, least: float) -> tuple[list[Row], Row]:
-    """Each law beside the moments of a group, its gain over the power law; which they follow, and its exponent."""
-    level, magnitudes = study.settings.confidence, lead.magnitudes()
+def _in_classes(one: _Of) -> np.ndarray:
+    """Magnitudes of each unit in classes from the least to the largest, shape (G, K)."""
+    least, by_unit = one.row["least"], [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
+    n_classes = int(np.floor((one.magnitudes().max() - least) / FITTED + 1e-9)) + 1
+    return np.array([in_classes(some, least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
+
+
+def _fits(one: _Of, counts: np.ndarray) -> list[Fit]:
+    """Of each law of moments; none where there is no maximum of the likelihood."""
+    magnitudes, least = one.magnitudes(), one.row["least"]
     if magnitudes.max() < least:
-        return [], {"exponent": Estimate(), "law": UNKNOWN}
-    n_classes = int(np.floor((magnitudes.max() - least) / FITTED + 1e-9)) + 1
-    by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in lead.runs.values()]
-    counts = np.array([in_classes(some, least, n_classes) for some in by_unit], dtype=np.float64)
-    classes = np.arange(1, n_classes + 1, dtype=np.float64)
+        return []
     laws = laws_of_moments(least, float(np.mean(10.0 ** magnitudes[magnitudes >= least])))
     try:
-        base, with_cut_off, _ = fits = [maximise(law, classes, counts.sum(axis=0)) for law in laws]
+        return [maximise(law, np.arange(1.0, counts.shape[1] + 1), counts.sum(axis=0)) for law in laws]
     except Undefined:
-        return [], {"exponent": Estimate(), "law": UNKNOWN}
+        return []
+
+
+def _b_values(one: _Of, level: float) -> list[BValue]:
+    fits = _fits(one, _in_classes(one))
+    of_units = list(one.runs.values())
+    return b_values(of_units, fits[0], one.row["least"], enough.LEAST_CASCADES, level) if fits else []
+
+
+def _laws(study: Study, lead: _Of) -> tuple[list[Row], Row]:
+    """Each law beside the moments of a group, its gain over the power law; which they follow, and its exponents."""
+    level, counts = study.settings.confidence, _in_classes(lead)
+    fits = _fits(lead, counts)
+    if not fits:
+        return [], {"exponent": Estimate(), "b": Estimate(), "law": UNKNOWN}
+    base, with_cut_off, _ = fits
     rows: list[Row] = []
     for fit in fits:
         name = fit.family.name
-        good = goodness(classes, counts, level, study.generator(f"moment {name}"), fit.family)
+        good = goodness(fit.sizes, counts, level, study.generator(f"moment {name}"), fit.family)
         rows.append({
             "law": name, "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in fit.parameters.items()),
             "gain": None if fit is base else (fit.log_likelihood - base.log_likelihood) / counts.sum(),
             "gap": good.gap, "p_value": good.p_value, "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
     exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
-    return rows, {"exponent": exponent, "law": _verdict(rows[1]["fit"], exponent, cut_off)}
+    bounded = parameter(base, 0, counts, level)
+    return rows, {"exponent": exponent, "b": bounded, "law": _verdict(rows[1]["fit"], exponent, cut_off)}
 
 
 def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
@@ -413,7 +496,7 @@ def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
 
 
 def _rates(systems: Iterable[Sequence[_Of]], lead: _Of, first_edge: float, level: float) -> list[Row]:
-    """Episodes a unit of time from each magnitude on, and over those of the first setting of the same systems."""
+    """Episodes per unit time from each magnitude on, and over those of the first setting of the same systems."""
     rows: list[Row] = []
     edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
     for first, *others in systems:
@@ -472,12 +555,26 @@ def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _method(label: str, of_one_size: bool) -> str:
-    """A group by its method, and its place in a sweep: without its number of blocks where all share it."""
+def _methods(found: Sequence[_Of]) -> list[str]:
+    """Groups by what tells them apart: their method, place in a sweep and number of blocks."""
+    of_one_size = len({one.group.key["n"] for one in found}) == 1
+    return [_method(one.label, of_one_size, all("exact" in one.label for one in found)) for one in found]
+
+
+def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
     bare = label.partition(", ")[2] if of_one_size else label
+    if are_exact:
+        bare = ", ".join(word for word in bare.split(", ") if word != "exact") or "exact"
     bare = bare.replace("moreau, step", "time steps h").replace("sigmoid, eps", "sigmoid \u03b5")
     bare = re.sub(r"\beps\b", "\u03b5", bare)
+    bare = re.sub(r"(?<=\u03b5 = )0\.00\d+", _power, bare)
     return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
+
+
+def _power(number: re.Match[str]) -> str:
+    """Such as 2.5e-04."""
+    digits, _, exponent = f"{float(number[0]):e}".partition("e")
+    return f"{float(digits):g}e{exponent}"
 
 
 def _lines(
@@ -505,7 +602,7 @@ def _lines(
 
 @panel()
 def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """Episodes a unit of time from each magnitude on, a line a group, bands of their intervals.
+    """Episodes per unit time from each magnitude on, a line a group, bands of their intervals.
 
     Rows are those of the table `episode_rates`; labels are (engine, method) by group.
     """
@@ -517,19 +614,24 @@ def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, s
 
 @panel()
 def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """The same over the reference's, on the same systems; parameters as of `frequencies`."""
+    """The same over the reference's, on the same systems, up to `MOST_OVER`; parameters as of `frequencies`."""
     ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
     ax.axhline(1.0, color=EXACT, linewidth=1)
     _lines(ax, rows, labels, "over")
     seen = [row["over"] for row in rows if row["over"] is not None]
-    ax.set(ylabel="rate / exact rate", ylim=(0, min(2.5, max([1.4, *(1.15 * x for x in seen)]))))
+    ax.set(ylabel="rate / exact rate", ylim=(0, min(MOST_OVER, max([1.4, *(1.15 * x for x in seen)]))))
 
 
 @panel()
-def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """b against the magnitude from which it is taken; rows of the table `b_values`, labels as of `frequencies`."""
+def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], lead: str) -> None:
+    """b against the magnitude from which it is taken, and what is predicted for it of the group `lead`.
+
+    Rows are those of the table `b_values`; labels as of `frequencies`.
+    """
+    some = [row for row in rows if row["group"] == lead]
+    ax.plot([row["magnitude"] for row in some], [row["predicted"] for row in some], "--", color=GREY, linewidth=1)
     _lines(ax, rows, labels, "b")
-    ax.set(xlabel="least magnitude, $M_c$", ylabel="b", ylim=(0, None))
+    ax.set(xlabel="least magnitude, $M_c$", ylabel="b by Aki", ylim=(0, None))
 
 
 @panel()

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.families import Family
+from stickslip.analysis.stats.families import Family, Fit
+from stickslip.analysis.stats.student import half_width
 
 B_STEP = 0.5  # from least magnitude to least magnitude at which b is shown
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
@@ -56,14 +57,18 @@ class Catalogue:
         return np.log10(np.abs(self.moment))
 
     @property
-    def wait(self) -> np.ndarray:
-        """Times from the start of each to that of the next, shape (m - 1,)."""
-        return np.diff(self.start)
+    def quiet(self) -> np.ndarray:
+        """Quiet times, from the end of each to the start of the next, shape (m - 1,).
+
+        Those from start to start hold the durations: where episodes fill much of the time, as dead time they make
+        any process look regular, and any size look as if it put off the next.
+        """
+        return self.start[1:] - (self.start + self.duration)[:-1]
 
     @property
-    def sizes_and_waits(self) -> np.ndarray:
-        """Of each but the last its size, and the time to the start of the next, shape (m - 1, 2)."""
-        return np.column_stack([self.size[:-1], self.wait])
+    def sizes_and_quiets(self) -> np.ndarray:
+        """Of each but the last its size, and the quiet time after it, shape (m - 1, 2)."""
+        return np.column_stack([self.size[:-1], self.quiet])
 
     def is_late(self) -> np.ndarray:
         """Which of them begin in the second half, shape (m,)."""
@@ -104,6 +109,8 @@ def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarr
 
 def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
     """Of moments, in the classes of `in_classes`: N(M) ~ 10^(-b M), that with a cut-off, and an exponential.
+
+    All are laws from the first class up to the last one: b is that of a bounded law, which Aki's estimate is not.
 
     The second holds the others. A class is as wide as its moment m, so a density m^(-1 - b) exp(-lambda m / mean) has
     shares m^-b exp(...).
@@ -148,64 +155,91 @@ def _b_value(found: Catalogue, least: float) -> tuple[float, float]:
     return _LOG10_E * len(above), float(above.sum())
 
 
-def _recurrence(found: Catalogue, _: float) -> tuple[float, float]:
-    """Squared deviations of recurrence times in units of the run's own mean, and their number."""
-    gaps = found.wait
+def _spread(found: Catalogue, _: float) -> tuple[float, float]:
+    """Squared deviations of quiet times in units of the run's own mean, and their number."""
+    gaps = found.quiet
     if len(gaps) < 2:
         return 0.0, 0.0
     n = len(gaps)
     return float(n / (n - 1) * np.sum((gaps / gaps.mean() - 1.0) ** 2)), float(n)
 
 
-RATE, SLIP, B_VALUE, RECURRENCE = "rate of episodes", "share of slip in episodes", "b", "recurrence"
-OCCUPANCY, BY_WAY = "share of time in episodes", "episodes by block and way"
+def _counts(found: Catalogue, _: float) -> tuple[float, float]:
+    """Variance and mean of the numbers of episodes in `WINDOWS` windows of equal quiet time, so no dead time."""
+    took = np.cumsum(found.duration)
+    quiet = found.t_stop - found.t_start - float(found.duration.sum())
+    counts = np.histogram(found.start - found.t_start - took + found.duration, WINDOWS, (0.0, max(quiet, 0.0)))[0]
+    return float(counts.var(ddof=1)), float(counts.mean())
+
+
+RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
+SIZE, OCCUPANCY, BY_WAY, FANO = "mean size", "share of time in episodes", "episodes by block and way", "Fano factor"
+WINDOWS = 20  # of a run's quiet time, in which episodes are counted
 
 
 @dataclass(frozen=True)
 class BValue:
-    """b of the episodes from a magnitude on, and how many these are."""
+    """Aki's b of the episodes from a magnitude on, how many these are, and what a fitted law predicts for it."""
 
     least: float
     n_episodes: int
     b: Estimate
+    predicted: float
 
 
-#: By name. `RECURRENCE` is the coefficient of variation of the times from start to start: 1 for a Poisson process.
+#: By name. `QUIET` is the coefficient of variation of quiet times: 1 for a Poisson process.
 QUANTITIES: Mapping[str, Quantity] = {
     RATE: Quantity(lambda one, _: (float(len(one.start)), one.t_stop - one.t_start)),
-    "mean size": Quantity(lambda one, _: (float(one.size.sum()), float(len(one.start)))),
+    SIZE: Quantity(lambda one, _: (float(one.size.sum()), float(len(one.start)))),
     "mean duration": Quantity(lambda one, _: (float(one.duration.sum()), float(len(one.start)))),
     B_VALUE: Quantity(_b_value),
-    RECURRENCE: Quantity(_recurrence, lambda sums: np.sqrt(ratio(sums))),
+    QUIET: Quantity(_spread, lambda sums: np.sqrt(ratio(sums))),
     SLIP: Quantity(lambda one, _: (float(one.moment.sum()), one.slip)),
 }
 #: Whether the drive is slow and the chain large: then episodes fill little of the time, and come by the belt's way.
+#: `FANO` is the variance of counts over their mean: 1 for a Poisson process in windows of any length, as no CV shows.
 DRIVE: Mapping[str, Quantity] = {
     OCCUPANCY: Quantity(lambda one, _: (float(one.duration.sum()), one.t_stop - one.t_start)),
     BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
+    FANO: Quantity(_counts),
 }
 
 
-def b_values(runs: Sequence[Sequence[Catalogue]], least: float, fewest: int, confidence: float) -> list[BValue]:
+def b_values(
+    runs: Sequence[Sequence[Catalogue]], law: Fit, least: float, fewest: int, confidence: float
+) -> list[BValue]:
     """Aki's b from `least` on, and from each multiple of half a magnitude above, while there are `fewest` episodes.
 
-    runs: the catalogues of each system.
+    runs: the catalogues of each system; law: one of `laws_of_moments`, fitted in the classes of `in_classes`.
     """
-    of = QUANTITIES[B_VALUE]
+    of, shares = QUANTITIES[B_VALUE], law.shares()
     found: list[BValue] = []
     for edge in itertools.chain([least], itertools.count(np.ceil(least / B_STEP + 0.5) * B_STEP, B_STEP)):
         sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
         n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
-        if n_above < fewest:
+        above = shares[round((edge - least) / FITTED) :]
+        if n_above < fewest or not len(above):
             break
-        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence)))
+        mean = FITTED * float(np.average(np.arange(len(above)) + 0.5, weights=above))
+        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence), _LOG10_E / mean))
     return found
 
 
-def is_stable(found: Sequence[BValue]) -> bool:
-    """Whether there are two or more, and one number lies in all of their intervals."""
-    lows, highs = ([getattr(one.b, end) for one in found] for end in ("low", "high"))
-    return len(found) > 1 and None not in lows and max(lows) <= min(highs)
+def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
+    """Whether there are two or more, none shown to be off what the law predicts (Bonferroni).
+
+    The first is as predicted where the law was fitted to the same magnitudes.
+    """
+    if len(found) < 2:
+        return False
+    dof = n_systems - 1
+    wider = half_width(1 - (1 - confidence) / (len(found) - 1), dof) / half_width(confidence, dof)
+    return all(
+        one.b.value is not None
+        and one.b.high is not None
+        and abs(one.b.value - one.predicted) <= wider * (one.b.high - one.b.value)
+        for one in found[1:]
+    )
 
 
 def drift(sums: np.ndarray) -> np.ndarray:

@@ -33,11 +33,15 @@ class Difference:
     size : Estimate
         `low` is zero where no difference is shown.
     p_equivalent, p_different : float
+    at, below : float, optional
+        Of distribution functions: the value where their gap is largest, and F' - F there.
     """
 
     size: Estimate
     p_equivalent: float
     p_different: float
+    at: float | None = None
+    below: float | None = None
 
 
 def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
@@ -83,7 +87,8 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
     if p_different < 1 - confidence:
         low = max(gap - float(np.quantile(np.abs(signs[1:] @ off).max(axis=1), confidence)), 0.0)
     outside = (np.abs(seen) - margin) / np.where(error > 0, error, np.finfo(float).tiny)
-    return Difference(Estimate(gap, low, min(high, 1.0)), float(special.stdtr(n - 1, outside.max())), p_different)
+    k, p_equivalent = int(np.abs(seen).argmax()), float(special.stdtr(n - 1, outside.max()))
+    return Difference(Estimate(gap, low, min(high, 1.0)), p_equivalent, p_different, float(at[k]), float(seen[k]))
 
 
 def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
@@ -91,7 +96,8 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
 
     From halves of runs, so that noise adds nothing: sum D^2 is estimated by the product of D in the first half and in
     the second, sum p^2 likewise. Where the law is one, the two methods may be swapped in one half alone, which turns
-    the sign of the product, if the halves of a run do not depend on each other.
+    the sign of the product, if the halves of a run do not depend on each other. A product below zero counts as zero
+    before its error is added: no interval is short because its estimate cannot be.
 
     Parameters
     ----------
@@ -113,7 +119,7 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
     apart = np.prod(shares[:, 1] - shares[:, 0], axis=1).sum(axis=1)
     scale = np.prod(shares, axis=2).sum(axis=2).mean(axis=1)
     value, error = jackknife(ratio, np.column_stack([apart, scale]))
-    dof = len(known) - 1
+    value, dof = max(value, 0.0), len(known) - 1
     half = student.half_width(confidence, dof) * error
     size = Estimate(*np.sqrt(np.maximum([value, value - half, value + half], 0.0)).tolist())
     return Difference(size, _t_below(value - margin**2, error, dof), _share(_signs(len(known), rng) @ apart))

@@ -12,19 +12,23 @@ from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.questions import engines, episodes, sweep
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.episodes import (
+    DRIVE,
+    FANO,
     FITTED,
     OCCUPANCY,
     QUANTITIES,
+    QUIET,
     RATE,
-    RECURRENCE,
     Catalogue,
+    b_values,
     completeness,
+    follows,
     in_classes,
     laws_of_moments,
 )
 from stickslip.analysis.stats.estimates import over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
-from tests.chance import SURE, agrees
+from tests.chance import ERRORS, SURE, agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -55,12 +59,20 @@ def power_law(b, cut_off=None):
     return draw
 
 
+TOOK = 0.05  # what a planted episode takes
+
+
+def starts(quiet, rate):
+    """Of episodes at a rate, after quiet times in units of their mean."""
+    return np.cumsum(quiet * (1 / rate - TOOK)) + TOOK * np.arange(len(quiet))
+
+
 def catalogue(rng, rate, moments, t_stop=1000.0):
-    start = np.cumsum(rng.exponential(1 / rate, int(2 * rate * t_stop + 50)))
+    start = starts(rng.exponential(size=int(2 * rate * t_stop + 50)), rate)
     start = start[start < t_stop]
     moment = moments(rng, len(start))
     size = np.ones(len(start), int)
-    return Catalogue(0.0, t_stop, start, np.full(len(start), 0.05), size, moment, t_stop, size)
+    return Catalogue(0.0, t_stop, start, np.full(len(start), TOOK), size, moment, t_stop, size)
 
 
 @pytest.fixture
@@ -76,12 +88,12 @@ def planted_episodes(planted, rng):
                 rows.append(planted.member(member, matrix, **key))
                 series[member] = planted.runs(rng, n_steps, 0.7)
                 apart = (gaps or rng.exponential)(size=int(2 * rate * planted.t_end + 50))
-                start = np.cumsum(apart) / (rate * factor * of_system)
+                start = starts(apart, rate * factor * of_system)
                 start = start[start < planted.t_end - 0.1]
                 moment = (moments or power_law(1.0))(rng, len(start))
                 size = np.minimum(1 + moment.astype(int), 200)
                 first = rng.integers(20, size=len(start))
-                table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + 0.05, "size": size,
+                table.append(pd.DataFrame({"member_id": member, "start": start, "end": start + TOOK, "size": size,
                                            "moment": moment, "first_block": first}))  # fmt: skip
         return Data(pd.DataFrame(rows), series, episodes=pd.concat(table, ignore_index=True))
 
@@ -102,7 +114,7 @@ def test_rate_and_exponent_are_found(planted_episodes, strict):
     assert lead["basis"] in enough.JUDGED
     assert lead[f"{RATE}_low"] < 0.52
     assert lead[f"{RATE}_high"] > 0.48
-    assert lead["b"] == pytest.approx(1.0, abs=0.1)
+    assert lead["b by Aki"] == pytest.approx(1.0, abs=0.1)
     assert facts["least"] == pytest.approx(0.1)
     assert facts["moments"]["exponent"].value == pytest.approx(1.0, abs=0.15)
     assert facts["moments"]["law"] in (episodes.POWER, episodes.UNKNOWN)
@@ -124,12 +136,12 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
 
 def test_intervals_cover(rng):
     """Of 400 ensembles of twelve systems each."""
-    planted = {RATE: 0.3 * np.exp(0.005), "b": 1.0, RECURRENCE: 1.0, "law": 0.5}
+    planted = {RATE: 0.3 * np.exp(0.005), "b by Aki": 1.0, QUIET: 1.0, FANO: 1.0, "law": 0.5}
     held, with_cut_off = dict.fromkeys(planted, 0), laws_of_moments(0.0, 30.0)[1]
     for _ in range(400):
         runs = [catalogue(rng, 0.3 * np.exp(0.1 * rng.normal()), power_law(1.0)) for _ in range(12)]
-        for name in (RATE, "b", RECURRENCE):
-            one = QUANTITIES[name]
+        for name in (RATE, "b by Aki", QUIET, FANO):
+            one = {**QUANTITIES, **DRIVE}[name]
             found = over_matrices(one.of, np.array([one.sums(run, 0.0) for run in runs]), 0.95)
             held[name] += found.low <= planted[name] <= found.high
         counts = np.array([in_classes(np.log10(power_law(0.5, 30.0)(rng, 200)), 0.0, 125) for _ in range(12)])
@@ -142,7 +154,7 @@ def test_intervals_cover(rng):
 
 def test_intervals_cover_wherever_the_least_moment_lies_in_its_class(rng):
     """Of 200 ensembles of 20 systems, 2000 episodes each: Aki's b, and that of the power law with a cut-off."""
-    of_aki, b, held = QUANTITIES["b"], 2.0, np.zeros(2, int)
+    of_aki, b, held = QUANTITIES["b by Aki"], 2.0, np.zeros(2, int)
     for _ in range(200):
         moments = 10 ** rng.uniform(-3, -2) * power_law(b)(rng, 40_000).reshape(20, 2000)
         magnitudes, start = np.log10(moments), np.arange(2000.0)
@@ -185,12 +197,106 @@ def test_a_planted_share_of_time_is_found_and_a_fast_drive_is_an_alert(planted_e
 def test_b_is_led_with_where_it_does_not_depend_on_the_least_magnitude(planted_episodes, strict):
     """A power law has one b, an exponential another at each M_c: log10(e) / b = E log10(m / m_c)."""
     for moments, is_one in ((power_law(1.0), True), (lambda rng, m: 1.0 + rng.exponential(20.0, m), False)):
-        data = planted_episodes(EXACT, rate=4.0, moments=moments)
+        data = planted_episodes(EXACT, rate=4.0, moments=moments, n_matrices=30)
         facts = episodes.answer(Study(data, strict)).facts
         assert len(facts["b"]) > 1
         assert facts["has_b"] is is_one
         html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
         assert ("There is no one b" in html) is not is_one
+
+
+def bounded(b, most):
+    """Moments from 1 on, a power law up to the largest."""
+    return lambda rng, m: (1 - rng.uniform(size=m) * (1 - most**-b)) ** (-1 / b)
+
+
+def test_one_b_of_a_power_law_up_to_the_largest_moment_though_akis_rises(planted_episodes, strict):
+    """Aki's is 1 / E ln(m / m_c), of the bounded law in closed form."""
+    data = planted_episodes(EXACT, rate=6.0, moments=bounded(0.3, 100.0))
+    facts = episodes.answer(Study(data, strict)).facts
+    assert facts["has_b"]
+    assert facts["moments"]["b"].low < 0.3 < facts["moments"]["b"].high
+    first, *_, last = facts["b"]
+    assert last.b.value > 1.5 * first.b.value
+    for one in facts["b"]:
+        span = np.log(100.0) - np.log(10) * one.least
+        mean = 1 / 0.3 - span / np.expm1(0.3 * span)
+        assert one.predicted == pytest.approx(1 / mean, rel=0.1)
+    html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
+    assert "One b holds whatever the least magnitude" in html
+
+
+def test_a_bounded_power_law_is_left_by_few_in_twenty_and_a_cut_off_by_all(rng):
+    """Of 100 ensembles of 12 systems; at 0.95, by Bonferroni."""
+    held = {}
+    for name, moments in {"bounded": bounded(0.3, 100.0), "cut off": power_law(0.3, 10.0)}.items():
+        held[name] = 0
+        for _ in range(100):
+            runs = [catalogue(rng, 0.4, moments) for _ in range(12)]
+            magnitudes = np.concatenate([one.magnitude for one in runs])
+            counts = in_classes(magnitudes, 0.0, int(magnitudes.max() / FITTED) + 1)
+            fit = maximise(laws_of_moments(0.0, 1.0)[0], np.arange(1.0, len(counts) + 1), counts)
+            held[name] += follows(b_values([[one] for one in runs], fit, 0.0, 200, 0.95), 12, 0.95)
+    print(held)
+    assert agrees(held["bounded"], 100, 0.93, 1.0)
+    assert agrees(held["cut off"], 100, 0.0, 0.2)
+
+
+def test_each_size_of_a_chain_has_its_own_least_magnitude(planted_episodes, strict):
+    """Moments of the larger chain are ten times those of the smaller."""
+    sizes = {name: ({"n": n}, 1.0) for name, n in (("small", 100), ("large", 200))}
+    data = planted_episodes(sizes, rate=2.0)
+    table = data.episodes
+    is_large = table["member_id"].str.endswith("large")
+    moments = table["moment"] * np.where(is_large, 10.0, 1.0)
+    found = episodes.answer(Study(replace(data, episodes=table.assign(moment=moments)), strict))
+    assert found.tables["episodes"].set_index("method")["least"].to_dict() == pytest.approx(
+        {"n\u00a0=\u00a0100": 0.1, "n\u00a0=\u00a0200": 1.1}
+    )
+    assert found.facts["least"] == pytest.approx(1.1)
+
+
+def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, settings):
+    """Sizes of 2 and 3, then of 4 and 6; as many on either chain, but twice the blocks."""
+    sizes = {name: ({"n": n}, 1.0) for name, n in (("small", 100), ("large", 200))}
+    data = planted_episodes(sizes, rate=2.0, n_matrices=20)
+    table = data.episodes
+    of_size = (2 + np.arange(len(table)) % 2) * np.where(table["member_id"].str.endswith("large"), 2, 1)
+    data = replace(data, episodes=table.assign(size=of_size))
+    changes = episodes.answer(Study(data, settings)).facts["changes"]
+    assert [(row["quantity"], row["verdict"], row["is_shown"]) for row in changes] == [
+        ("mean size", "differ", True),
+        ("episodes by block and way", "differ", True),
+    ]
+    assert [row["relative"] for row in changes] == pytest.approx([1.0, -0.5], abs=0.1)
+    alike = replace(data, episodes=data.episodes.assign(size=2))
+    words = " ".join(build(alike, replace(settings, question=("episodes",)), "A chain", "", {}).headline)
+    assert "no change of their mean size is shown" in words
+    assert "unit of belt travel falls by" in words
+
+
+@pytest.mark.parametrize(("stick", "ratio", "speed"), [("manifold", "one", 6.9078), ("manifold", "uniform", None)])
+def test_what_counts_as_stuck_is_told_in_speeds_of_the_belt(planted_episodes, planted, settings, stick, ratio, speed):
+    smooth = planted.sigmoid | {"eps": 1e-3, "stick": stick, "ratio": ratio, "belt_speed": -1e-3}
+    data = planted_episodes({"exact": ({"belt_speed": -1e-3}, 1.0), "smooth": (smooth, 1.0)})
+    found = episodes.answer(Study(data, settings)).tables["episodes"].set_index("method")["stuck_below"]
+    assert found["exact"] is pd.NA
+    assert found.iloc[1] is pd.NA if speed is None else found.iloc[1] == pytest.approx(speed, rel=1e-4)
+
+
+def test_a_law_that_cannot_be_compared_is_shown_with_its_reason(planted_episodes, planted, settings):
+    """All sizes are one by either method, so that they have no order either."""
+    data = planted_episodes(EXACT | {"coarse": (planted.sigmoid | {"eps": 1e-3}, 2.0)}, rate=2.0)
+    data = replace(data, episodes=data.episodes.assign(size=1))
+    (other,) = episodes.answer(Study(data, settings)).facts["settings"]
+    assert {row["law"]: row["reason"] for row in other["rows"]} == {
+        "magnitudes": None, "sizes": "one value", "quiet times": None, "first blocks": None,
+        "order in time": "few matrices",
+    }  # fmt: skip
+    assert (other["n_known"], other["verdict"]) == (3, "differ")
+    html = build(data, replace(settings, question=("episodes",)), "A chain", "", {}).html
+    assert "not compared: one value" in html
+    assert "not compared: too few systems" in html
 
 
 def test_a_law_may_differ_where_its_mean_does_not(planted_episodes, planted, settings):
@@ -202,14 +308,17 @@ def test_a_law_may_differ_where_its_mean_does_not(planted_episodes, planted, set
     (other,) = facts["settings"]
     assert other["differ"] == ["sizes"]
     assert next(row for row in other["rows"] if row["law"] == "sizes")["size"] == pytest.approx(1 / 3, abs=0.02)
-    assert facts["differ"] == [{"laws": ("sizes",), "methods": [other["method"]]}]
+    (one,) = facts["differ"]
+    assert (one["laws"], one["methods"]) == (("sizes",), [other["method"]])
+    sign = {1.0: -1, 2.0: 1}[one["alone"]["at"]]  # sizes of 1 are too few by the other, those up to 2 too many
+    assert sign * one["alone"]["below"] == pytest.approx(1 / 3, abs=0.02)
 
 
 def test_where_all_moments_are_alike_no_law_is_named(planted_episodes, settings):
     """As of one block: none lies above the fullest class, yet how often they come is known."""
     data = planted_episodes(EXACT, moments=lambda rng, m: np.full(m, 1.05))
     answer = episodes.answer(Study(data, settings))
-    assert answer.facts["lead"]["b"] is None
+    assert answer.facts["lead"]["b by Aki"] is None
     assert answer.facts["moments"]["law"] == episodes.UNKNOWN
     assert answer.tables["episode_rates"]["magnitude"].tolist() == pytest.approx([0.0])
     assert "cannot be told" in build(data, replace(settings, question=("episodes",)), "A chain", "", {}).html
@@ -247,16 +356,34 @@ def test_regularity(planted_episodes, settings, rng):
     assert found == {"clock": episodes.REGULAR, "clusters": episodes.CLUSTERED}
 
 
-def test_recurrence_of_a_few_is_their_coefficient_of_variation(rng):
+def test_dead_time_is_no_regularity_and_no_order(planted_episodes, settings, rng):
+    """Quiet times are exponential, and episodes last as long as they are large: they fill half of the time."""
+    data = planted_episodes(EXACT, rate=1.0)
+    table = data.episodes
+    size = rng.integers(1, 20, len(table))
+    own, took = table.groupby("member_id", sort=False)["start"], 0.1 * size
+    before = pd.Series(took).groupby(table["member_id"], sort=False).cumsum() - took
+    start = table["start"] + before
+    stretched = table.assign(start=start, end=start + took, size=size)[start + took < 1000.0]
+    assert own.ngroups == 12
+    lead = episodes.answer(Study(replace(data, episodes=stretched), settings)).facts["lead"]
+    assert lead[OCCUPANCY] == pytest.approx(0.5, abs=0.05)
+    assert lead["regularity"] == episodes.AS_POISSON
+    assert lead[FANO] == pytest.approx(1.0, abs=ERRORS * np.sqrt(2 / 19 / 12))
+    sizes, starts_of = (stretched[name].to_numpy(float) for name in ("size", "start"))
+    whole = Catalogue(0.0, 1e3, starts_of[:300], 0.1 * sizes[:300], sizes[:300], sizes[:300], 1e3, sizes[:300])
+    assert abs(np.corrcoef(whole.sizes_and_quiets, rowvar=False)[0, 1]) < ERRORS / np.sqrt(299)
+
+
+def test_the_cv_of_a_few_quiet_times_is_theirs(rng):
     """Of the sample, with n - 1 for the mean that it is measured from; over runs it is squares that are averaged."""
-    quantity = QUANTITIES[RECURRENCE]
+    quantity = QUANTITIES[QUIET]
     sums = []
     for n in range(3, 9):
-        gaps = rng.exponential(1.0, n)
-        start = np.concatenate([[0.5], 0.5 + np.cumsum(gaps)])
-        one = np.ones(n + 1)
+        gaps, took, one = rng.exponential(1.0, n), rng.exponential(1.0, n + 1), np.ones(n + 1)
+        start = 0.5 + np.concatenate([[0.0], np.cumsum(gaps + took[:-1])])
         sums.append(
-            quantity.sums(Catalogue(0.0, 100.0, start, one, one.astype(int), one, 100.0, one.astype(int)), 0.0)
+            quantity.sums(Catalogue(0.0, 100.0, start, took, one.astype(int), one, 100.0, one.astype(int)), 0.0)
         )
         np.testing.assert_allclose(quantity.of(np.array(sums[-1:])), np.std(gaps, ddof=1) / gaps.mean())
     two = one[:2]
@@ -286,13 +413,13 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert rate["0.001"]["verdict"] == "differ"
     assert rate["0.001"]["relative"] == pytest.approx(0.33, abs=0.05)
     assert rate["0.01"]["relative"] == -1
-    assert [found[eps]["differ"] for eps in ("1e-05", "0.001")] == [[], ["waiting times"]]
+    assert [found[eps]["differ"] for eps in ("1e-05", "0.001")] == [[], ["quiet times"]]
     assert found["0.01"]["rows"] == []
     assert answer.facts["farthest"]["setting"] == found["0.001"]["setting"]
     over = answer.tables["episode_rates"].set_index("group")
     assert over.loc[found["0.001"]["setting"], "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
     words = build(data, replace(settings, question=("episodes",)), "A chain", "", {})
-    assert any(" more (" in line and "1e-5" in line for line in words.headline)
+    assert any(" more episodes (" in line and "1e-5" in line for line in words.headline)
     assert "No episode at all: sigmoid \u03b5\u00a0=\u00a00.01" in words.html
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from stickslip.analysis.stats import laws
 from stickslip.analysis.stats.estimates import Undefined
@@ -17,6 +18,8 @@ def test_the_largest_gap_is_that_of_kolmogorov_and_smirnov(rng):
     """1 to 10 against 4 to 13: at 3 the first has 0.3 and the second nothing."""
     found = laws.largest_gap(times((np.arange(1, 11), np.arange(4, 14)), 8), 0.5, 0.95, rng)
     assert (found.size.value, found.size.low, found.size.high) == pytest.approx((0.3, 0.3, 0.3))
+    assert 3 <= found.at <= 10
+    assert found.below == pytest.approx(-0.3)
     assert found.p_equivalent < 1e-9
     assert found.p_different == pytest.approx(2 / 2**8, abs=0.01)
 
@@ -50,6 +53,20 @@ def test_shares_that_are_swapped_in_every_system_are_as_far_apart_as_can_be(rng)
     found = laws.distance_of_shares([(first, second), (second, first)] * 6, 0.5, 0.95, rng)
     assert found.size.value == pytest.approx(np.sqrt(2))
     assert found.p_different == pytest.approx(1 / 2**12, abs=0.002)
+
+
+def test_an_estimate_below_zero_makes_no_interval_short(rng):
+    """Shares that go to one side in one half and to the other in the next: zero, and its error beyond."""
+    flat, tilts = np.full((2, 2), 50), rng.integers(5, 20, 12)
+    pairs = [(flat, 50 + tilt * np.array([[1, -1], [-1, 1]])) for tilt in tilts]
+    found = laws.distance_of_shares(pairs, 0.25, 0.95, rng)
+    apart = -2 * (tilts / 100) ** 2
+    scale = np.array([np.sum(np.prod(b / 100, axis=0)) + 0.5 for _, b in pairs]) / 2
+    left_out = (apart.sum() - apart) / (scale.sum() - scale)
+    error = np.sqrt(11 / 12 * np.sum((left_out - left_out.mean()) ** 2))
+    assert (found.size.value, found.size.low) == (0.0, 0.0)
+    assert found.size.high == pytest.approx(np.sqrt(stats.t.ppf(0.975, 11) * error))
+    assert found.p_equivalent == pytest.approx(stats.t.cdf(-(0.25**2) / error, 11))
 
 
 def test_order_is_told_apart_by_its_sign(rng):
