@@ -17,6 +17,7 @@ from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.cascades import STEEP, verdict_on
+from stickslip.analysis.report import formats
 from stickslip.analysis.report.formats import between, capital, environment, fixed, interval
 from stickslip.analysis.report.formats import table as shown
 from stickslip.analysis.report.page import _rank
@@ -91,6 +92,16 @@ def test_as_chance_has_to_be_shown():
     )
     assert [verdicts(sign * 0.012, 0.003, 0.007) for sign in (1, -1)] == ["steeper", "shallower"]
     assert verdicts(0.002, 0.0005, 0.0) == "steeper", "nothing is declared to be close"
+
+
+def test_the_papers_gamma_is_held_against_a_definition_and_no_hit_is_counted(planted, settings):
+    report = report_of(planted.ensemble({"coulomb": LN2}, 8), settings)
+    rows = report.tables["definitions"]
+    falls = rows.loc[rows["definition"] == "length", "gamma"]
+    ends = " to ".join(formats.number(end, 2) for end in (falls.min(), falls.max()))
+    shown = text_of(report)
+    assert f"By the paper's own words ( length ) γ is {ends} at these steps" in shown
+    assert "within the interval of" not in shown
 
 
 def test_symbols_begin_sentences_as_they_are():
