@@ -17,6 +17,7 @@ import pandas as pd
 from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
 from stickslip.analysis.stats import parting
+from stickslip.analysis.stats.fates import DIVERGED, FAILED, SETTLED
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: what a perturbation moves, if the members do not say: every constant by up to a share of its scale
@@ -89,12 +90,17 @@ class Watched:
 
 
 def level(study: Study, setting: Setting) -> float | None:
-    """What two different matrices show after t_burn, see `parting.level`; None if they show nothing."""
-    ends = study.ends
-    bases = [study.data.series[base] for base in setting.bases.values() if ends[base][0] == "finished"]
-    if len(bases) < 2:
+    """What two different matrices show after t_burn, however they end, see `parting.level`.
+
+    None if they show nothing, or if most have come to slip for good or are quiet: it then falls to nothing with time.
+    """
+    bases = {base: how for base in setting.bases.values() if (how := study.fate(base)) != FAILED}
+    n_settled = sum(how in SETTLED for how in bases.values())
+    if len(bases) < 2 or 2 * n_settled > len(bases):
         return None
-    return parting.level(bases, study.settings.t_burn, float(setting.key["t_end"])) or None
+    t_end = float(setting.key["t_end"])
+    watched = [study.ends[base][1] if how == DIVERGED else t_end for base, how in bases.items()]
+    return parting.level([study.data.series[base] for base in bases], watched, study.settings.t_burn, t_end) or None
 
 
 def watch(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Watched]:

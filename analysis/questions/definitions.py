@@ -49,12 +49,18 @@ def answer(study: Study) -> Answer:
         "margin": gamma_margin(study),
         "brief": [_brief(lead, name, steps) for name in DEFINITIONS],
         "paper": PAPER_GAMMA,
-        "at_paper": [row for row in sampled if row["gamma_low"] <= PAPER_GAMMA <= row["gamma_high"]],
+        "spans": {name: _span(sampled, name) for name in ("length", "decreases")},
     }  # fmt: skip
     figures = {"definitions": partial(by_step, lead, "gamma", "γ")}
     if compared:
         figures["over_blocks"] = partial(by_step, lead, "over", "γ / independent blocks")
     return Answer(facts, tables=table, figures=figures)
+
+
+def _span(rows: Sequence[Row], definition: str) -> tuple[float, float] | None:
+    """Least and largest gamma of a definition over its sampling steps."""
+    found = [row["gamma"] for row in rows if row["definition"] == definition]
+    return (min(found), max(found)) if found else None
 
 
 def _few(dts: Sequence[float]) -> list[float]:

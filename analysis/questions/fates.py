@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib
@@ -27,9 +28,11 @@ from stickslip.analysis.stats.fates import (
     DIVERGED,
     ENDS,
     FAILED,
+    LAST_SHARE,
     LULL,
     MOVING,
     QUIET,
+    SETTLED,
     SUSTAINED,
     WATCHED,
     Curve,
@@ -51,15 +54,15 @@ FATES = {
     SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
 }  # fmt: skip
 #: What runs from different starts do at the end: their fates, and how they are drawn.
-SLIDES = (COLLAPSED, QUIET)
 KINDS = {
-    "slides": (SLIDES, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"), "ran away": ((DIVERGED,), GREY, "^"),
+    "no late stick": (SETTLED, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"),
+    "ran away": ((DIVERGED,), GREY, "^"),
 }  # fmt: skip
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
-    **{f"{name}{end}": F for name in ("moving", "slide", "median", "mean", "drift") for end in ("", "_low", "_high")},
-    "effective_samples": F, "basis": S,
+    **{name + end: F for name in ("moving", "settled", "median", "mean", "drift") for end in ("", "_low", "_high")},
+    "median_least": F, "last_end": F, "last_quiet": F, "effective_samples": F, "basis": S,
 }  # fmt: skip
 _CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F}
 _RUN = {
@@ -86,14 +89,17 @@ def answer(study: Study) -> Answer:
         "moving": moving,
         "total": {**_counts(runs), "runs": len(watched), "held": sum(row["n_held"] for row in groups)},
         "share": _share(watched, MOVING, level),
+        "n_systems": len({row["drawn"] for row in watched}),
+        "has_copies": len(members) > len(runs),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
+        "last_share": LAST_SHARE,
         "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
         "is_one_law": is_one_law,
         "partly": [row for row in systems if 0 < row["n_moving"] < row["n_runs"]],
         "lasting": [row for row in systems if is_one_law and row["n_moving"] == row["n_runs"]],
-        "below": _ended(systems, runs, is_below=True),
-        "above": _ended(systems, runs, is_below=False),
+        "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
         "linear": _linear(watched),
+        "rated": [row for row in systems if row["is_rated"]],
         "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
         "has_ends": any(row["fate"] in ENDS for row in runs),
         "basin": _basin(watched),
@@ -134,7 +140,7 @@ def _figures(
             shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
             known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
-            shown["growth"] = partial(growth, facts["systems"], known)
+            shown["growth"] = partial(growth, facts["rated"], known)
         if facts["basin"] is not None:
             shown["basin"] = partial(basin, facts["basin"]["points"])
     else:
@@ -168,8 +174,10 @@ def _runs(group: Group) -> Iterator[Row]:
         }  # fmt: skip
 
 
-def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None:
-    """Survival of the first run of each unit of a group."""
+def _curve(
+    runs: Sequence[Row], group: Group, confidence: float, ends: Mapping[str, str] = MappingProxyType({})
+) -> Curve | None:
+    """Survival of the first run of each unit of a group; `ends` tells fates that are taken for others."""
     first: dict[int, Row] = {}
     for row in runs:
         if row["group"] == group.label and row["fate"] != FAILED:
@@ -177,11 +185,13 @@ def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None
     if not first:
         return None
     t_last, t_stop, t_end = np.array([row["times"] for row in first.values()]).T
-    return survival([row["fate"] for row in first.values()], t_last, t_stop, t_end, confidence)
+    hows = [ends.get(row["fate"], row["fate"]) for row in first.values()]
+    return survival(hows, t_last, t_stop, t_end, confidence)
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
-    return None if key["kappa"] is None else key["n"] * key["kappa"]
+    """None where there is no spring between blocks, or K comes from a file."""
+    return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
 def _counts(runs: Sequence[Row]) -> dict[str, int]:
@@ -237,13 +247,17 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half = Estimate() if curve is None else median(*curve)
-    share, slide = _share(watched, MOVING, level), _share(watched, SLIDES, level, untold=())
+    least = _curve(runs, group, level, {QUIET: COLLAPSED})
+    ended = [row for row in watched if row["fate"] in ENDS]
+    share, settled = _share(watched, MOVING, level), _share(watched, SETTLED, level, untold=())
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
-        **_counts(own), **named("moving", share), **named("slide", slide),
-        "n_held": sum(row["is_held"] for row in own),
-        "half": half, **named("median", half),
+        **_counts(own), **named("moving", share), **named("settled", settled),
+        "n_held": sum(row["is_held"] for row in own), "is_rated": any(row["growth_rate"] is not None for row in own),
+        "half": half, **named("median", half), "median_least": None if least is None else median(*least).value,
+        "last_end": max((row["t"] for row in ended), default=None),
+        "last_quiet": max((row["times"][0] for row in watched if row["fate"] == QUIET), default=None),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * span / (2 * memory),
         "basis": basis.code,
@@ -263,15 +277,6 @@ def _brief(groups: Sequence[Row]) -> list[Row]:
         for row, own in zip(groups, parts, strict=True)
     ]
     return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
-
-
-def _ended(systems: Sequence[Row], runs: Sequence[Row], is_below: bool) -> Row | None:
-    """How runs end at all n smaller (or larger) than where every run lasts; None if none do, or in opposite ways."""
-    lasting = [row["n"] for row in systems if row["n_moving"] == row["n_runs"]]
-    watched = [row for row in runs if row["fate"] != FAILED] if lasting else []
-    some = [row for row in watched if (row["n"] < min(lasting) if is_below else row["n"] > max(lasting))]
-    ends = Counter(row["fate"] for row in some if row["fate"] in ENDS)
-    return {"end": next(iter(ends)), "n": ends.total(), "n_runs": len(some)} if len(ends) == 1 else None
 
 
 def _linear(watched: Sequence[Row]) -> list[Row]:

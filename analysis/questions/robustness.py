@@ -19,7 +19,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.fates import MOVING
+from stickslip.analysis.stats.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
@@ -40,6 +40,10 @@ _MATRICES: Mapping[str, str] = {
     "setting": S, "quantity": S, "label": S, "n_matrices": I, "n_replicates": I, "correlation": F,
     "correlation_low": F, "correlation_high": F,
 }  # fmt: skip
+_ENDS: Mapping[str, str] = {
+    "setting": S, "n": I, "engine": S, "change": S, "n_pairs": I, "n_otherwise": I, "n_untold": I, "n_matrices": I,
+    "shift": F, "shift_low": F, "shift_high": F, "redraw": F,
+}  # fmt: skip
 
 
 def answer(study: Study) -> Answer | None:
@@ -48,7 +52,9 @@ def answer(study: Study) -> Answer | None:
     if not asked:
         return None
     judged = sorted((_Judged(study, one) for one in asked), key=lambda one: (bool(one.lack), -one.setting.key["n"]))
+    ends = [row for one in judged for row in _ends(study, one.setting)]
     tables = {
+        "robustness_ends": frame(_ENDS, ends),
         "robustness": frame(_CHANGES, [row for one in judged for row in one.rows]),
         "robustness_matrices": frame(_MATRICES, [row for one in judged for row in one.matrices]),
     }
@@ -70,7 +76,11 @@ def answer(study: Study) -> Answer | None:
             if (gone := sum(pair.changed not in lead.sums for pair in one.pairs))
         },
         "others": [(one.setting.label, one.lack, one.rows) for one in judged[1:]],
+        "ends": ends,
+        "first_ends": [row for row in ends if row["setting"] == lead.setting.label],
     }
+    if lead.lack == NO_MOTION and facts["first_ends"]:
+        return Answer(facts, tables=tables)
     if lead.lack:
         return Answer(facts, lead.lack, tables)
     of_mean = [row for row in lead.rows if row["quantity"] == PRIMARY[0] and row["shift"] is not None]
@@ -78,6 +88,44 @@ def answer(study: Study) -> Answer | None:
     facts["beyond"] = of_mean[of_mean.index(facts["lead"]) + 1 :]
     figures = {"robustness": partial(against_base, lead.points())}
     return Answer(facts, tables=tables, figures=figures)
+
+
+def _ends(study: Study, setting: Setting) -> list[Row]:
+    """Of each change, copies of runs that ended: how many end otherwise, and by how much the last event shifts.
+
+    A run that left every bound ends then. Whether it is certified that no block sticks again is no other end.
+    """
+    bases = {base: end for base in setting.bases.values() if (end := _end(study, base))}
+    if len(bases) < enough.LEAST_MATRICES:
+        return []
+    times = np.array([t for _, _, t in bases.values()])
+    redraw = float(np.median(np.abs(times[:, None] - times)[np.triu_indices(len(times), 1)]))
+    rows = []
+    for change in _changes(setting):
+        pairs = [(pair, bases[pair.base]) for pair in change.pairs if pair.base in bases]
+        both = [(pair.matrix, base, end) for pair, base in pairs if (end := _end(study, pair.changed))]
+        alike = [(matrix, base, end) for matrix, base, end in both if base[0] == end[0]]
+        n_watched = sum(study.fate(pair.changed) != FAILED for pair, _ in pairs)
+        by_matrix: dict[int, list[float]] = {}
+        for matrix, base, end in alike:
+            by_matrix.setdefault(matrix, []).append(abs(end[2] - base[2]))
+        shifts = np.array([np.mean(some) for some in by_matrix.values()])
+        shift = median(*kaplan_meier(shifts, np.full(len(shifts), True), study.settings.confidence))
+        rows.append({
+            "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"],
+            "change": str(change.change), "of": change.change, "n_pairs": n_watched,
+            "n_otherwise": n_watched - len(alike), "n_untold": sum(base[1] != end[1] for _, base, end in alike),
+            "n_matrices": len(shifts), **named("shift", shift), "redraw": redraw,
+        })  # fmt: skip
+    return rows
+
+
+def _end(study: Study, member: str) -> tuple[bool, str, float] | None:
+    """Whether a run ran away, its fate, and when it did or its last event was; None if it goes on or failed."""
+    how = study.fate(member)
+    if how == DIVERGED:
+        return True, how, study.ends[member][1]
+    return (False, how, float(study.data.series[member][0][-1])) if how in SETTLED else None
 
 
 def _changes(setting: Setting) -> list[Comparison]:

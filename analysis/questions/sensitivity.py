@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
@@ -69,6 +70,7 @@ def answer(study: Study) -> Answer | None:
         "ceiling": CEILING,
         "floor": FLOOR,
         "tolerances": TOLERANCES,
+        "n_displaced": len(growths),
     }
     if largest is None:
         return Answer(facts, "no pairs", tables)
@@ -131,7 +133,8 @@ def _parting_row(
     half = median(*kaplan_meier(times, has_parted, study.settings.confidence))
     return {
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
-        "of": change, "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
+        "of": change, "t_end": float(setting.key["t_end"]),
+        "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
         "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), **named("median", half),
     }  # fmt: skip
 
@@ -198,6 +201,9 @@ def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
     ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
     ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
     ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap (two matrices: 1)")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.figure.legend(loc="outside lower center", ncols=2)
 
 

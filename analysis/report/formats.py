@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from inspect import signature
 from types import CodeType
 from typing import Any
 
@@ -15,6 +16,7 @@ from markupsafe import Markup, escape
 from stickslip.analysis.stats.estimates import Estimate
 
 MINUS, DASH = "\u2212", "\u2013"
+MOST_DIGITS = 8  # of an end of an interval, so that it shows as none
 Row = Mapping[str, Any]
 
 
@@ -74,21 +76,33 @@ def listed(names: Sequence[Any], last: str = "and") -> str:
 
 
 def capital(text: str) -> str:
-    """The first letter large."""
-    return text[:1].upper() + text[1:]
+    """The first letter large, unless it is a symbol: one letter by itself, or none of the alphabet."""
+    is_symbol = re.match(r"[b-z](?![A-Za-z])|[^\x00-\x7f]", text)
+    return text if is_symbol else text[:1].upper() + text[1:]
 
 
 def between(low: float | None, high: float | None, show: Callable[..., str] = number, *how: int) -> str:
-    """Two ends: "0.1 to 0.2"."""
-    return DASH if low is None or high is None else f"{show(low, *how)} to {show(high, *how)}"
+    """Two ends: "0.1 to 0.2", with as many digits more as show that they differ."""
+    if low is None or high is None:
+        return DASH
+    first = how[0] if how else int(signature(show).parameters["digits"].default)
+    digits = _apart([(low, high)], first, show)
+    return f"{show(low, digits)} to {show(high, digits)}"
+
+
+def _apart(pairs: Iterable[Sequence[Any]], digits: int, show: Callable[[float, int], str]) -> int:
+    """So many digits, or as many more as it takes for two ends that differ to look different."""
+    known = [(low, high) for low, high in (both for both in pairs if len(both) == 2) if None not in (low, high)]
+    ends = [(low, high) for low, high in known if not np.isclose(low, high, rtol=1e-9, atol=0.0)]
+    more = range(digits, MOST_DIGITS + 1)
+    return next((k for k in more if all(show(low, k) != show(high, k) for low, high in ends)), digits)
 
 
 def interval(estimate: Estimate, digits: int = 3) -> str:
     """The interval of an estimate, its ends with the decimals of the value; "no interval" where there is none."""
     if estimate.low is None or estimate.high is None:
         return "no interval"
-    decimals = _decimals([estimate.value or estimate.high], digits)
-    return between(estimate.low, estimate.high, fixed, decimals)
+    return between(estimate.low, estimate.high, fixed, _decimals([estimate.value or estimate.high], digits))
 
 
 def _decimals(values: Iterable[float | None], digits: int) -> int:
@@ -179,6 +193,10 @@ def _cells(rows: Sequence[Any], column: Column) -> list[str]:
         return _aligned(values, int(how[1:]), "+")
     if how is None:
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
+    if isinstance(how, str) and (known := re.fullmatch(r"(%\+?\.)(\d)f", how)):
+        how = f"{known[1]}{_apart(values, int(known[2]), fixed)}f"
+    if len(keys) == 2 and how in ("%", "+", "+%", "#"):
+        return [between(low, high, _SHOWN[how]) for low, high in values]
     return [_joined(some, _show(how)) for some in values]
 
 
@@ -189,7 +207,7 @@ def _show(how: str | Show) -> Show:
 
 
 def _aligned(values: Sequence[Sequence[float | None]], digits: int, sign: str) -> list[str]:
-    decimals = _decimals((value for some in values for value in some), digits)
+    decimals = _apart(values, _decimals((value for some in values for value in some), digits), fixed)
     return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]
 
 

@@ -67,8 +67,8 @@ def prepare() -> None:
 
 
 def ask(study: Study, key: str) -> Answered | None:
-    """Put one of `QUESTIONS` to a study; None if it is not asked of such data."""
-    if key in OF_CASCADES and study.data.episodes is not None:
+    """Put one of `QUESTIONS` to a study; None if it is not asked of such data: one block has no cascades."""
+    if key in OF_CASCADES and (study.data.episodes is not None or (study.data.members["n"] == 1).all()):
         return None
     question: Question = import_module(f"stickslip.analysis.questions.{key}")
     found = question.answer(study)

@@ -21,6 +21,7 @@ COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
 )  # fmt: skip
 ENDS = (COLLAPSED, DIVERGED)
 MOVING = (SUSTAINED, LULL)
+SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, for ever or as far as is seen
 WATCHED = (*ENDS, QUIET, *MOVING)  # all but failed
 LAST_SHARE = 0.25  # of a run: a lull or quiet if no block sticks in this last part of it, held if all do throughout
 #: A growth rate beyond this is positive: rounding moves a double eigenvalue of a matrix of order one by as much.

@@ -1,7 +1,8 @@
 """When a changed run is apart from its base, in one meaning.
 
 The gap of two runs is |difference of n_stick|, averaged over the last `SPAN` units of time. A run has parted when the
-gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two different matrices.
+gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two different matrices. The level is of a
+steady state: where runs settle it falls to nothing.
 """
 
 from __future__ import annotations
@@ -62,11 +63,25 @@ def parted_at(gaps: np.ndarray, level: float) -> float | None:
     return float(gap_times(gaps)[over[0]]) if len(over) else None
 
 
-def level(bases: Sequence[ChangePoints], t_from: float, t_stop: float) -> float:
-    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices."""
-    g = len(bases)
-    # of sorted values x_(i): sum over pairs of differences = sum_i (2 i - g + 1) x_(i)
+def level(bases: Sequence[ChangePoints], watched: Sequence[float], t_from: float, t_stop: float) -> float:
+    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices.
+
+    Of each time the pairs are those of runs watched until then; 0 where there is none.
+
+    Parameters
+    ----------
+    bases : sequence of ChangePoints
+    watched : sequence of float
+        Until when each run is known.
+    """
     times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
-    values = np.sort([sample(*base, times) for base in bases], axis=0)
-    weights = 2 * np.arange(g) - g + 1
-    return float((weights @ values).mean() / (g * (g - 1) / 2))
+    values = np.sort(
+        [np.where(times < t, sample(*base, times), np.inf) for base, t in zip(bases, watched, strict=True)], axis=0
+    )
+    g = np.isfinite(values).sum(axis=0)
+    has_pairs = g > 1
+    values, g = values[:, has_pairs], g[has_pairs]
+    # of sorted values x_(i): sum over pairs of differences = sum_i (2 i - g + 1) x_(i)
+    weights = 2 * np.arange(len(values))[:, None] - g + 1
+    sums = np.sum(weights * np.where(np.isfinite(values), values, 0.0), axis=0)
+    return float(np.mean(sums / (g * (g - 1) / 2))) if len(g) else 0.0

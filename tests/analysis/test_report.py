@@ -17,10 +17,13 @@ from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.cascades import STEEP, verdict_on
-from stickslip.analysis.report.formats import environment
+from stickslip.analysis.report import formats
+from stickslip.analysis.report.formats import between, capital, environment, fixed, interval
+from stickslip.analysis.report.formats import table as shown
 from stickslip.analysis.report.page import _rank
 from stickslip.analysis.stats.compare import against
-from stickslip.analysis.stats.estimates import LN2, ratio
+from stickslip.analysis.stats.enough import Basis
+from stickslip.analysis.stats.estimates import LN2, Estimate, ratio
 from stickslip.pipeline.tables import QuestionName
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -89,6 +92,44 @@ def test_as_chance_has_to_be_shown():
     )
     assert [verdicts(sign * 0.012, 0.003, 0.007) for sign in (1, -1)] == ["steeper", "shallower"]
     assert verdicts(0.002, 0.0005, 0.0) == "steeper", "nothing is declared to be close"
+
+
+def test_the_papers_gamma_is_held_against_a_definition_and_no_hit_is_counted(planted, settings):
+    report = report_of(planted.ensemble({"coulomb": LN2}, 8), settings)
+    rows = report.tables["definitions"]
+    falls = rows.loc[rows["definition"] == "length", "gamma"]
+    ends = " to ".join(formats.number(end, 2) for end in (falls.min(), falls.max()))
+    shown = text_of(report)
+    assert f"By the paper's own words ( length ) γ is {ends} at these steps" in shown
+    assert "within the interval of" not in shown
+
+
+def test_symbols_begin_sentences_as_they_are():
+    written = {"mean n": "Mean n", "a copy": "A copy", "n = 20": "n = 20", "γ has": "γ has", "n<sub>": "n<sub>"}
+    written |= {"t = 3": "t = 3", "no run": "No run", "": ""}
+    assert {text: capital(text) for text in written} == written
+
+
+def test_an_interval_never_shows_as_a_point(rng):
+    value = rng.uniform(1.0, 900.0)
+    low, high = value - 3e-5 * value, value + 3e-5 * value
+    row = {"value": value, "low": low, "high": high}
+    texts = [between(low, high), between(low, high, fixed, 1), interval(Estimate(value, low, high))]
+    for how in (2, "+2", "%.1f", "%+.0f", "#"):
+        texts.append(re.findall(r"<td[^>]*>(.*? to .*?)</td>", shown([row], [("x", ("low", "high"), how)]))[0])
+    for text in texts:
+        first, second = text.split(" to ")
+        assert first != second, text
+    assert between(0.5, 0.5) == "0.500 to 0.500"
+
+
+def test_nothing_in_motion_is_not_called_too_little():
+    words = {key: environment().get_template(f"{key}.html").module for key in ("basis", "engines")}
+    none = Basis("few matrices", 0, 0, Estimate())
+    assert (
+        words["basis"].lack(none, 20.0, none.code).strip() == "No run is in motion at t_end, so nothing is counted."
+    )
+    assert "there is nothing to compare" in words["engines"].lack({"n_matrices": 0}, none.code)
 
 
 def test_alerts_are_ranked_by_what_they_change():

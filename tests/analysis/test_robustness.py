@@ -9,6 +9,7 @@ from scipy import signal
 
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.questions.robustness import MOVES, NO_MOTION, NO_REPLICATES, STAYS, UNKNOWN, answer
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import build
 from stickslip.analysis.stats import enough
 
@@ -97,9 +98,31 @@ def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, set
 def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, settings):
     assert asked(ensemble(rng, planted, lambda own: own, g=3), settings)[0].lack == enough.FEW_MATRICES
     data = ensemble(rng, planted, lambda own: own)
-    data.members["outcome"] = "collapsed"
+    data.members["outcome"] = ["collapsed" if matrix < 3 else "failed" for matrix in data.members["matrix"]]
     assert asked(data, settings)[0].lack == NO_MOTION
     assert answer(Study(Data(*planted.ensemble({"coulomb": 0.69}, 3)), settings)) is None
+
+
+def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
+    """Last events shift by one unit; every fourth copy keeps on, another has no certificate."""
+    rows, series = [], {}
+    own = rng.permutation(np.arange(100.0, 100.0 + 10 * MATRICES, 10))
+    for matrix, last in enumerate(own):
+        for name, size, t in ((f"m{matrix}", 0.0, last), (f"m{matrix}-p", 0.01, last + 1 - 2 * (matrix % 2))):
+            outcome = "finished" if size and matrix % 4 < 2 else "collapsed"
+            rows.append(planted.member(name, matrix, perturbation_size=size, outcome=outcome, twin_size=None))
+            series[name] = np.array([0.0, T_END - 10 if size and matrix % 4 == 0 else t]), np.array([5, 0])
+    found, _ = asked(Data(pd.DataFrame(rows), series), settings)
+    assert not found.lack
+    row = found.tables["robustness_ends"].iloc[0]
+    assert (row["n_pairs"], row["n_otherwise"], row["n_untold"]) == (MATRICES, MATRICES // 4, MATRICES // 4)
+    assert (row["shift"], row["shift_low"], row["shift_high"]) == pytest.approx((1, 1, 1))
+    assert row["redraw"] == np.median([abs(a - b) for i, a in enumerate(own) for b in own[:i]])
+    said = environment().get_template("robustness.html").module.answer(found.facts)
+    assert (
+        "Changing every constant by up to 1% shifts the last event by <b>1.0</b> (1.0 to 1.0) units of time" in said
+    )
+    assert "5 of 20 copies end otherwise than the base. Another matrix shifts it by" in said
 
 
 @pytest.mark.parametrize("spread", [0.0, 2.0])

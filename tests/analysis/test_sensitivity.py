@@ -5,9 +5,10 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.pairs import CONSTANTS, RATIOS, START
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import parting
 from stickslip.analysis.stats.fates import kaplan_meier, median
 
@@ -26,7 +27,39 @@ def test_the_level_is_the_mean_over_all_pairs(rng):
     values = rng.integers(0, 50, 7)
     bases = [(np.zeros(1), np.array([value])) for value in values]
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
-    assert parting.level(bases, 1.0, 5.0) == pytest.approx(np.mean(pairs))
+    assert parting.level(bases, [5.0] * 7, 1.0, 5.0) == pytest.approx(np.mean(pairs))
+    # the last run is known to t = 3 alone: half of the time its pairs count, then those of the others
+    others = [abs(a - b) for i, a in enumerate(values[:6]) for b in values[:i]]
+    expected = 0.5 * np.mean(pairs) + 0.5 * np.mean(others)
+    assert parting.level(bases, [5.0] * 6 + [3.0], 1.0, 5.0) == pytest.approx(expected)
+    assert parting.level(bases[:1], [5.0], 1.0, 5.0) == 0
+
+
+def test_the_level_is_of_all_matrices_however_they_end(rng, planted, settings):
+    """A certificate changes no path; where most settle there is no lasting difference to hold copies against."""
+    data = ensemble(rng, planted, 0.01)
+    (setting,) = sorted_settings(data.members)
+    known = level(Study(data, settings), setting)
+    for n_certified in (4, 8):
+        some = data.members["member_id"].isin([f"m{k}" for k in range(n_certified)])
+        outcomes = data.members["outcome"].where(~some, "collapsed")
+        study = Study(Data(data.members.assign(outcome=outcomes), data.series, {}, data.separations), settings)
+        assert level(study, setting) == (known if n_certified == 4 else None)
+
+
+def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings):
+    words = environment().get_template("sensitivity.html").module
+    data = ensemble(rng, planted, 0.01, t_part=2 * T_END)
+    copies = data.members["twin_size"].notna()
+    changed = data.members.assign(twin_size=None, perturbation_size=np.where(copies, 0.01, 0.0))
+    said = words.answer(answer(Study(Data(changed, data.series), settings)).facts)
+    assert (
+        "was not measured; of copies with every constant changed by up to 1%, none of 12 have been apart by" in said
+    )
+    settled = Data(changed.assign(outcome="collapsed"), data.series)
+    found = answer(Study(settled, settings))
+    assert found.lack
+    assert "The growth of small differences was not measured" in words.lack(found.facts, found.lack)
 
 
 def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_level():
