@@ -63,7 +63,6 @@ def answer(study: Study) -> Answer:
         "is_by_engine": len({row["n"] for row in by_label.values()})
         == 1
         < len({row["engine"] for row in by_label.values()}),
-        "drawn": [one.label for one, _ in lead[:MOST_DRAWN]],
     }
     drawn = partial(
         size_law,

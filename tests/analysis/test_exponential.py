@@ -66,7 +66,7 @@ def test_a_lower_cut_off_leaves_small_cascades_out_and_an_exponential_one(plante
     law[0] *= 3
     whole = exponential.answer(study_of(planted, settings, law, rng)).facts["lead"]
     cut = exponential.answer(study_of(planted, dataclasses.replace(settings, smallest=2), law, rng)).facts["lead"]
-    assert whole["verdict"] == "thicker"
+    assert whole["verdict"] == "more"
     assert cut["variance"] == pytest.approx(1.0, abs=0.15)
     assert cut["smallest"] == 2
     assert cut["pool"] is None
