@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.questions import cascades
 from stickslip.analysis.questions import counting as question
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import plain
@@ -153,3 +154,16 @@ def test_what_is_missing_is_said(planted, rng):
     study = study_of(planted, (40,), 0.0, rng, matrices=2)
     assert "too few matrices" in said(question.answer(study))
     assert question.answer(Study(replace(study.data, events={}), study.settings)) is None
+
+
+def test_gamma_is_held_against_one_pool_lulls_or_none(planted, rng):
+    """Of four blocks, slowed down so that n_stick rests at zero for long: both questions take the same mean."""
+    study = study_of(planted, (4,), 0.0, rng)
+    slow = 100.0
+    series = {name: (slow * t, n_stick) for name, (t, n_stick) in study.data.series.items()}
+    events = {name: (slow * t, *rest) for name, (t, *rest) in study.data.events.items()}
+    members = study.data.members.assign(t_end=slow * study.data.members["t_end"])
+    study = Study(Data(members.assign(t_stop=members["t_end"]), series, events), study.settings)
+    row, law = (question.answer(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0])
+    assert row["in_lulls"] > 0.05
+    assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["counting"], abs=1e-9)
