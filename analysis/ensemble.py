@@ -26,6 +26,7 @@ import pandas as pd
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.cascades import Law, Window, sizes, window
+from stickslip.analysis.stats.counting import lulls
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
 from stickslip.analysis.stats.fates import MOVING, QUIET, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -126,6 +127,9 @@ class Group:
         Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
     quantities : dict of str to ndarray, shape (G, 2)
         Sums over runs of `QUANTITIES`, by name.
+    stuck : ndarray, shape (G, 2)
+        Sums over runs of the integral of n_stick, and of the time without lulls (`stats.counting`): their quotient is
+        the mean n_stick of the pool that the runs are held against.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 4)
@@ -148,6 +152,7 @@ class Group:
     units: list[int] = field(default_factory=list)
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
+    stuck: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     histograms: list[np.ndarray] = field(default_factory=list)
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     fates: list[str] = field(default_factory=list)
@@ -173,6 +178,12 @@ class Group:
     def sums(self) -> np.ndarray:
         """Total size and number of cascades by `events`, shape (G, 2)."""
         return self.quantities["gamma"]
+
+    @property
+    def pool_mean(self) -> float | None:
+        """Mean n_stick without lulls, of the pool that the runs are held against; None where no block ever sticks."""
+        stuck, time = self.stuck.sum(axis=0)
+        return float(stuck / time) if stuck else None
 
     @property
     def counts(self) -> np.ndarray:
@@ -429,7 +440,7 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     """Read each run of a group once and keep the sums of those in motion."""
     group.units = [int(unit) for unit in group.finished["unit"].unique()]
     n_rows = len(group.units)
-    group.means, group.effective = np.zeros((n_rows, 5)), np.zeros((n_rows, 4))
+    group.means, group.effective, group.stuck = (np.zeros((n_rows, k)) for k in (5, 4, 2))
     group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     group.last = np.full((len(group.members), 2), np.nan)
@@ -449,6 +460,8 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
             group.quantities[name][row] += two
         first, second, variance = enough.halves(win)
         group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
+        span = win.t_stop - win.t_start
+        group.stuck[row] += [0.5 * (first + second) * span, span - lulls(win).sum()]
         tau, is_known = given["correlation_time"]
         group.effective[row] += effective.row(win, tau)
         group.n_short += not is_known or is_short(win, tau)
@@ -459,6 +472,7 @@ def _fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     kept = np.flatnonzero(group.means[:, 4])
     group.units, group.histograms = [group.units[k] for k in kept], [group.histograms[k] for k in kept]
     group.means, group.quantities = group.means[kept], {name: of[kept] for name, of in group.quantities.items()}
+    group.stuck = group.stuck[kept]
     group.effective = group.effective[kept] / group.means[:, 4:]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
-from typing import Any, Concatenate, Literal, ParamSpec
+from typing import Any, Concatenate, ParamSpec
 
 import matplotlib
 import numpy as np
@@ -114,9 +114,9 @@ def size_axis(ax: Axes, largest: int) -> None:
 
 
 def over_blocks(
-    ax: Axes, groups: Mapping[str, Sequence[Mapping[str, Any]]], place: Literal["lower right", "upper left"]
+    ax: Axes, groups: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> Iterator[tuple[str, list[Mapping[str, Any]], np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]]:
-    """Axes for power over that of independent blocks, against the period, for two groups by colour at most.
+    """Axes for power over that of independent blocks, against the period, for three groups by colour at most.
 
     Yields of each group, to be drawn: label, rows with an interval, period, ratio, low, high, each (m,), and colour.
     Rows have `above` and `upto`, the ends of a band of periods, and `ratio`, `low`, `high`.
@@ -126,10 +126,12 @@ def over_blocks(
         seen = [row for row in rows if row["low"] is not None]
         period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
         ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
-        yield label, seen, period, ratio, low, high, (EXACT, SMOOTHED)[k % 2]
+        yield label, seen, period, ratio, low, high, (EXACT, SMOOTHED, GREEN)[k % 3]
     ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
     for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        ends = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if ends[1] > 20 * ends[0] else (1.0, 2.0, 3.0, 5.0)))
         axis.set_major_formatter(lambda x, _: f"{x:g}")
         axis.set_minor_locator(NullLocator())
-    ax.legend(loc=place, fontsize=7)
+    columns = 2 if max(map(len, groups), default=0) < 24 else 1
+    ax.figure.legend(loc="outside upper center", ncols=columns, fontsize=7)

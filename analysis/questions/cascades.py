@@ -11,16 +11,18 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Group, Study, law
 from stickslip.analysis.stats import enough, pool
 from stickslip.analysis.stats.cascades import spans
-from stickslip.analysis.stats.compare import UNKNOWN, Words, against
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
+#: By what share gamma may differ from what chance gives and count as the same, whatever a scene declares of engines.
+GAMMA_MARGIN = 0.01
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
-STEEPER, SHALLOWER, AS_CHANCE = "steeper", "shallower", "as chance"
-STEEP = Words(AS_CHANCE, STEEPER, SHALLOWER)
+STEEPER, SHALLOWER = "steeper", "shallower"
+STEEP = Words(WITHIN, STEEPER, SHALLOWER)
 MOST_DRAWN = 2  # groups in the figure
 SHOWN = 0.06  # relative error of the shares that are drawn over the coin's
 _LAW: Mapping[str, str] = {
@@ -36,8 +38,8 @@ _SIZES: Mapping[str, str] = {
 
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, and whether by more than the toss of a coin or a pool of blocks gives."""
-    level, margin = study.settings.confidence, gamma_margin(study)
-    made = [(group, _law_row(group, level, margin)) for group in study.groups]
+    level = study.settings.confidence
+    made = [(group, _law_row(group, level)) for group in study.groups]
     sizes = [row for group, _ in made for row in _size_rows(group, level)]
     tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
     by_label = {row["group"]: row for _, row in made}
@@ -47,7 +49,7 @@ def answer(study: Study) -> Answer:
         "rows": [row for _, row in made],
         "t_burn": study.settings.t_burn,
         "paper": PAPER_GAMMA,
-        "margin": margin,
+        "margin": GAMMA_MARGIN,
     }
     if not judged:
         best = max(made, key=lambda one: one[1]["n_cascades"])[1]
@@ -58,22 +60,22 @@ def answer(study: Study) -> Answer:
         "lead": row,
         "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
         "sizes": [one for one in sizes if one["group"] == group.label],
+        "is_by_engine": len({row["n"] for row in by_label.values()})
+        == 1
+        < len({row["engine"] for row in by_label.values()}),
     }
-    law = partial(
+    drawn = partial(
         size_law,
         [(one.label, [size for size in sizes if size["group"] == one.label]) for one, _ in lead[:MOST_DRAWN]],
         row,
     )
-    figures = {"one_run": partial(one_run, *_one_run(study, group)), "size_law": law}
+    unit, run = _one_run(study, group)
+    facts["unit_drawn"] = unit
+    figures = {"one_run": partial(one_run, *run), "size_law": drawn}
     return Answer(facts, tables=tables, figures=figures)
 
 
-def gamma_margin(study: Study) -> float:
-    """By what share gamma may differ and count as the same, from chance as between engines; 0 if none is declared."""
-    return study.margins.get("gamma", 0.0)
-
-
-def _law_row(group: Group, confidence: float, margin: float) -> Row:
+def _law_row(group: Group, confidence: float) -> Row:
     """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
     sums, basis = group.sums, group.basis(confidence)
     some = sums[:, 1] > 0
@@ -83,20 +85,20 @@ def _law_row(group: Group, confidence: float, margin: float) -> Row:
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
         "chance": LN2, **named("difference", _less(rate, LN2)), "gamma_pool": None, **named("over_pool", Estimate()),
         "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
-        "n_runs": len(group.members), "n_moving": len(group.moving),
+        "n_runs": len(group.members), "n_moving": len(group.moving), "law": law(group.key["engine"]),
     }  # fmt: skip
     if basis.code in enough.JUDGED:
-        row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], margin * LN2, confidence)
-    mean = group.mean(confidence).value
+        row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], GAMMA_MARGIN * LN2, confidence)
+    mean = group.pool_mean
     if rate.value is not None and mean is not None and pool.is_one(group.key["n"], mean):
-        rows = np.hstack([sums, group.by_unit()[:, [0, 4]]])[some]
+        rows = np.hstack([sums, group.stuck])[some]
         over, of_pool = (
             over_matrices(pool.against(group.key["n"]), rows, confidence),
             pool.gamma(group.key["n"], mean),
         )
         row |= {"gamma_pool": of_pool, **named("over_pool", over)}
         if basis.code in enough.JUDGED:
-            row["pool_verdict"] = verdict_on(pool.against(group.key["n"]), rows, margin * of_pool, confidence)
+            row["pool_verdict"] = verdict_on(pool.against(group.key["n"]), rows, GAMMA_MARGIN * of_pool, confidence)
     return row
 
 
@@ -121,7 +123,7 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
         return []
     totals = counts.sum(axis=1)
     rate = over_matrices(gamma, group.sums[group.sums[:, 1] > 0], confidence).value
-    n, mean = int(group.key["n"]), group.mean(confidence).value
+    n, mean = int(group.key["n"]), group.pool_mean
     by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and pool.is_one(n, mean) else None
     rows = []
     for size, column in enumerate(counts.T, start=1):
@@ -142,15 +144,15 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
     return rows
 
 
-def _one_run(study: Study, group: Group) -> tuple[Any, ...]:
-    """The first run of a group, and its largest cascade."""
-    _, member_id, win = next(iter(study.windows(group)))
+def _one_run(study: Study, group: Group) -> tuple[int, tuple[Any, ...]]:
+    """Unit of the first run of a group; and that run, with its largest cascade after t_burn."""
+    row, member_id, win = next(iter(study.windows(group)))
     found = spans(win)
     one = None
     if len(found.size):
         k = int(np.argmax(found.size))
         one = int(found.size[k]), float(found.start[k]), float(found.stop[k])
-    return *study.data.series[member_id], win.t_stop, study.settings.t_burn, one
+    return group.units[row], (*study.data.series[member_id], win.t_stop, study.settings.t_burn, one)
 
 
 _Span = tuple[int, float, float]  # of a cascade: size, first exit, last exit

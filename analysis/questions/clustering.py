@@ -14,8 +14,8 @@ from stickslip.analysis.answer import Answer, F, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
-from stickslip.analysis.stats.compare import UNKNOWN
-from stickslip.analysis.stats.effects import AS_CHANCE, LESS, MORE, Effect, over_null, together
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN
+from stickslip.analysis.stats.effects import LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import over_blocks, panel
@@ -76,12 +76,14 @@ def answer(study: Study) -> Answer:
     facts = {
         "group": label, "rows": rows[label], "of": of, "lead": _largest(rows[label]),
         "windows": sorted(of[FANO], key=lambda row: row["upto"]), "first": rows[label][0],
-        "pairs": _code(of[PAIRS]), "close": _closest(of[PAIRS], lead, level, len(rows[label]) - 1),
-        "powered": POWERED,
+        "pairs": _code(of[PAIRS]), "apart": _apart(of[PAIRS], 1 - level),
+        "close": _closest(of[PAIRS], lead, level, len(rows[label]) - 1), "powered": POWERED,
+        "margin": margin, "pairs_margin": PAIRS_MARGIN, "n_groups": len(rows), "n_drawn": min(len(rows), MOST_DRAWN),
         "same": [row for other, some in rows.items() if other != label for row in some[:1]][:2],
         "is_drawn": any(row["ratio"] is not None for row in spectra[label]),
     }  # fmt: skip
-    drawn = dict(list(spectra.items())[:MOST_DRAWN])
+    first = list(spectra)[:MOST_DRAWN]
+    drawn = {one.label: spectra[one.label] for one in study.groups if one.label in first}  # n in ascending order
     return Answer(facts, tables=tables, figures={"spectrum": partial(spectrum, drawn)})
 
 
@@ -155,10 +157,16 @@ def _largest(rows: Sequence[Row]) -> Row:
 
 
 def _code(rows: Sequence[Row]) -> str:
-    """Whether exits close in time are more or fewer than chance gives, in the first gap that differs, or as many."""
+    """Whether exits close in time are more or fewer than chance gives, in the first gap that differs, or the same."""
     found = [row["verdict"] for row in rows]
     shown = [one for one in found if one in (MORE, LESS)]
-    return shown[0] if shown else AS_CHANCE if AS_CHANCE in found else UNKNOWN
+    return shown[0] if shown else WITHIN if WITHIN in found else UNKNOWN
+
+
+def _apart(rows: Sequence[Row], alpha: float) -> Row | None:
+    """Where pairs are shown to differ from chance by most, be it within the margin; None if nowhere."""
+    shown = [row for row in rows if row["p_adjusted"] is not None and row["p_adjusted"] < alpha]
+    return max(shown, key=lambda row: row["shown"], default=None)
 
 
 def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: int) -> Row | None:
@@ -186,7 +194,7 @@ def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: i
 @panel()
 def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
     """Power of n_stick over that of independent blocks, against the period; rows of the table `spectrum` by group."""
-    drawn = over_blocks(ax, groups, "upper left")
+    drawn = over_blocks(ax, groups)
     for k, (label, _, period, ratio, low, high, colour) in enumerate(drawn):
         ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
         ax.plot(

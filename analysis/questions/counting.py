@@ -12,15 +12,17 @@ from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFor
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
-from stickslip.analysis.questions.cascades import gamma_margin, verdict_on
+from stickslip.analysis.questions.cascades import GAMMA_MARGIN, verdict_on
 from stickslip.analysis.stats import enough, pool
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
-from stickslip.analysis.stats.nulls import DRAWS, block_steps
+from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
+#: Rotations of each run at most: gamma of independent blocks is known that much better than of the runs.
+ROTATIONS = 30
 NO_CASCADES, NO_INTERVAL = "no cascades", "no interval"  # reasons beside those of `stats.enough`
 SLOPE_MARGIN = 0.1  # of the slope of P(exit | n_stick), which a scene declares no margin for
 _PARTS = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
@@ -49,7 +51,7 @@ def answer(study: Study) -> Answer | None:
     facts: dict[str, Any] = {
         "lead": lead, "rows": rows, "alike": alike,
         "others": [row for row in alike if row is not lead and row in known],
-        "draws": min(study.settings.resamples, DRAWS), "margin": gamma_margin(study), "slope_margin": SLOPE_MARGIN,
+        "draws": min(study.settings.resamples, ROTATIONS), "margin": GAMMA_MARGIN, "slope_margin": SLOPE_MARGIN,
         "t_burn": study.settings.t_burn, "lulls": [row for row in rows if row["in_lulls"]],
         "refused": [row for row in alike if row not in known],
     }  # fmt: skip
@@ -59,7 +61,7 @@ def answer(study: Study) -> Answer | None:
 
 def _row(study: Study, group: Group) -> Row | None:
     """The parts of a group without its lulls; None if it has no events."""
-    level, margin, n = study.settings.confidence, gamma_margin(study), int(group.key["n"])
+    level, n = study.settings.confidence, int(group.key["n"])
     sums, halves = np.zeros((len(group.units), N_COLUMNS)), np.zeros((len(group.units), 4))
     lulls, total = 0.0, 0.0
     for k, member_id, win in study.windows(group):
@@ -69,7 +71,7 @@ def _row(study: Study, group: Group) -> Row | None:
         cut, steps, lull = without_lulls(win, steps)
         lulls, total = lulls + lull, total + win.t_stop - win.t_start
         if len(cut.t):
-            sums[k] += run_sums(cut, steps, min(study.settings.resamples, DRAWS), study.generator(member_id))
+            sums[k] += run_sums(cut, steps, min(study.settings.resamples, ROTATIONS), study.generator(member_id))
             halves[k] += [*enough.halves(cut), 1.0]
     cascades = sums[:, OBSERVED][:, 1]
     sums, halves, of = sums[cascades > 0], halves[cascades > 0], parts(n)
@@ -89,7 +91,7 @@ def _row(study: Study, group: Group) -> Row | None:
     for name, one in found.items():
         row |= named(name, one)
     if row["is_judged"]:
-        row["verdict"] = verdict_on(of["coupling"], sums, margin, level)
+        row["verdict"] = verdict_on(of["coupling"], sums, GAMMA_MARGIN, level)
         row["slope_verdict"] = verdict_on(of["over_slope"], sums, SLOPE_MARGIN, level)
     return row
 
@@ -105,13 +107,13 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="coin")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
     ax.plot(x, np.array([row["counting"] for row in rows]) * scale, "D", color=GREEN, markersize=3.5, label="pool")
-    for name, mark, colour, label, apart in (
-        ("independent", "s", SMOOTHED, "independent blocks", 0.97), ("excess", "o", EXACT, "runs", 1.03),
+    for name, mark, colour, label in (
+        ("independent", "s", SMOOTHED, "independent blocks"), ("excess", "o", EXACT, "runs"),
     ):  # fmt: skip
         value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
         for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
             ax.errorbar(
-                (x * apart)[some], value[some], yerr=[(value - low)[some], (high - value)[some]], fmt=mark,
+                x[some], value[some], yerr=[(value - low)[some], (high - value)[some]], fmt=mark,
                 color=colour, markersize=3.8, markerfacecolor="white" if mark == "s" else colour, linewidth=0.9,
                 label=said, alpha=alpha,
             )  # fmt: skip

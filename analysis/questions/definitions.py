@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
-from stickslip.analysis.questions.cascades import PAPER_GAMMA, SHALLOWER, STEEP, STEEPER, gamma_margin
+from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.stats import cascades
 from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, Window
 from stickslip.analysis.stats.effects import over_null, together
@@ -46,13 +46,13 @@ def answer(study: Study) -> Answer:
         "over": sorted(row["over"] for row in compared), "draws": min(study.settings.resamples, DRAWS),
         "n_differ": sum(row["verdict"] in (STEEPER, SHALLOWER) for row in compared),
         "n_alike": sum(row["verdict"] == STEEP.same for row in compared),
-        "margin": gamma_margin(study),
+        "margin": GAMMA_MARGIN,
         "brief": [_brief(lead, name, steps) for name in DEFINITIONS],
-        "paper": PAPER_GAMMA,
+        "paper": PAPER_GAMMA, "is_drawn": len({row["dt"] for row in sampled}) > 1,
         "spans": {name: _span(sampled, name) for name in ("length", "decreases")},
     }  # fmt: skip
-    figures = {"definitions": partial(by_step, lead, "gamma", "γ")}
-    if compared:
+    figures = {"definitions": partial(by_step, lead, "gamma", "γ")} if facts["is_drawn"] else {}
+    if compared and figures:
         figures["over_blocks"] = partial(by_step, lead, "over", "γ / independent blocks")
     return Answer(facts, tables=table, figures=figures)
 
@@ -97,10 +97,10 @@ def _observed(win: Window, dts: Iterable[float]) -> Sums:
 
 def _rows(group: Group, study: Study) -> list[Row]:
     """One row a law; all are judged together."""
-    confidence, margin = study.settings.confidence, gamma_margin(study)
+    confidence = study.settings.confidence
     observed, chance = _sums(study, group)
     seen = {law: sums[:, 1] > 0 for law, sums in observed.items()}
-    effects = together([over_null(gamma, observed[law][some], chance[law][some], confidence, margin)
+    effects = together([over_null(gamma, observed[law][some], chance[law][some], confidence, GAMMA_MARGIN)
                         for law, some in seen.items()])  # fmt: skip
     rows = []
     for (law, some), effect in zip(seen.items(), effects, strict=True):
@@ -142,7 +142,7 @@ def by_step(ax: Axes, rows: Sequence[Row], name: str, what: str) -> None:
             dt, value, low, high = (np.array([row[key] for row in some])
                                     for key in ("dt", name, f"{name}_low", f"{name}_high"))  # fmt: skip
             ax.errorbar(
-                dt * 1.03 ** (k - 1.5), value, yerr=[value - low, high - value], label=definition, color=CYCLE[k],
+                dt, value, yerr=[value - low, high - value], label=definition, color=CYCLE[k],
                 fmt="oDs^"[k], linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9,
             )  # fmt: skip
     ax.set_xscale("log")

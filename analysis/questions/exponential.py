@@ -1,4 +1,4 @@
-"""Is the law of cascade sizes exponential? A test of its variance, the finite pool's, each size, and rival laws."""
+"""Is the law of cascade sizes exponential? A test of its variance, the pool's, each size, and rival laws."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.stats import pool
 from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.cascades import sizes as cascade_sizes
-from stickslip.analysis.stats.compare import Words, against
+from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.dispersion import excess, moments
+from stickslip.analysis.stats.effects import MANY
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, paired_difference
 from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
-THINNER, THICKER, AS_EXPONENTIAL = "thinner", "thicker", "as exponential"
-TAIL = Words(AS_EXPONENTIAL, THICKER, THINNER)
 MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
 MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {
@@ -91,17 +90,17 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
     if over.value is None or over.low is None or over.high is None:
         return row
     row |= {"variance": 1 + over.value, "variance_low": 1 + over.low, "variance_high": 1 + over.high}
-    row["verdict"] = against(excess, moments(counts), MARGIN).verdict(level, TAIL)
+    row["verdict"] = against(excess, moments(counts), MARGIN).verdict(level, MANY)
     return row
 
 
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
     """What blocks without memory give, and how far the runs lie from it."""
-    n, mean = int(group.key["n"]), group.mean(confidence).value
+    n, mean = int(group.key["n"]), group.pool_mean
     known, over = sizes[0] == 1 and pool.is_one(n, mean), Estimate()
     if known:
-        means = group.by_unit()[group.counts.sum(axis=1) > 0]
-        over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), means[:, [0, 4]]]), confidence)
+        stuck = group.stuck[group.counts.sum(axis=1) > 0]
+        over = over_matrices(pool.excess_against(n), np.hstack([moments(counts), stuck]), confidence)
     value = 1 + pool.excess(n, mean) if known and mean is not None else None
     return {"pool": value, **named("over_pool", over)}
 
@@ -132,7 +131,7 @@ def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: 
         found = quotients(sizes, counts, confidence)
     except Undefined:
         return []
-    n, mean = int(group.key["n"]), group.mean(confidence).value
+    n, mean = int(group.key["n"]), group.pool_mean
     law = pool.law(n, mean, int(sizes[-1])) if mean is not None and sizes[0] == 1 and pool.is_one(n, mean) else None
     return [
         {"group": group.label, **one, "pool": None if law is None else float(law[one["size"] - 1] / one["fit"])}
@@ -166,7 +165,7 @@ def over_fit(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
             color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], markersize=3.5, lw=0.9,
         )  # fmt: skip
         if k == 0 and seen[0]["pool"] is not None:
-            ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="finite pool")
+            ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="pool")
     ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
     size_axis(ax, largest)
     ax.legend(loc="lower left", fontsize=7)

@@ -8,11 +8,13 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy import special
+from scipy import special, stats
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame, named
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study, law
+from stickslip.analysis.questions.sweep import curves
 from stickslip.analysis.stats import rhythm, student
+from stickslip.analysis.stats.compare import equivalence_test
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
@@ -33,7 +35,10 @@ CYCLES = 3.0  # of a block: a motion that takes longer is slow
 LAWS = ("period", "quality", "share")  # numbers whose laws are asked for
 KEYS = ("n", "kappa", "rho", "belt_speed")  # along which
 LEAST_POINTS = 3  # of a law
-MOST_DRAWN = 2  # groups in the figure
+LEAST_FACTOR = 2.0  # that a key's values span, where a number may be said to go as a power of it
+LEAST_P = 0.05  # of one power for all, as of points on it: below, it is none
+MOST_DRAWN = 3  # groups in the figure
+ENGINE = "engine"  # beside `KEYS`
 _ORDER = (SWINGS, SLOW, NONE, SHORT)  # what leads
 RISES, FALLS, UNKNOWN = "rises", "falls", "cannot be told"
 _RHYTHM: Mapping[str, str] = {
@@ -42,8 +47,12 @@ _RHYTHM: Mapping[str, str] = {
 }  # fmt: skip
 _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "low": F, "high": F, "model": F}
 _LAW: Mapping[str, str] = {
-    "number": S, "key": S, "first_value": F, "last_value": F, "n_points": F, "first": F, "last": F, "exponent": F,
-    "low": F, "high": F, "p_value": F, "p_adjusted": F, "p_misfit": F, "verdict": S,
+    "number": S, "key": S, "first_value": F, "last_value": F, "n_points": F, "exponent": F, "low": F, "high": F,
+    "p_value": F, "p_adjusted": F, "p_misfit": F, "p_apart": F,
+}  # fmt: skip
+_CHANGE: Mapping[str, str] = {
+    "number": S, "key": S, "at": S, "first_value": S, "last_value": S, "first": F, "last": F, "change": F, "low": F,
+    "high": F, "p_value": F, "p_adjusted": F, "verdict": S,
 }  # fmt: skip
 
 
@@ -78,22 +87,34 @@ def answer(study: Study) -> Answer:
         return Answer(lack="no events")
     level, t_burn = study.settings.confidence, study.settings.t_burn
     rows = [_row(one, t_burn) for one in measured]
-    laws = _laws(measured, rows, level)
+    known = [one for one, row in zip(measured, rows, strict=True) if row["verdict"] in (SWINGS, SLOW)]
+    known.sort(key=lambda one: int(one.group.key["n"]))
+    changes = _changes(known, level)
+    laws = [one for key in KEYS for name in LAWS for one in [_law(name, key, known, level)] if one]
+    for one, p in zip(laws, holm([one["p_value"] for one in laws]), strict=True):
+        one["p_adjusted"] = float(p)
     spectra = {one.group.label: _bands(one, level) for one in measured if one.found is not None}
     tables = {
-        "rhythm": frame(_RHYTHM, rows), "rhythm_laws": frame(_LAW, laws),
+        "rhythm": frame(_RHYTHM, rows), "rhythm_changes": frame(_CHANGE, changes), "rhythm_laws": frame(_LAW, laws),
         "rhythm_spectrum": frame(_SPECTRUM, [row for some in spectra.values() for row in some]),
     }  # fmt: skip
     lead = min(rows, key=lambda row: _ORDER.index(row["verdict"]))  # of like ones the first
+    told = _told(changes, lead["group"])
     facts = {
-        "lead": lead, "rows": rows, "laws": laws, "cycles": CYCLES, "n_surrogates": rhythm.SURROGATES,
-        "level": 1 - level,
+        "lead": lead, "rows": rows, "laws": [one for one in laws if _is_power(one, 1 - level)],
+        "changes": changes, "told": told,
+        "cycles": CYCLES, "n_surrogates": rhythm.SURROGATES, "level": 1 - level,
     }  # fmt: skip
     if lead["verdict"] == SHORT and lead["p_value"] is None:
         return Answer(facts, lack="short", tables=tables)
-    in_order = sorted(spectra, key=lambda label: label != lead["group"])
-    drawn = {label: spectra[label] for label in in_order[:MOST_DRAWN]}
-    return Answer(facts, tables=tables, figures={"rhythm": partial(spectrum, drawn)})
+    compared = [lead["group"], *(one["groups"][end] for one in told for end in (0, -1))]
+    in_order = sorted(spectra, key=lambda label: compared.index(label) if label in compared else len(compared))
+    drawn = {group.label: spectra[group.label] for group in study.groups if group.label in in_order[:MOST_DRAWN]}
+    figures, along = {"rhythm": partial(spectrum, drawn)}, _along(told, changes)
+    if along:
+        figures["rhythm_period"] = partial(curves, "natural period", *_lines(along, rows))
+    facts |= {"n_drawn": len(drawn), "along": along[0]["key"] if along else None}
+    return Answer(facts, tables=tables, figures=figures)
 
 
 def _measured(study: Study, group: Group) -> _Measured | None:
@@ -130,7 +151,14 @@ def _measured(study: Study, group: Group) -> _Measured | None:
 def _row(one: _Measured, t_burn: float) -> Row:
     """What a group shows; `needed` is the t_end that could tell, where this one cannot."""
     found, span = one.found, one.data.span
-    row: Row = {"group": one.group.label, "cycle": one.cycle, "span": span, "n_windows": float(one.data.n_runs.sum())}
+    row: Row = {
+        "group": one.group.label,
+        "n_runs": len(one.group.members),
+        "n_moving": len(one.group.moving),
+        "cycle": one.cycle,
+        "span": span,
+        "n_windows": float(one.data.n_runs.sum()),
+    }
     if found is None:
         row |= {"verdict": SHORT, "p_value": None, "needed": t_burn + LEAST_HARMONICS * CYCLES * one.cycle}
     else:
@@ -142,52 +170,142 @@ def _row(one: _Measured, t_burn: float) -> Row:
     return row | {"reason": next((one.reason for one in estimates.values() if one.reason), None)}
 
 
-# ------------------------------------------------------------------------------------------------- laws
+# ------------------------------------------------------------------------------------- changes and laws
 
 
-def _laws(measured: Sequence[_Measured], rows: Sequence[Row], confidence: float) -> list[Row]:
-    """Each number as a power of each key that groups differ in; all are judged together."""
-    known = [one for one, row in zip(measured, rows, strict=True) if row["verdict"] in (SWINGS, SLOW)]
-    laws = [law for key in KEYS for name in LAWS for law in [_law(name, key, known, confidence)] if law]
-    for law, p in zip(laws, holm([law["p_value"] for law in laws]), strict=True):
-        is_shown = p <= 1 - confidence
-        law |= {"p_adjusted": float(p), "verdict": (RISES if law["exponent"] > 0 else FALLS) if is_shown else UNKNOWN}
-    return laws
+def _alike(key: str, known: Sequence[_Measured]) -> list[list[_Measured]]:
+    """Groups that differ in one key alone, several each, in its order; for `ENGINE` the exact one first."""
+    own = ENGINE_KEYS if key == ENGINE else (key,)
+    sets: dict[tuple[object, ...], list[_Measured]] = {}
+    for one in known:
+        if key == ENGINE or one.group.key[key]:
+            others = tuple(value for other, value in one.group.key.items() if other not in own)
+            sets.setdefault(others, []).append(one)
+    order = _exact_first if key == ENGINE else lambda one: float(one.group.key[key])
+    return [sorted(some, key=order) for some in sets.values() if len(some) > 1]
+
+
+def _exact_first(one: _Measured) -> bool:
+    return law(one.group.key["engine"]) != "exact"
+
+
+def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:
+    """Each number from the first to the last of groups that differ in one key, judged together by Holm's rule."""
+    varied = [name for name in KEYS if len({one.group.key[name] for one in known}) > 1]
+    engines = {one.group.key["engine"] for one in known}
+    found = [
+        _change(name, key, some, confidence)
+        | {"at": _others(some[0], [other for other in varied if other != key], key != ENGINE and len(engines) > 1)}
+        for name in LAWS for key in (*KEYS, ENGINE) for some in _alike(key, known)
+    ]  # fmt: skip
+    for row, p in zip(found, holm([row["p_value"] for row in found]), strict=True):
+        shown = RISES if row["change"] > 0 else FALLS
+        row |= {"p_adjusted": float(p), "verdict": shown if p < 1 - confidence else UNKNOWN}
+    return found
+
+
+def _others(one: _Measured, names: Sequence[str], by_engine: bool) -> str | None:
+    """What groups that differ in one key share, of what others differ in."""
+    of_engine = [law(one.group.key["engine"])] if by_engine else []
+    return ", ".join([f"{name} = {one.group.key[name]:g}" for name in names] + of_engine) or None
+
+
+def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -> Row:
+    """The last over the first, less one; for its error a matrix is left out of both at once, as they share draws."""
+    units = sorted({unit for one in (some[0], some[-1]) for unit in one.units})
+    logs = np.array(some[-1].logs(name, units)) - np.array(some[0].logs(name, units))
+    test = equivalence_test(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1, 0.0)
+    values = [one.group.label if key == ENGINE else f"{one.group.key[key]:g}" for one in some]
+    numbers = [float(np.exp(one.logs(name, ())[0])) for one in some]
+    return {
+        "number": name, "key": key, "values": values, "numbers": numbers, "groups": [one.group.label for one in some],
+        "first_value": values[0], "last_value": values[-1], "first": numbers[0], "last": numbers[-1],
+        **dict(zip(("change", "low", "high"), np.expm1([test.difference, *test.interval(confidence)]).tolist(),
+                   strict=True)),
+        "p_value": test.p_different,
+    }  # fmt: skip
+
+
+def _told(changes: Sequence[Row], lead: str) -> list[Row]:
+    """Changes of the natural period that are shown among others of the leading group, and where they are not."""
+    of_period = [row for row in changes if row["number"] == "period" and row["key"] != ENGINE]
+    return [
+        row | {"not_at": [one["at"] for one in of_period
+                          if one["key"] == row["key"] and one["verdict"] != row["verdict"]]}
+        for row in of_period if lead in row["groups"] and row["verdict"] != UNKNOWN
+    ]  # fmt: skip
+
+
+def _along(told: Sequence[Row], changes: Sequence[Row]) -> list[Row]:
+    """Changes of the natural period with one key: that told first, else the first that groups differ in."""
+    of_period = [row for row in changes if row["number"] == "period" and row["key"] != ENGINE]
+    key = next((row["key"] for row in (*told, *of_period)), None)
+    return [row for row in of_period if row["key"] == key]
+
+
+def _lines(
+    along: Sequence[Row], rows: Sequence[Row]
+) -> tuple[str, list[float], list[str], list[tuple[str, list[Estimate | None]]]]:
+    """For `curves`: the key, its values, and the natural period along it, a line for each value of the others."""
+    by_label = {row["group"]: row for row in rows}
+    ticks = sorted({value for row in along for value in row["values"]}, key=float)
+    lines = []
+    for one in along:
+        found = {value: by_label[label] for value, label in zip(one["values"], one["groups"], strict=True)}
+        at = [found.get(value) for value in ticks]
+        line = [
+            None if row is None else Estimate(*(row[f"period{end}"] for end in ("", "_low", "_high"))) for row in at
+        ]
+        lines.append((one["at"] or "", line))
+    return along[0]["key"], [float(value) for value in ticks], ticks, lines
 
 
 def _law(name: str, key: str, known: Sequence[_Measured], confidence: float) -> Row | None:
     """The exponent of a number in |key|, one for all sets of groups that differ in this key alone.
 
-    Least squares of the logarithms, weighted by the errors of the points; its error is from leaving out a matrix
-    everywhere at once, as groups share draws.
+    Least squares of the logarithms, weighted by the errors of the points; errors are from leaving out a matrix
+    everywhere at once, as groups share draws. `p_misfit` is of the points about the lines, `p_apart` of the sets'
+    own exponents about each other (Hotelling's T^2; null for one set).
     """
-    sets: dict[tuple[object, ...], list[_Measured]] = {}
-    for one in known:
-        if one.group.key[key]:
-            others = tuple(value for other, value in one.group.key.items() if other != key)
-            sets.setdefault(others, []).append(one)
-    points = [(one, k) for k, some in enumerate(sets.values()) for one in some if len(some) > 1]
+    sets = _alike(key, known)
+    points = [(one, k) for k, some in enumerate(sets) for one in some]
     at = np.array([abs(float(one.group.key[key])) for one, _ in points])
     if len(set(at.tolist())) < LEAST_POINTS:
         return None
     units = sorted({unit for one, _ in points for unit in one.units})
     x, y = np.log(at), np.array([one.logs(name, units) for one, _ in points])
-    means = [float(np.exp(y[at == end, 0].mean())) for end in (at.min(), at.max())]
     weight = np.array([jackknife_error(np.array(one.logs(name, one.units)[1:])) ** -2 for one, _ in points])
-    of_set = np.array([k for _, k in points])
-    for k in set(of_set.tolist()):  # each has a level of its own
-        own = of_set == k
-        share = weight[own] / weight[own].sum()
-        x[own], y[own] = x[own] - share @ x[own], y[own] - share @ y[own]
+    own = np.array([k for _, k in points])[:, None] == np.arange(len(sets))  # each set has a level of its own
+    share = own * weight[:, None] / (weight @ own)
+    x, y = x - own @ (share.T @ x), y - own @ (share.T @ y)
+    by_set = (own.T @ (weight[:, None] * x[:, None] * y)) / (own.T @ (weight * x**2))[:, None]
     slopes = (weight * x) @ y / (weight @ x**2)
     slope, its_error, dof = float(slopes[0]), jackknife_error(slopes[1:]), len(units) - 1
-    half, n_free = student.half_width(confidence, dof) * its_error, len(points) - len(set(of_set.tolist())) - 1
+    half, n_free = student.half_width(confidence, dof) * its_error, len(points) - len(sets) - 1
     return {
-        "number": name, "key": key, "n_points": len(points), "first_value": float(at.min()), "first": means[0],
-        "last_value": float(at.max()), "last": means[1], "exponent": slope, "low": slope - half, "high": slope + half,
+        "number": name, "key": key, "n_points": len(points), "first_value": float(at.min()),
+        "last_value": float(at.max()), "exponent": slope, "low": slope - half, "high": slope + half,
         "p_value": student.two_sided(slope / its_error, dof),
         "p_misfit": float(special.chdtrc(n_free, weight @ (y[:, 0] - slope * x) ** 2)),
+        "p_apart": _p_apart(by_set),
     }  # fmt: skip
+
+
+def _p_apart(slopes: np.ndarray) -> float | None:
+    """That the slopes of some sets are one, shape (k, 1 + G): all, and without one matrix each."""
+    apart, n = slopes[1:] - slopes[0], slopes.shape[1] - 1
+    k = len(apart)
+    if not 0 < k < n:
+        return None
+    off = apart[:, 1:] - apart[:, 1:].mean(axis=1, keepdims=True)
+    square = apart[:, 0] @ np.linalg.solve((n - 1) / n * off @ off.T, apart[:, 0])
+    return float(stats.f.sf((n - k) / (k * (n - 1)) * square, k, n - k))
+
+
+def _is_power(found: Row, alpha: float) -> bool:
+    """Whether a number may be said to go as a power of a key: one is shown, over a wide range, and fits all sets."""
+    fits = min(found["p_misfit"], 1.0 if found["p_apart"] is None else found["p_apart"]) >= LEAST_P
+    return bool(fits and found["p_adjusted"] < alpha and found["last_value"] >= LEAST_FACTOR * found["first_value"])
 
 
 # ---------------------------------------------------------------------------------------------- the figure
@@ -217,11 +335,11 @@ def _bands(one: _Measured, confidence: float) -> list[Row]:
 @panel()
 def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
     """Power of n_stick over that of independent blocks, against the period; rows of `rhythm_spectrum` by group."""
-    drawn = over_blocks(ax, groups, "lower right")
+    drawn = over_blocks(ax, groups)
     for k, (label, seen, period, ratio, low, high, colour) in enumerate(drawn):
         ax.errorbar(
-            period * 1.02**k, ratio, yerr=[ratio - low, high - ratio], color=colour, fmt="os"[k % 2], markersize=3,
-            linewidth=0.9, label=label, markerfacecolor=(colour, "white")[k % 2],
+            period, ratio, yerr=[ratio - low, high - ratio], color=colour, fmt="os^"[k % 3], markersize=3,
+            linewidth=0.9, label=label, markerfacecolor=(colour, "white", "white")[k % 3],
         )  # fmt: skip
         if all(row["model"] is not None for row in seen):
             ax.plot(period, [row["model"] for row in seen], color=colour)

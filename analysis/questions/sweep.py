@@ -6,7 +6,7 @@ draws are the same at all of them. A row of a comparison is a unit, its runs at 
 
 from __future__ import annotations
 
-from collections import ChainMap
+from collections import ChainMap, Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,13 +24,13 @@ from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
 from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import Words
+from stickslip.analysis.stats.compare import WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
-RISES, FALLS, STAYS = "rises", "falls", "stays"
+RISES, FALLS = "rises", "falls"
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
 MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
@@ -89,7 +89,7 @@ def answer(study: Study) -> Answer | None:
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
     for row in contrasts:  # a change is one from nothing too, which has no ratio
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
-    contrast.judge(contrasts, 1 - level, Words(STAYS, RISES, FALLS))
+    contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
     keys = {key: _kind(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
@@ -97,6 +97,7 @@ def answer(study: Study) -> Answer | None:
     facts: dict[str, Any] = {
         "setting": lead,
         "n_settings": len(points),
+        "is_by_n": len({some[0].group.key["n"] for some in points.values()}) == len(points),
         "axes": [{"name": axis.name, "keys": axis.keys, "values": [said(v) for v in axis.values]} for axis in axes],
         "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
@@ -111,10 +112,18 @@ def answer(study: Study) -> Answer | None:
         return Answer(facts | {"few": few}, lack=enough.FEW_MATRICES, tables=tables)
     leading = _leading(own)
     told = _told(own, axes, leading)
+    for row in own:
+        row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
     figures = _figures(points, lead, sorted(axes, key=lambda axis: in_order.index(axis.name)), leading, level)
-    facts |= {"changes": _ends(own, axes), "told": told, "figures": list(figures), "along": most}
+    facts |= {
+        "changes": _ends(own, axes),
+        "ends": [row for row in contrasts if row["is_last"]],
+        "told": told,
+        "figures": list(figures),
+        "along": most,
+    }
     return Answer(facts, tables=tables, figures=figures)
 
 
@@ -294,6 +303,20 @@ def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> 
     return sorted(found, key=lambda row: (row["verdict"] not in (RISES, FALLS), -_weight(row)))
 
 
+def _place(row: Row) -> tuple[Any, ...]:
+    """What a change is of, whatever the setting."""
+    return tuple(row[name] for name in ("quantity", "key", "first_value", "second_value"))
+
+
+def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
+    """A change in several settings: the least and the largest, and the verdicts; None if one has none."""
+    known = sorted((row for row in rows if row["relative"] is not None), key=lambda row: row["relative"])
+    if not len(known) == n_settings > 1:
+        return {"everywhere": None}
+    verdicts = Counter(row["verdict"] for row in known).most_common()
+    return {"everywhere": {"ends": [known[0]["relative"], known[-1]["relative"]], "verdicts": verdicts}}
+
+
 def _weight(row: Row) -> float:
     """A change in units of its margin; from nothing it is without bound."""
     return np.inf if row["relative"] is None else contrast.weight(row)
@@ -386,7 +409,8 @@ def _lines(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
     """Along the first axis: a line for each value of the next one, or for each setting."""
-    parts: list[tuple[str, Sequence[Point]]] = [(name, points[name]) for name in (lead, *(points.keys() - {lead}))]
+    kept = {lead, *list(points)[: MOST_LINES - 1]}
+    parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
         along = axes[1]
         parts = [(f"{along.name} = {said(value)}", _at(points[lead], along, value)) for value in along.values]
@@ -402,7 +426,7 @@ def curves(
     ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
     lines: Sequence[tuple[str, Sequence[Estimate | None]]],
 ) -> None:  # fmt: skip
-    """A statistic against a key, with intervals, a line a value of another key, drawn a little apart.
+    """A statistic against a key, with intervals, a line a value of another key.
 
     Where the key's values are no numbers, `x` is None and they stand evenly spaced.
     """
@@ -412,8 +436,7 @@ def curves(
         seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
         value = np.array([one.value for _, one in seen], dtype=float)
         ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
-        apart = 0.008 * (at.max() - at.min()) * (k - 0.5 * (len(lines) - 1))
-        here, mark = [place + apart for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
+        here, mark = [place for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
         ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
                     color=colours[k], label=name)  # fmt: skip
     if x is None:

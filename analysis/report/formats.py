@@ -13,6 +13,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
+from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
 
 MINUS, DASH = "\u2212", "\u2013"
@@ -46,6 +47,11 @@ def percent(value: float, digits: int = 2) -> str:
 def signed_percent(value: float, digits: int = 2) -> str:
     """A relative difference, with its sign."""
     return ("+" if value >= 0 else "") + percent(value, digits)
+
+
+def within(verdict: str | None, margin: float) -> str | None:
+    """A verdict, that of sameness with the margin that it holds for: "within 1%"."""
+    return f"{WITHIN} {100 * margin:g}%" if verdict == WITHIN else verdict
 
 
 def p_text(p: float) -> str:
@@ -265,7 +271,7 @@ def environment(*packages: str) -> Environment:
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
         "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
-        "plural": plural,
+        "plural": plural, "within": within,
     }  # fmt: skip
     found.globals |= {
         "count": count, "between": between, "table": table, "number": number, "fixed": fixed, "percent": percent,

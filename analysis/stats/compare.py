@@ -22,6 +22,7 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
 
 AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
+WITHIN = "within"  # the margin, which pages give with it: "within 1%"
 
 
 @dataclass(frozen=True)

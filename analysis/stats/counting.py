@@ -35,11 +35,16 @@ OBSERVED, ROTATED, MEAN, SLOPE = (slice(k, k + 2) for k in (0, 2, 4, 6))
 N_COLUMNS = 8
 
 
+def lulls(win: Window) -> np.ndarray:
+    """How long n_stick stays at each value of its path, shape (m + 1,), where that is a lull; else 0."""
+    lengths = np.diff(win.t, prepend=win.t_start, append=win.t_stop)
+    return np.where((lengths > LULL) & (win.path() == 0), lengths, 0.0)
+
+
 def without_lulls(win: Window, steps: BlockSteps) -> tuple[Window, BlockSteps, float]:
     """A window and its blocks' changes with its lulls cut out, and how long these are together."""
-    path, edges = win.path(), np.concatenate(([win.t_start], win.t, [win.t_stop]))
-    lengths = np.diff(edges)
-    cut = np.concatenate(([0.0], np.cumsum(np.where((path == 0) & (lengths > LULL), lengths, 0.0))))
+    edges = np.concatenate(([win.t_start], win.t, [win.t_stop]))
+    cut = np.concatenate(([0.0], np.cumsum(lulls(win))))
     total = float(cut[-1])
     if not total:
         return win, steps, 0.0

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.stats.compare import UNKNOWN, Words, against, verdict
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against, verdict
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined
 from stickslip.analysis.stats.multiplicity import adjusted
 
-MORE, LESS, AS_CHANCE = "more", "less", "as chance"
-MANY = Words(AS_CHANCE, MORE, LESS)
+MORE, LESS = "more", "less"
+MANY = Words(WITHIN, MORE, LESS)
 
 
 @dataclass(frozen=True)

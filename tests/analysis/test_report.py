@@ -85,7 +85,7 @@ def test_as_chance_has_to_be_shown():
         )
         return verdict_on(ratio, rows, margin, 0.95)
 
-    assert verdicts(0.002, 0.0005, 0.007) == verdicts(0.0, 0.003, 0.007) == "as chance"
+    assert verdicts(0.002, 0.0005, 0.007) == verdicts(0.0, 0.003, 0.007) == "within"
     assert verdicts(0.002, 0.003, 0.007) == "cannot be told"
     assert verdicts(0.006, 0.002, 0.007) == "cannot be told", (
         "there is a difference, by its estimate within the margin"

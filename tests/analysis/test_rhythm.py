@@ -142,25 +142,81 @@ def test_several_runs_of_a_matrix_are_no_more_surrogates_than_they_are(rng):
 # ------------------------------------------------------------------------------------------------ the question
 
 
-def point(key, value, period, rng, error=0.03):
+def point(keys, period, rng, error=0.03):
     """A group whose periods without one matrix each have an error of that size."""
     off = error / np.sqrt(19) * rng.standard_normal(20)
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
     numbers = {name: np.exp(logs) for name in question.LAWS}
     found = rhythm.Rhythm(rhythm.SWINGS, 0.001, values=numbers)
-    keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2} | {key: value}
-    return question._Measured(SimpleNamespace(key=keys), list(range(20)), None, 36.0, found)
+    keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
+    label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
+    return question._Measured(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
+
+
+def power(points):
+    """What `answer` makes of a law by itself: the law of the period with n, and whether it is said as a power."""
+    law = question._law("period", "n", points, 0.95)
+    return law, question._is_power(law | {"p_adjusted": law["p_value"]}, 0.05)
 
 
 def test_a_law_is_the_exponent_that_was_planted(rng):
     held = 0
     for _ in range(100):
-        points = [point("belt_speed", -v, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
+        points = [point({"belt_speed": -v}, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
         law = question._law("period", "belt_speed", points, 0.95)
         held += law["low"] <= 0.4 <= law["high"]
     assert agrees(held, 100, 0.85, 0.99)
     assert (law["first_value"], law["last_value"], law["n_points"]) == (0.05, 0.2, 3)
     assert question._law("period", "kappa", points, 0.95) is None
+
+
+def test_a_power_is_said_over_a_wide_range_and_where_it_is_one(rng):
+    """At two belt speeds, with one exponent or two; 150 to 200 is too narrow for any."""
+
+    def said_of(n, exponents):
+        points = [
+            point({"n": size, "belt_speed": speed}, 450 * (size / 150) ** exponent, rng)
+            for speed, exponent in zip((-0.1, -0.2), exponents, strict=True)
+            for size in n
+        ]
+        return power(points)
+
+    wide = [said_of((50, 100, 200), (-0.8, -0.8)) for _ in range(60)]
+    assert agrees(sum(said for _, said in wide), 60, 0.82, 0.96)  # each of the two tests refuses one in twenty
+    apart = [law["p_apart"] for law, _ in wide]
+    assert agrees(sum(p < 0.05 for p in apart), 60, 0.05)
+    law, said = said_of((50, 100, 200), (-0.9, -0.1))
+    assert law["p_apart"] < 0.01
+    assert not said
+    law, said = said_of((150, 175, 200), (-0.8, -0.8))
+    assert law["p_value"] < 0.05
+    assert not said
+
+
+def test_a_change_is_told_with_the_numbers_of_the_named_group_and_where_it_is_not_shown(rng):
+    periods = {(150, -0.1): 440, (175, -0.1): 400, (200, -0.1): 360, (150, -0.2): 500, (175, -0.2): 500,
+               (200, -0.2): 500}  # fmt: skip
+    points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
+    changes = question._changes(points, 0.95)
+    told = question._told(changes, "n = 200, coulomb, belt_speed = -0.1")
+    assert [(row["key"], row["at"], row["not_at"]) for row in told] == [
+        ("n", "belt_speed = -0.1", ["belt_speed = -0.2"]), ("belt_speed", "n = 200", []),
+    ]  # fmt: skip
+    assert told[0]["numbers"] == pytest.approx([440, 400, 360], rel=0.03)
+    words = str(environment().get_template("rhythm.html").module.change(told[0]))
+    assert words.strip().startswith("from n = 150 to 200 (4")
+    assert words.strip().endswith("; at belt_speed = \N{MINUS SIGN}0.2 no fall is shown)")
+
+
+def test_changes_hold_the_planted_ones_between_engines_too(rng):
+    held = 0
+    for _ in range(100):
+        points = [point({"engine": engine}, period, rng) for engine, period in (("sigmoid", 540), ("coulomb", 450))]
+        (row,) = (row for row in question._changes(points, 0.95) if row["number"] == "period")
+        held += row["low"] <= 0.2 <= row["high"]
+        assert row["key"] == "engine"
+        assert row["groups"][0].startswith("n = 200, coulomb")
+    assert agrees(held, 100, 0.85, 0.99)
 
 
 def run_of(steps, matrix):
@@ -196,7 +252,7 @@ def test_a_common_mode_of_blocks_is_said_with_its_share(planted, rng):
     assert row["verdict"] in (rhythm.SWINGS, rhythm.SLOW)
     assert "slowly together" in text
     assert "of the variance" in text
-    assert set(found.tables) == {"rhythm", "rhythm_laws", "rhythm_spectrum"}
+    assert set(found.tables) == {"rhythm", "rhythm_changes", "rhythm_laws", "rhythm_spectrum"}
     assert all(
         value == value for table in found.tables.values() for value in table.to_numpy().ravel() if value is not pd.NA
     )
