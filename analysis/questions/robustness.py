@@ -5,6 +5,8 @@ Replicates of a matrix are its base and the copies that only started elsewhere a
 
 from __future__ import annotations
 
+import math
+
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -198,8 +200,9 @@ class _Judged:
             if row["p_moves"] is not None:
                 row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}
             if not self.lack:
+                moved = math.inf if row["theta"] is None else row["theta"]  # matrices cannot be told apart
                 row["verdict"] = verdict(
-                    float(p_stays), float(p_moves), 1 - self.level, row["theta"], BOUND, Words(STAYS, MOVES, MOVES)
+                    float(p_stays), float(p_moves), 1 - self.level, moved, BOUND, Words(STAYS, MOVES, MOVES)
                 )
         return rows
 
