@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stickslip.pipeline import expand, parse_scene
-from stickslip.pipeline.design import as_batch, tasks
+from stickslip.pipeline.ensemble.pack import as_batch, tasks
 
 ROOT = Path(__file__).parents[2]
 
@@ -165,8 +165,8 @@ def test_each_draw_is_numpys_own_under_its_key(source):
 
 #: What a member is, from the file of the scene on, and what of its run becomes which column.
 DETERMINING = (
-    "design", "ends", "engine_table", "quantity", "scene", "schema", "system_files", "system_table", "systems",
-    "tables", "worker",
+    "dataset/schema", "ensemble/expand", "ensemble/member", "ensemble/new", "records/events", "records/new",
+    "running/ends", "running/worker", "scene/new", "scene/quantity", "scene/scene", "scene/systems", "scene/toml",
 )  # fmt: skip
 
 
@@ -180,8 +180,8 @@ def test_the_programs_digest_covers_all_that_determines_numbers(tmp_path):
     asked = """
 import sys
 from pathlib import Path
-from stickslip.pipeline.worker import program
-from stickslip.sim.engines.sources import source_digest
+from stickslip.pipeline.dataset.result import program
+from stickslip.sim.kernels.digest import source_digest
 print(program())
 for room in map(Path, sys.argv[1:]):
     room.parent.mkdir(exist_ok=True)
@@ -238,10 +238,10 @@ def test_batches_hold_every_member_once_in_order(scene):
 def test_a_scene_of_many_batches_has_larger_ones_and_the_last_are_smaller(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
-    monkeypatch.setattr("stickslip.pipeline.design._MANY", 3)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack._MANY", 3)
     for parts, of_largest in ((1, 1), (3.01, 3), (6, 3), (24, 4.8)):
         target, largest = whole / parts, whole / of_largest
-        monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", target)
+        monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", target)
         packed = [batch for batch, _ in tasks(scene)]
         rest = whole
         for batch in packed:

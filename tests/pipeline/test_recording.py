@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify, worker
-from stickslip.pipeline.design import Member
+from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify
+from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
-from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.running import worker
+from stickslip.pipeline.scene.columns import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -140,7 +141,9 @@ def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
     """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
     worker._states.cache_clear()
     task, made = Member.task, []
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", lambda *args: made.append(args) or task(*args))
+    monkeypatch.setattr(
+        "stickslip.pipeline.ensemble.member.Member.task", lambda *args: made.append(args) or task(*args)
+    )
     for member in expand(scene):
         worker.row(member, Recording.of(scene))
     assert len(made) == scene.n_members + 2 * 3

@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 import scipy.sparse
 
-from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
-from stickslip.pipeline.cluster import check_memory
-from stickslip.pipeline.toml import written
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
+from stickslip.pipeline.running import cluster
+from stickslip.pipeline.running.cluster import check_memory
+from stickslip.pipeline.scene.toml import written
 from stickslip.sim.systems.friction import Rational
 from stickslip.workflows.reporting import study_of
 from tests.scenes import COULOMB, ENDING, ensemble

@@ -16,10 +16,11 @@ import scipy.io
 import scipy.sparse
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
-from stickslip.pipeline.design import tasks
-from stickslip.pipeline.scene import parse_scene
-from stickslip.pipeline.system_table import FileTable
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, verify
+from stickslip.pipeline.ensemble.pack import tasks
+from stickslip.pipeline.scene import systems
+from stickslip.pipeline.scene.scene import parse_scene
+from stickslip.pipeline.scene.system_table import FileTable
 from stickslip.workflows.commands import main
 from tests.scenes import ENDING
 
