@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Record, Sharing, is_exact
+from stickslip.pipeline.records.record import Facts, Made, Member, Record, Sharing, is_exact
 from stickslip.sim.energy import Energy, TooLongError, energy
 from stickslip.sim.engines import ENGINES
-
-if TYPE_CHECKING:
-    from stickslip.pipeline.ensemble.member import Member
 
 
 class EnergyRecord(Record):

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Memory, Record, Sharing
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
 from stickslip.sim.systems.system import System
-
-if TYPE_CHECKING:
-    from stickslip.pipeline.ensemble.member import Member
 
 _KNOWN: WeakKeyDictionary[System, float] = WeakKeyDictionary()
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -21,10 +21,26 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System
 
-if TYPE_CHECKING:
-    from stickslip.pipeline.ensemble.member import Member
-
 _NONE = np.empty(0)
+
+
+class Member(Protocol):
+    """What a record may ask of a member: see `stickslip.pipeline.ensemble.member.Member`."""
+
+    @property
+    def n(self) -> int: ...
+    @property
+    def engine(self) -> str: ...
+    @property
+    def settings(self) -> tuple[tuple[str, Any], ...]: ...
+    @property
+    def ratio_draw(self) -> int | None: ...
+    @property
+    def t_end(self) -> float: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def base(self) -> Member | None: ...
 
 
 @dataclass(frozen=True)
@@ -49,7 +65,7 @@ class Made:
     system: System
     run: Run
     start: tuple[Any, Any]
-    again: Callable[[Member, tuple[float, ...]], Samples]
+    again: Callable[[Any, tuple[float, ...]], Samples]
     found: dict[str, Any]
 
 

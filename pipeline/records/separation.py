@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Memory, Record, Sharing
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
 from stickslip.sim.numerics.arguments import Floats
-
-if TYPE_CHECKING:
-    from stickslip.pipeline.ensemble.member import Member
 
 
 @dataclass(frozen=True)
