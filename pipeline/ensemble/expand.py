@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
-from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
 from stickslip.pipeline.scene.engine_table import EngineTable
 from stickslip.pipeline.scene.quantity import BELT, END, FILE, Value, short, word
@@ -21,6 +21,9 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 
 #: The readings of a perturbation in a member's name. The data hang on it too.
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
+
+#: In the order of a member's terms, whatever a scene sweeps.
+_TERMS = (*QUANTITIES, "back_slip")
 
 
 def expand(scene: Scene) -> tuple[Member, ...]:
@@ -40,11 +43,12 @@ def _members(scene: Scene) -> Iterator[Member]:
         for matrix in range(scene.run.matrices):
             number = matrix if origin is None else origin.matrix(matrix)
             for before, after, member in kinds:
-                yield member(member_id=f"{before}-m{matrix:03d}-{after}", matrix=number)
+                source = member.source._replace(matrix=number)
+                yield replace(member, member_id=f"{before}-m{matrix:03d}-{after}", source=source)
 
 
-#: What stands in a member's id before its matrix, and after; and all that the member is, but for the two.
-_Kind = tuple[str, str, Callable[..., Member]]
+#: What stands in a member's id before its matrix, and after; and the member, but for its id and its matrix.
+_Kind = tuple[str, str, Member]
 
 
 def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> Iterator[_Kind]:
@@ -55,13 +59,13 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
         of_file = {"kappa": origin.scale}
         of_file |= {name: FILE for name in OF_BLOCKS if name in origin.arrays}
         of_file |= {"rho": None} if "damping" in origin.arrays else {}
-    changes = [_Change()]
+    changes = [Change()]
     if scene.perturbation is not None:
         table = scene.perturbation
         moves = product(table.readings, table.sizes, range(table.draws))
-        changes += [_Change(reading, size, draw) for reading, size, draw in moves]
+        changes += [Change(reading, size, draw) for reading, size, draw in moves]
     if scene.twins is not None:
-        changes += [_Change(twin_size=size) for size in scene.twins.sizes]
+        changes += [Change(twin_size=size) for size in scene.twins.sizes]
     words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
     places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
     for place, change, engine in product(places, changes, scene.engines):
@@ -73,37 +77,19 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
         z0, w0, seed = of_system.pop("z"), of_system.pop("w"), of_system.pop("seed")
         if w0 == BELT and isinstance(of_system["belt_speed"], float):
             w0 = of_system["belt_speed"]
-        start_from = scene.ends if END in (z0, w0) else None
         parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
-        of_system = dict.fromkeys(QUANTITIES) | of_system
+        if not scene.system.back_slip:
+            of_system["back_slip"] = "barred"
+        terms = tuple((name, of_system[name]) for name in _TERMS if of_system.get(name) is not None)
+        begin = Start(z0, w0, place.start_draw, scene.ends if END in (z0, w0) else None)
+        source = Source(n, scene.system.coupling, 0, seed, origin, parameters)
         for draw, of_engine in words[engine].items():
-            member = partial(
-                Member,
-                n=n,
-                coupling=scene.system.coupling,
-                **of_system,
-                back_slip=None if scene.system.back_slip else "barred",
-                parameters=parameters,
-                origin=origin,
-                perturbation_reading=change.reading,
-                perturbation_size=change.size,
-                perturbation_draw=change.draw,
-                twin_size=change.twin_size,
-                z0=z0,
-                w0=w0,
-                start_draw=place.start_draw,
-                start_from=start_from,
-                t_end=scene.run.t_end,
-                seed=seed,
-                engine=engine.name,
-                settings=tuple(engine.settings.items()),
-                ratio_draw=draw,
-                picked_for=engine.picked_for,
-            )
-            cost = _shared_cost(scene, member(member_id="", matrix=0), engine)
-            started = [] if start_from is None else [start_from.word]
-            after = "-".join([*place.words, *started, *change.words, *of_engine])
-            yield before, after, partial(member, shared_cost=cost)
+            method = Method(engine.name, tuple(engine.settings.items()), draw, engine.picked_for)
+            member = Member("", source, terms, change, begin, method, scene.run.t_end)
+            cost = _shared_cost(scene, member, engine)
+            started = [] if begin.ends is None else [begin.ends.word]
+            after = "-".join([*place.words, *started, *_words_of(change), *of_engine])
+            yield before, after, replace(member, shared_cost=cost)
 
 
 def _shared_cost(scene: Scene, member: Member, engine: EngineTable) -> float:
@@ -126,20 +112,11 @@ class _Place:
         return [*(f"{key}={word(value)}" for key, value in self.swept.items()), *drawn]
 
 
-@dataclass(frozen=True)
-class _Change:
-    """How a member differs from the system and start of its matrix."""
-
-    reading: str | None = None
-    size: float = 0.0
-    draw: int | None = None
-    twin_size: float | None = None
-
-    @property
-    def words(self) -> list[str]:
-        if self.reading is not None:
-            return [f"{_READINGS[self.reading]}{short(self.size)}", f"d{self.draw}"]
-        return [] if self.twin_size is None else [f"t{short(self.twin_size)}"]
+def _words_of(change: Change) -> list[str]:
+    """A change's words in a member's name."""
+    if change.reading is not None:
+        return [f"{_READINGS[change.reading]}{short(change.size)}", f"d{change.draw}"]
+    return [] if change.twin_size is None else [f"t{short(change.twin_size)}"]
 
 
 def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:

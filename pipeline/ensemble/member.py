@@ -1,13 +1,12 @@
-"""A scene expanded into members: ids, seeds, systems, and the batches they are computed in."""
+"""What a member is: a source, terms, a change, a start and a method; from these its draws, its system and its run."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,70 +32,134 @@ _GIVEN = (*OF_BLOCKS, *_OF_FORCE)
 _ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_W: "w0"}
 
 
+#: What a term or a start may be but one number.
+NO_NUMBER = (Distribution, Course, Named)
+
 #: z and w, each of shape (n,).
 State = tuple[np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
-    """One run of an ensemble: all that determines it. Dimensionless; None where a setting does not apply.
+class Source(NamedTuple):
+    """Where a system comes from: `matrix` is its number among those of an ensemble, a file or a function."""
 
-    `member_id` is built from the member's own values alone: more matrices, sizes, draws or engines in the scene
-    do not rename it.
-    """
-
-    member_id: str
     n: int
     coupling: str
-    kappa: float | None
-    leaf: Value | None
-    degree: float | None
-    rho: float | None
-    damping: Value | None
-    friction: Value | None
-    static: Value | None
-    mass: Value | None
-    belt_speed: Value | None
-    force_amplitude: Value | None
-    force_frequency: Value | None
-    force_phase: Value | None
-    force_course: Value | None
-    weakening_rate: float | None
-    weakening_speed: float | None
-    back_slip: str | None
-    parameters: tuple[tuple[str, float], ...]
     matrix: int
-    #: The file or the function of the user's that its system comes from, if one does.
-    origin: SystemFile | SystemFunction | None
-    perturbation_reading: str | None
-    perturbation_size: float
-    perturbation_draw: int | None
-    twin_size: float | None
+    seed: int
+    origin: SystemFile | SystemFunction | None  #: the user's file or function, if it comes from one
+    parameters: tuple[tuple[str, float], ...]  #: of that function
+
+
+class Change(NamedTuple):
+    """How a member differs from the system and the start of its matrix: moved constants, or a moved start."""
+
+    reading: str | None = None
+    size: float = 0.0
+    draw: int | None = None
+    twin_size: float | None = None
+
+
+class Start(NamedTuple):
+    """What it starts from; `ends` is the dataset at whose ends it does, if it does."""
+
+    z0: Value
+    w0: Value
+    draw: int | None
+    ends: Ends | None
+
+
+class Method(NamedTuple):
+    """The engine by name, and those of its settings that mean something beside the others; `ratio` is a word."""
+
     engine: str
-    #: Those of the engine's settings that mean something beside the others, by name; `ratio` is "one" or "uniform".
     settings: tuple[tuple[str, Any], ...]
     ratio_draw: int | None
     picked_for: str | None
-    z0: Value
-    w0: Value
-    start_draw: int | None
-    #: The dataset at whose ends it starts, if it does.
-    start_from: Ends | None
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One run of an ensemble: all that determines it, and nothing else. Dimensionless.
+
+    Attributes
+    ----------
+    member_id : str
+        Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
+    source : Source
+    terms : tuple of (str, value)
+        What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
+    change : Change
+    begin : Start
+    method : Method
+    t_end : float
+    shared_cost : float
+        What records take for it, and its part of what is computed once for several members.
+    """
+
+    member_id: str
+    source: Source
+    terms: tuple[tuple[str, Any], ...]
+    change: Change
+    begin: Start
+    method: Method
     t_end: float
-    seed: int
-    #: Its part of work that is done once for several members; no part of what it is.
     shared_cost: float = field(default=0.0, compare=False)
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return self.source.n
+
+    @property
+    def engine(self) -> str:
+        """The engine's name."""
+        return self.method.engine
+
+    @property
+    def settings(self) -> tuple[tuple[str, Any], ...]:
+        """The engine's settings."""
+        return self.method.settings
+
+    @property
+    def ratio_draw(self) -> int | None:
+        """Number of the draw of the ratios r_i, if they are drawn."""
+        return self.method.ratio_draw
+
+    def term(self, name: str) -> Any:
+        """A term of its system; None if it has none."""
+        return next((value for key, value in self.terms if key == name), None)
+
+    def row(self) -> dict[str, Any]:
+        """Its own values, by column of a dataset; those that are no one number are null."""
+        source, change, begin, method = self.source, self.change, self.begin, self.method
+        return (
+            dict(source.parameters)
+            | dict(method.settings)
+            | {name: _plain(value) for name, value in self.terms}
+            | {
+                "member_id": self.member_id, "n": source.n, "coupling": source.coupling, "matrix": source.matrix,
+                "seed": source.seed, "file": source.origin.name if isinstance(source.origin, SystemFile) else None,
+                "perturbation_reading": change.reading, "perturbation_size": change.size,
+                "perturbation_draw": change.draw, "twin_size": change.twin_size, "engine": method.engine,
+                "ratio_draw": method.ratio_draw, "picked_for": method.picked_for, "z0": _plain(begin.z0),
+                "w0": _plain(begin.w0), "start_draw": begin.draw, "drawn": self.drawn, "t_end": self.t_end,
+            }
+        )  # fmt: skip
 
     def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
         """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
         known = [number for number in draw if number is not None]
-        return np.random.SeedSequence(self.seed, spawn_key=(purpose, self.n, self.matrix, *known))
+        return np.random.SeedSequence(self.source.seed, spawn_key=(purpose, self.n, self.source.matrix, *known))
 
     @property
     def scales(self) -> dict[str, Any]:
         """What its coupling is drawn by: arguments of `sim.draw_system`."""
-        leaf = {} if self.leaf is None else {"leaf": self._by_block(self.leaf, _PURPOSES["leaf"])}
-        return {"kappa": self.kappa} | leaf | ({} if self.degree is None else {"degree": self.degree})
+        given = {"kappa": self.term("kappa"), "leaf": self.term("leaf"), "degree": self.term("degree")}
+        return {
+            name: self._by_block(value, _PURPOSES.get(name, 0))
+            for name, value in given.items()
+            if value is not None or name == "kappa"
+        }
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
         """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
@@ -111,20 +174,16 @@ class Member:
         if value == BELT:
             system = self.system()
             return system.belt_speed if system.has_one_belt else system.belt_speed_at(0.0)
-        assert isinstance(self.origin, SystemFile)
-        return np.asarray(read(self.origin)[_ARRAYS[purpose]], dtype=np.float64)
-
-    @property
-    def file(self) -> str | None:
-        """The name of the file that its system is read from."""
-        return self.origin.name if isinstance(self.origin, SystemFile) else None
+        assert isinstance(self.source.origin, SystemFile)
+        return np.asarray(read(self.source.origin)[_ARRAYS[purpose]], dtype=np.float64)
 
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        own = {key: getattr(self, key) for key in _PURPOSES}
-        own |= {"force": self.force_course, "z": self.z0, "w": self.w0}
-        given = {key: one for key, one in own.items() if isinstance(one, Distribution | Course | Named)}
+        terms = dict(self.terms)
+        own = {key: terms[key] for key in _PURPOSES if key in terms}
+        own |= {"force": terms.get("force_course"), "z": self.begin.z0, "w": self.begin.w0}
+        given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
         return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
 
     def system(self) -> sim.System:
@@ -133,9 +192,8 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        return _latest(
-            _own_system if self.perturbation_draw is None else _moved_system, self, _values_of_system(self)
-        )
+        moved = self.change._replace(twin_size=None)
+        return _latest(_own_system if moved == _UNMOVED else _moved_system, self, (self.source, self.terms, moved))
 
     def start(self, end: State | None = None) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2.
@@ -150,30 +208,31 @@ class Member:
         ValueError
             If it starts at an end, and none is given.
         """
-        given = (self.z0, START_Z), (self.w0, START_W)
-        if end is None and self.start_from is not None:
+        given = (self.begin.z0, START_Z), (self.begin.w0, START_W)
+        if end is None and self.begin.ends is not None:
             raise ValueError(
                 f"end: expected the state that {self.member_id} starts from, got none; pass what"
                 " stickslip.pipeline.running.ends.end_of(member) returns"
             )
         z, w = (
-            end[k] if end is not None and value == END else self._by_block(value, purpose, self.start_draw)
+            end[k] if end is not None and value == END else self._by_block(value, purpose, self.begin.draw)
             for k, (value, purpose) in enumerate(given)
         )
-        if self.twin_size is None:
+        if self.change.twin_size is None:
             return z, w
-        moved = np.random.default_rng(self._seed(TWIN, self.start_draw)).standard_normal((2, self.n))
-        moved *= self.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
+        moved = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
+        moved *= self.change.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
         return z + moved[0], w + moved[1]
 
     @property
     def base(self) -> Member | None:
         """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
-        if self.perturbation_draw is not None or self.twin_size is not None:
-            return replace(self, **_UNMOVED, twin_size=None)
+        if self.change != _UNMOVED:
+            return replace(self, change=_UNMOVED)
         if self.ratio_draw is None:
             return None
-        return replace(self, settings=tuple((dict(self.settings) | {"ratio": "one"}).items()), ratio_draw=None)
+        settings = tuple((dict(self.settings) | {"ratio": "one"}).items())
+        return replace(self, method=self.method._replace(settings=settings, ratio_draw=None))
 
     def ratios(self) -> float | np.ndarray:
         """Stiffness ratios r_i of the sigmoid: 1, or shape (n,) uniform in (0, 1]."""
@@ -203,20 +262,19 @@ class Member:
         Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
         sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
         """
-        is_sparse = self.coupling not in sim.COUPLINGS if self.origin is None else self.origin.is_sparse
+        origin = self.source.origin
+        is_sparse = self.source.coupling not in sim.COUPLINGS if origin is None else origin.is_sparse
         a_row = min(self.n, 50) if is_sparse else self.n
         rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**2 * a_row, dict(self.settings))
         certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
         return 1e-3 + certificate + self.t_end * rate + self.shared_cost
 
 
-#: What a system does not depend on.
-_OF_A_RUN = ("member_id", "engine", "settings", "ratio_draw", "picked_for", "twin_size", "t_end", "z0", "w0",
-             "start_draw", "start_from")  # fmt: skip
-_UNMOVED: dict[str, Any] = {"perturbation_reading": None, "perturbation_size": 0.0, "perturbation_draw": None}
-#: The others.
-_OF_A_SYSTEM = tuple(one.name for one in fields(Member) if one.compare and one.name not in _OF_A_RUN)
-_values_of_system = attrgetter(*_OF_A_SYSTEM)
+_UNMOVED = Change()
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, NO_NUMBER) else value
 
 
 @lru_cache(maxsize=8)
@@ -239,42 +297,41 @@ def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[
 
 def _own_system(member: Member) -> sim.System:
     """The system of a member's matrix, not moved."""
-    seed = member._seed(MATRIX)
+    seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
     given: dict[str, Any] = {
-        name: member._by_block(value, _PURPOSES[name])
-        for name in _GIVEN
-        if (value := getattr(member, name)) is not None
+        name: member._by_block(terms[name], _PURPOSES[name]) for name in _GIVEN if terms.get(name) is not None
     }
-    if member.force_amplitude is not None:
+    if "force_amplitude" in given:
         given["force"] = sim.Harmonic(*(given.pop(name) for name in _OF_FORCE))
-    if isinstance(member.force_course, Course):
-        given["force"] = sim.Piecewise(member.force_course.times, member.force_course.values)
-    if member.weakening_rate is not None:
-        given["weakening"] = Rational(member.weakening_rate)
-    if member.weakening_speed is not None:
-        given["weakening"] = Stribeck(member.weakening_speed)
-    if member.back_slip is not None:
+    course = terms.get("force_course")
+    if isinstance(course, Course):
+        given["force"] = sim.Piecewise(course.times, course.values)
+    if terms.get("weakening_rate") is not None:
+        given["weakening"] = Rational(terms["weakening_rate"])
+    if terms.get("weakening_speed") is not None:
+        given["weakening"] = Stribeck(terms["weakening_speed"])
+    if terms.get("back_slip") is not None:
         given["back_slip"] = False
-    if isinstance(member.origin, SystemFunction):
-        made = make(member.origin, member.n, np.random.default_rng(seed), dict(member.parameters))
+    if isinstance(origin, SystemFunction):
+        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters))
         return made.changed(**given)
-    if member.origin is not None:
-        if member.rho is not None:
-            given["damping"] = np.random.default_rng(seed).uniform(member.rho, 2 * member.rho, member.n)
-        return sim.System(read(member.origin)["stiffness"], **given)
-    return sim.draw_system(member.coupling, member.n, seed, **member.scales, rho=member.rho, **given)
+    rho = terms.get("rho")
+    if origin is not None:
+        if rho is not None:
+            given["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
+        return sim.System(read(origin)["stiffness"], **given)
+    return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **given)
 
 
 def _moved_system(member: Member) -> sim.System:
-    assert member.perturbation_reading is not None
-    assert member.perturbation_draw is not None
-    own = tuple(_UNMOVED.get(name, getattr(member, name)) for name in _OF_A_SYSTEM)
+    change, rho = member.change, member.term("rho")
+    assert change.reading is not None
     return sim.perturb_system(
-        _latest(_own_system, member, own),
-        member.coupling,
-        member.perturbation_size,
-        member._seed(PERTURBATION, member.perturbation_draw),
-        reading=member.perturbation_reading,
+        _latest(_own_system, member, (member.source, member.terms, _UNMOVED)),
+        member.source.coupling,
+        change.size,
+        member._seed(PERTURBATION, change.draw),
+        reading=change.reading,
         **member.scales,
-        rho=0.0 if member.rho is None else member.rho,  # not used then: see Scene._consistent
+        rho=0.0 if rho is None else rho,  # not used then: see Scene._consistent
     )

@@ -140,7 +140,7 @@ def run_ensemble(
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, scene.source, retry_failed, accept_version) as store:
-        for origin in {member.origin for batch, _ in store.todo for member in batch.members}:
+        for origin in {member.source.origin for batch, _ in store.todo for member in batch.members}:
             if origin is not None:
                 systems.look_again(origin)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}

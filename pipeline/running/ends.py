@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from stickslip.pipeline import query
@@ -16,21 +16,15 @@ from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import QUANTITIES
 
-#: What has to be the same in a member and in the one at whose end it starts.
-_SAME = (
-    "seed",
-    "coupling",
-    "n",
-    "matrix",
-    "origin",
-    *(f"perturbation_{word}" for word in ("reading", "size", "draw")),
-)
-
-#: Of several, the one is taken that is like it in these, the first ones first.
-_ALIKE = (
-    "start_draw",
-    *QUANTITIES,
-    *("back_slip", "parameters", "twin_size", "engine", "settings", "ratio_draw"),
+#: Of several members of the same system, the one is taken that is like it in these, the first ones first.
+_ALIKE: tuple[Callable[[Member], Any], ...] = (
+    lambda member: member.begin.draw,
+    *(partial(lambda name, member: member.term(name), name) for name in (*QUANTITIES, "back_slip")),
+    lambda member: member.source.parameters,
+    lambda member: member.change.twin_size,
+    lambda member: member.engine,
+    lambda member: member.settings,
+    lambda member: member.ratio_draw,
 )
 
 
@@ -63,7 +57,7 @@ def end_of(member: Member) -> State | None:
     SceneError
         If the dataset is gone, or not what it was; or as `check`.
     """
-    ends = member.start_from
+    ends = member.begin.ends
     if ends is None:
         return None
     opened = _opened(ends.at, ends.sha256)
@@ -82,10 +76,10 @@ class _Opened:
     def match(self, member: Member) -> str:
         """The id of the one at whose end a member starts."""
         candidates = self.like.get(_same(member), ())
-        for name in _ALIKE:
-            value = getattr(member, name)
-            candidates = [one for one in candidates if getattr(one, name) == value] or candidates
-        if not candidates or (member.start_draw is not None and candidates[0].start_draw != member.start_draw):
+        for of in _ALIKE:
+            candidates = [one for one in candidates if of(one) == of(member)] or candidates
+        draw = member.begin.draw
+        if not candidates or (draw is not None and candidates[0].begin.draw != draw):
             raise SceneError(
                 f"start.dataset: expected a member of {self.at} of the same system as {member.member_id}, found "
                 f"none; seed, n, matrices and draws must be there too"
@@ -100,7 +94,8 @@ class _Opened:
 
 
 def _same(member: Member) -> tuple[Any, ...]:
-    return tuple(getattr(member, name) for name in _SAME)
+    """What has to be the same in a member and in the one at whose end it starts: the system, moved or not."""
+    return *member.source._replace(parameters=()), *member.change._replace(twin_size=None)
 
 
 @lru_cache(maxsize=2)

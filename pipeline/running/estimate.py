@@ -42,7 +42,7 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     """Estimate a run of some batches of a scene, one at least, on so many local processes."""
     kinds: dict[tuple[Any, ...], list[Member]] = {}
     for member in (member for batch in packed for member in batch.members):
-        is_coupled = member.perturbation_reading == "damping matrix"
+        is_coupled = member.change.reading == "damping matrix"
         kinds.setdefault((member.n, member.engine, member.settings, is_coupled), []).append(member)
     # what is shared between members is known by its formula; the pilot runs them alone
     recording = replace(Recording.of(scene), records=tuple(one for one in scene.records if not one.is_shared))
@@ -66,7 +66,7 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
     some = [replace(members[k], shared_cost=0.0) for k in places]
     # each point of a sweep may need kernels of its own: compiling, or loading, them is no part of the work
-    points = {replace(one, member_id="", matrix=0, perturbation_draw=None, start_draw=None): one for one in some}
+    points = {_point(one): one for one in some}
     run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
     # as many as there is time for, together, as a run has them
@@ -80,6 +80,12 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     first, whole = (_size(of, recording) for of in (rows[:1], rows))
     a_row = (whole - first) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / tried
     return factor, first, a_row, [one["reason"] for one in rows if one["outcome"] == "failed"]
+
+
+def _point(member: Member) -> Member:
+    """What members share that differ in what is drawn alone."""
+    source, change, begin = member.source._replace(matrix=0), member.change, member.begin._replace(draw=None)
+    return replace(member, member_id="", source=source, change=change._replace(draw=None), begin=begin)
 
 
 def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:

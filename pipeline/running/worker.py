@@ -9,7 +9,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice
 from typing import Any
@@ -19,15 +19,14 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.dataset.result import Result, program
 from stickslip.pipeline.dataset.schema import encode, schema_of
-from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.scene.columns import COLUMNS, Recording
-from stickslip.pipeline.scene.quantity import Course, Distribution, Named
+from stickslip.pipeline.scene.columns import Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.kernels.cache import CacheError, has_kernel
@@ -70,27 +69,8 @@ def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], s
 
 def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
     """The rows of some members, by column: what they are, and what came of them."""
-    rest = [dict(member.settings) | one for member, one in zip(members, found, strict=True)]
-    parameters = [dict(member.parameters) for member in members]
-
-    def column(name: str) -> list[Any]:
-        if name in recording.parameters:
-            return [given[name] for given in parameters]
-        if name in OF_MEMBER:
-            return [one.get(name, _plain(getattr(member, name))) for member, one in zip(members, found, strict=True)]
-        return [one.get(name) for one in rest]
-
-    return {one.name: column(one.name) for one in recording.columns}
-
-
-#: The columns that a member is known by before it runs: its own attributes. The others come of settings and the run;
-#: so do the numbers of a start that is drawn.
-OF_MEMBER = frozenset(one.name for one in COLUMNS) & {*(one.name for one in fields(Member)), "file", "drawn"}
-_NO_NUMBER = (Distribution, Course, Named)
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, _NO_NUMBER) else value
+    rows = [member.row() | one for member, one in zip(members, found, strict=True)]
+    return {column.name: [row.get(column.name) for row in rows] for column in recording.columns}
 
 
 def row(member: Member, recording: Recording) -> dict[str, Any]:
@@ -185,9 +165,9 @@ def _kept(
 
 def _drawn_start(member: Member) -> dict[str, Any]:
     """z0 and w0 of a start that is drawn or read, not moved: those that one number gives for every block."""
-    if not any(isinstance(one, _NO_NUMBER) for one in (member.z0, member.w0)):
+    if not any(isinstance(one, NO_NUMBER) for one in (member.begin.z0, member.begin.w0)):
         return {}
-    found = replace(member, twin_size=None).start(end_of(member))
+    found = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
     unique = zip(("z0", "w0"), map(np.unique, found), strict=True)
     return {name: float(values[0]) for name, values in unique if len(values) == 1}
 
@@ -260,10 +240,12 @@ def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them."""
     for engine, member in one_an_engine(members).items():
         if engine not in _loaded:
-            tiny = replace(member, member_id="", n=min(member.n, 3), t_end=1e-6)
-            if member.origin is not None:
-                tiny = replace(tiny, origin=None, coupling="chain", kappa=0.1, leaf=0.1, belt_speed=-0.2)
-                tiny = replace(tiny, damping=1.0, friction=1.0, static=1.0, mass=None)
-                tiny = replace(tiny, z0=0.0, w0=0.0)
+            tiny = replace(member, member_id="", source=member.source._replace(n=min(member.n, 3)), t_end=1e-6)
+            if member.source.origin is not None:
+                numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
+                terms = dict(tiny.terms) | numbers | {"belt_speed": -0.2}
+                source = tiny.source._replace(origin=None, coupling="chain", parameters=())
+                begin = tiny.begin._replace(z0=0.0, w0=0.0, ends=None)
+                tiny = replace(tiny, source=source, terms=tuple(terms.items()), begin=begin)
             row(tiny, Recording(""))
             _loaded.add(engine)

@@ -31,9 +31,7 @@ def change(source, **replacements):
 def test_ids_are_unique_and_in_order(scene):
     members = expand(scene)
     assert len({member.member_id for member in members}) == len(members)
-    keys = [
-        (m.n, m.matrix, m.perturbation_size, m.perturbation_draw or 0, m.engine, m.ratio_draw or 0) for m in members
-    ]
+    keys = [(m.n, m.source.matrix, m.change.size, m.change.draw or 0, m.engine, m.ratio_draw or 0) for m in members]
     assert keys == sorted(keys)  # here the engines stand in alphabetical order
     assert members[0].member_id == "n3-m000-coulomb-1e-10"
     assert members[5].member_id == "n3-m000-p0.01-d0-sigmoid-0.03-u1-1e-8-1e-8-c1"
@@ -71,8 +69,8 @@ def test_another_setting_is_another_name(scene, source, old, new):
 def test_same_matrix_under_every_engine_and_stiffness(scene):
     systems: dict[tuple, list] = {}
     for member in expand(scene):
-        if member.perturbation_draw is None:
-            systems.setdefault((member.n, member.matrix), []).append(member.system())
+        if member.change.draw is None:
+            systems.setdefault((member.n, member.source.matrix), []).append(member.system())
     assert len(systems) == 6
     for same in systems.values():
         assert len(same) == 3
@@ -98,7 +96,7 @@ def test_stiffness_ratios_are_paired_and_never_zero(scene):
     draws: dict[tuple, list] = {}
     for member in expand(scene):
         if member.engine == "sigmoid":
-            draws.setdefault((member.n, member.matrix, member.ratio_draw), []).append(member.ratios())
+            draws.setdefault((member.n, member.source.matrix, member.ratio_draw), []).append(member.ratios())
     assert len(draws) == 12
     for same in draws.values():
         assert all(np.array_equal(ratios, same[0]) for ratios in same)
@@ -117,8 +115,8 @@ def test_the_seed_of_the_scene_moves_every_draw(scene, source):
 
 def test_no_two_draws_share_their_numbers(scene):
     """Whatever a draw is for: its n, its matrix and its own number count."""
-    systems = {(m.n, m.matrix): m.system().damping[0] for m in expand(scene) if m.perturbation_draw is None}
-    ratios = {(m.n, m.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
+    systems = {(m.n, m.source.matrix): m.system().damping[0] for m in expand(scene) if m.change.draw is None}
+    ratios = {(m.n, m.source.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
     shares = [value / 3.5 - 1 for value in systems.values()] + [1 - value for value in ratios.values()]
     assert len(np.unique(np.round(shares, 12))) == len(shares) == 18
 

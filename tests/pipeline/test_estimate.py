@@ -35,7 +35,7 @@ def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
 
     def compiling(members, recording):
         for member in members:
-            point = member.n, member.engine, member.settings, member.belt_speed
+            point = member.n, member.engine, member.settings, member.term("belt_speed")
             if point not in met:
                 met.add(point)
                 until = time.process_time() + 0.5

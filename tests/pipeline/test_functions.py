@@ -62,8 +62,8 @@ def test_a_function_makes_the_systems(tmp_path):
     assert len({member.member_id for member in members}) == len(members) == scene.n_members == 8
     assert members[0].member_id.startswith(f"n3-own:draw-{scene.system.module.sha256[:12]}-m000-gap=0.5-coulomb")
     for member in members:
-        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0, member.n, member.matrix)))
-        gap = dict(member.parameters)["gap"]
+        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0, member.n, member.source.matrix)))
+        gap = dict(member.source.parameters)["gap"]
         system = member.system()
         assert np.array_equal(
             system.stiffness, 1.5 * np.eye(member.n) + gap * rng.uniform(-0.1, 0.1, (member.n,) * 2)

@@ -67,14 +67,14 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(tmp_path):
             continue
         ran.add(name)
         recording, of_name = Recording.of(other), expand(other)
-        assert [dict(member.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
+        assert [dict(member.source.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
         rows = pq.read_table(pa.BufferReader(encode(columns(of_name, found, recording), schema_of(recording))))
         assert rows[name].to_pylist() == [0.5, 1.0], name
         connection.register("shards", rows)
         connection.execute(f"CREATE OR REPLACE VIEW members AS {views(schema_of(recording), None)['members']}")
         asked = f"SELECT {quoted(name)} AS value, min(n), max(n) FROM members GROUP BY {quoted(name)} ORDER BY 1"
         assert connection.execute(asked).fetchall() == [(0.5, 3, 3), (1.0, 3, 3)], name
-    assert {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "origin", "settings"} <= ran
+    assert {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "source", "settings"} <= ran
     assert {"N", "n", "end", "END", "start", "z", "for", "None", "rng", "MATRIX", "__filename"} <= refused
     assert {name for name in refused if misnamed([name]) is None} == set()
 

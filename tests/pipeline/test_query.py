@@ -41,9 +41,7 @@ def test_no_column_says_nan_where_there_is_nothing(finished):
 
 
 def test_members_filtered_and_chosen(finished, scene):
-    wanted = [
-        m.member_id for m in expand(scene) if m.n == 5 and m.engine == "coulomb" and m.perturbation_size == 0.05
-    ]
+    wanted = [m.member_id for m in expand(scene) if m.n == 5 and m.engine == "coulomb" and m.change.size == 0.05]
     tuples = [("n", "=", 5), ("engine", "=", "coulomb"), ("perturbation_size", "=", 0.05)]
     expression = (pc.field("n") == 5) & (pc.field("engine") == "coulomb") & (pc.field("perturbation_size") == 0.05)
     for filters in (tuples, expression):
@@ -68,7 +66,7 @@ def test_series_are_the_runs_own(finished, scene):
         seen.append(member_id)
         assert t.dtype == np.float64
         assert n_stick.dtype == np.int32
-        if members[member_id].matrix == 1:
+        if members[member_id].source.matrix == 1:
             want_t, want = members[member_id].simulate().events.change_points()
             assert np.array_equal(t, want_t)
             assert np.array_equal(n_stick, want)

@@ -33,8 +33,8 @@ def test_rest_is_unstretched_springs_on_the_belt():
     found = parse_scene(at_rest(text).encode())
     for member in expand(found):
         z, w = member.start(end_of(member))
-        assert (z, w) == (0.0, member.belt_speed)
-        assert (member.z0, member.w0) == (0.0, member.belt_speed)
+        assert (z, w) == (0.0, member.term("belt_speed"))
+        assert (member.begin.z0, member.begin.w0) == (0.0, member.term("belt_speed"))
         run = member.simulate()
         assert (run.events.initial_mode == 0).all()  # |R v| < mu
     assert found.hash == parse_scene(text.replace(START, '[start]\nz = 0.0\nw = "belt"').encode()).hash
@@ -50,7 +50,7 @@ def test_blocks_that_are_drawn_may_all_ride_on_the_belt():
     for member in expand(parse_scene(text.encode())):
         z, w = member.start(end_of(member))
         assert len(set(z)) == member.n
-        assert w == member.belt_speed
+        assert w == member.term("belt_speed")
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_a_run_goes_on_where_another_ended(first, content):
     following, whole = (expand(load_scene(first / name)) for name in ("next.toml", "whole.toml"))
     n_events = 0
     for one, both in zip(following, whole, strict=True):
-        assert one.member_id.startswith(f"n{one.n}-m{one.matrix:03d}-e")
+        assert one.member_id.startswith(f"n{one.n}-m{one.source.matrix:03d}-e")
         second, run = one.simulate(end=end_of(one)), both.simulate()
         at = run.events.t >= 12.0
         n_events += at.sum()
@@ -129,7 +129,9 @@ def test_the_end_of_one_run_starts_many(first):
     members = expand(load_scene(first / "next.toml"))
     assert len(members) == 2 * 2 * 2
     for member in members:
-        (old,) = (m for m in expand(load_scene(first / "first.toml")) if (m.n, m.matrix) == (4, member.matrix))
+        (old,) = (
+            m for m in expand(load_scene(first / "first.toml")) if (m.n, m.source.matrix) == (4, member.source.matrix)
+        )
         assert np.array_equal(member.start(end_of(member))[0], query.ends(first / "runs" / "first")[old.member_id][0])
 
 

@@ -68,14 +68,8 @@ def test_rows_hold_parameters_and_results(finished, scene):
     for table in tables(finished):
         for row in table.to_pylist():
             member = members[row["member_id"]]
-            kept = {name: getattr(member, name) for name in member.__slots__} | dict(member.settings)
-            for name in (
-                "settings",
-                "thresholds",
-                "parameters",
-                "shared_cost",
-            ):  # in columns of their own; no part of the data
-                kept.pop(name, None)
+            kept = member.row()
+            kept.pop("thresholds", None)  # in a column of their own
             for name in kept.keys() - row.keys():  # columns of other scenes
                 assert kept.pop(name) is None, name
             assert {name: row[name] for name in kept} == kept
