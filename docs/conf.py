@@ -15,7 +15,8 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from stickslip.pipeline.schema import ASKED_BY, RECORDED, SCHEMA
+from stickslip.pipeline.dataset.schema import SCHEMA, as_fields
+from stickslip.pipeline.scene.columns import ON_DEMAND
 from stickslip.workflows.scaffold import key_tables
 
 project = "stickslip"
@@ -102,8 +103,8 @@ class Columns(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         text = _columns("In every dataset:", SCHEMA)
-        for name, fields in RECORDED.items():
-            text += _columns(f"With {ASKED_BY[name]}{':' if fields else '.'}", fields)
+        for asked_by, columns in ON_DEMAND.values():
+            text += _columns(f"With {asked_by}{':' if columns else '.'}", as_fields(columns))
         return self.parse_text_to_nodes("\n".join(text))
 
 

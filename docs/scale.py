@@ -12,8 +12,9 @@ from pathlib import Path
 
 from distributed import Client, LocalCluster, as_completed
 
-from stickslip.pipeline import design, parse_scene
-from stickslip.pipeline.storage import place_of
+from stickslip.pipeline import parse_scene
+from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.places.locate import place_of
 
 #: A shard of small runs.
 SHARD = os.urandom(50_000)
@@ -25,11 +26,11 @@ def plan(n_members: int) -> None:
     source = (Path(__file__).parent / "scale.toml").read_text()
     scene = parse_scene(source.replace("matrices = 5000", f"matrices = {n_members // 2}").encode())
     started = time.process_time()
-    packed = [batch for batch, _ in design.tasks(scene)]
+    packed = [batch for batch, _ in pack.tasks(scene)]
     seconds = time.process_time() - started
     del packed
     tracemalloc.start()
-    packed = [batch for batch, _ in design.tasks(scene.changed())]  # which has not kept its members yet
+    packed = [batch for batch, _ in pack.tasks(scene.changed())]  # which has not kept its members yet
     memory = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     cost = sum(batch.cost for batch in packed)

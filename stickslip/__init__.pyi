@@ -2,8 +2,8 @@ from .analysis.stats.estimates import gamma as gamma
 from .pipeline.query import members as members
 from .pipeline.query import n_stick as n_stick
 from .pipeline.query import sql as sql
-from .pipeline.scene import Scene as Scene
-from .pipeline.scene import load_scene as load_scene
+from .pipeline.scene.scene import Scene as Scene
+from .pipeline.scene.scene import load_scene as load_scene
 from .sim.runs.run import IntegrationError as IntegrationError
 from .sim.runs.run import Run as Run
 from .sim.runs.run import Samples as Samples

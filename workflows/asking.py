@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.processes import Child, ChildDied, n_cores
+from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study

@@ -15,13 +15,13 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.processes import forked_workers, loading, one_thread
-from stickslip.pipeline.signals import Interrupted, interruptible
+from stickslip.pipeline.machine.processes import forked_workers, loading, one_thread
+from stickslip.pipeline.machine.signals import Interrupted, interruptible
 from stickslip.workflows.parser import NO_FOLDER, completion, parser
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report
-    from stickslip.pipeline.storage import Place, Where
+    from stickslip.pipeline.places.place import Place, Where
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.progress import Watch
 
@@ -31,7 +31,8 @@ _DONE, _UNFINISHED, _WRONG = 0, 1, 2
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from stickslip.pipeline.storage import Directory, place_of
+    from stickslip.pipeline.places.directory import Directory
+    from stickslip.pipeline.places.locate import place_of
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.scenes import chart_of, find, shipped
 
@@ -72,8 +73,9 @@ def _run(arguments: argparse.Namespace) -> int:
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
     with loading() if arguments.is_program else nullcontext():
         from stickslip.pipeline import load_scene, run_ensemble
-        from stickslip.pipeline.signals import last_act
-        from stickslip.pipeline.storage import DATA, SCENE, Directory
+        from stickslip.pipeline.machine.signals import last_act
+        from stickslip.pipeline.places.directory import Directory
+        from stickslip.pipeline.places.place import DATA, SCENE
         from stickslip.workflows.progress import Watch, clock
 
     scene = load_scene(file)
@@ -117,13 +119,15 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline import load_scene
-    from stickslip.pipeline.cluster import check_memory
-    from stickslip.pipeline.estimate import WITHIN, estimate
-    from stickslip.pipeline.writer import Store
+    from stickslip.pipeline.dataset.writer import Store
+    from stickslip.pipeline.running import ends
+    from stickslip.pipeline.running.cluster import check_memory
+    from stickslip.pipeline.running.estimate import WITHIN, estimate
     from stickslip.workflows.progress import clock
 
     scene = load_scene(file)
     scene.check_engines()
+    ends.check(scene)
     check_memory(scene, arguments.workers)
     store = Store(out, scene, scene.source, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
@@ -169,7 +173,7 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _check_directory(out: Path, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
-    from stickslip.pipeline.storage import MANIFEST
+    from stickslip.pipeline.places.place import MANIFEST
 
     place, here = out.resolve(), Path(__file__).resolve().parents[1]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
@@ -181,14 +185,14 @@ def _check_directory(out: Path, file: Path) -> None:
 
 
 def _check_no_ensemble(out: Place) -> None:
-    from stickslip.pipeline.storage import MANIFEST
+    from stickslip.pipeline.places.place import MANIFEST
 
     if MANIFEST in out.names():
         raise _Wrong(f"--out: {out} holds an ensemble, whose report would be lost; choose another directory")
 
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from stickslip.pipeline.storage import Directory
+    from stickslip.pipeline.places.directory import Directory
     from stickslip.workflows.charts import load_chart
 
     scene = load_chart(file)
@@ -218,7 +222,7 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 def _write_report(directory: Where, asking: Asking | None = None, watch: Watch | None = None) -> None:
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline import status
-    from stickslip.pipeline.storage import place_of
+    from stickslip.pipeline.places.locate import place_of
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.fresh import is_current
 
@@ -265,7 +269,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
-    from stickslip.pipeline.storage import place_of
+    from stickslip.pipeline.places.locate import place_of
     from stickslip.workflows.fresh import name_of
     from stickslip.workflows.reporting import compared
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline import Scene, Status, load_scene, query, run_ensemble, status
-from stickslip.pipeline.dataset import dataset_scene, open_dataset
-from stickslip.pipeline.storage import Where, place_of
+from stickslip.pipeline.dataset.opened import dataset_scene, open_dataset
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.place import Where
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find
 

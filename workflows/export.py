@@ -14,9 +14,11 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from stickslip.pipeline import QueryError
-from stickslip.pipeline.dataset import frame
+from stickslip.pipeline.dataset.opened import frame
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.storage import Directory, Where, place_of, remove_left, replacing
+from stickslip.pipeline.places.directory import Directory, remove_left, replacing
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.place import Where
 from stickslip.workflows.parser import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]

@@ -7,9 +7,11 @@ from pathlib import Path
 
 from stickslip.analysis import report
 from stickslip.analysis.report import PAGE
+from stickslip.pipeline.dataset.opened import stored_scene
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.ledger import read_manifest, stored_scene
-from stickslip.pipeline.storage import Where, place_of
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
 
 

@@ -15,18 +15,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stickslip.pipeline import QueryError, StoreError, dataset_scene
-from stickslip.pipeline.dataset import dataset, reading
-from stickslip.pipeline.schema import RECORDED, scalars
-from stickslip.pipeline.storage import Where
+from stickslip.pipeline.dataset.opened import dataset, reading
+from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.places.place import Where
+from stickslip.pipeline.scene.columns import COLUMNS
 from stickslip.version import __version__
 from stickslip.workflows.export import whole
 
 #: Along which dimension the lists of a dataset lie; `by_threshold`, lists of lists, is not written.
-_SAMPLES = {
-    "t": "change", "n_stick": "change", "event_t": "event", "event_block": "event", "event_mode": "event",
-    "initial_mode": "block", "z_end": "block", "w_end": "block", "mode_end": "block", "separation": "separation_step",
-    **dict.fromkeys((column.name for part in ("episodes", "episode_energy") for column in RECORDED[part]), "episode"),
-}  # fmt: skip
+_SAMPLES = {column.name: column.along for column in COLUMNS if column.along}
 _ROWS = 65_536  # of a chunk
 _ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 writes at once
 

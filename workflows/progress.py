@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
-from stickslip.pipeline.dataset import rows_that_failed
+from stickslip.pipeline.dataset.opened import rows_that_failed
+from stickslip.pipeline.dataset.status import Follower, Status, status
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.monitor import Follower, Status, status
-from stickslip.pipeline.storage import Where
+from stickslip.pipeline.places.place import Where
 
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress

@@ -8,15 +8,20 @@ from functools import lru_cache
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
+from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.ledger import read_manifest
-from stickslip.pipeline.quantity import short
+from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
-from stickslip.pipeline.storage import Directory, Where, place_of
+from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
-from stickslip.workflows.asking import Asking
 from stickslip.workflows.fresh import made_from, name_of
+
+#: Who puts the questions of a dataset: its path, its study, and whom to tell how many are answered.
+Asking = Callable[[str, Study, Callable[[int, int], None]], list[Answered | None]]
 
 
 @lru_cache(maxsize=1)

@@ -93,7 +93,7 @@ def _body() -> str:
 def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from stickslip.pipeline import Scene
-    from stickslip.pipeline.toml import json_schema
+    from stickslip.pipeline.scene.toml import json_schema
     from stickslip.workflows.charts import chart as scene_of
 
     return json_schema(Scene if chart is None else scene_of(chart))
@@ -141,7 +141,7 @@ def _tables(path: str, table: dict[str, Any], known: dict[str, Any]) -> Iterator
 
 
 def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
-    from stickslip.pipeline.engine_table import TOLERANCES
+    from stickslip.pipeline.scene.engine_table import TOLERANCES
 
     if "default" in field:
         return json.dumps(field["default"])
@@ -153,7 +153,7 @@ def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
 
 def _values(field: dict[str, Any]) -> str:
     """What may be written: choices, or a type with its bounds."""
-    from stickslip.pipeline.quantity import LAWS
+    from stickslip.pipeline.scene.quantity import LAWS
 
     if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it
         first, *others = field["anyOf"]

@@ -208,7 +208,7 @@ class Engine(ABC):
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:
-        """What a unit of time costs if its events and products alone make it cost `rate`; see `pipeline.design`."""
+        """What a unit of time costs if its events and products alone make it cost `rate`."""
         return rate
 
     @staticmethod

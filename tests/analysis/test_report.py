@@ -24,7 +24,7 @@ from stickslip.analysis.report.page import _rank
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import Basis
 from stickslip.analysis.stats.estimates import LN2, Estimate, ratio
-from stickslip.pipeline.tables import QuestionName
+from stickslip.pipeline.scene.tables import QuestionName
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

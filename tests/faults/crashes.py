@@ -13,7 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline import expand, storage
+from stickslip.pipeline import expand
+from stickslip.pipeline.places import directory
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
 from tests.processes import dask_by_hand, until
@@ -59,7 +60,7 @@ def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
 
     for name in _STEPS:
         setattr(os, name, of(getattr(os, name)))
-    storage.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
+    directory.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
 
 
 def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:

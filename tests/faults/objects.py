@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.error import HTTPError
 
-from stickslip.pipeline import object_store, verify
+from stickslip.pipeline import verify
+from stickslip.pipeline.places import object_store
 from tests.faults.bucket import ask, bucket
 from tests.faults.registry import fault
 from tests.faults.world import World, end_of, wait

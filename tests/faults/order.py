@@ -8,7 +8,7 @@ import shutil
 import signal
 import time
 
-from stickslip.pipeline.writer import Store
+from stickslip.pipeline.dataset.writer import Store
 from tests.faults.registry import fault
 from tests.faults.world import World, end_of, wait
 from tests.processes import until

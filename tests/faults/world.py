@@ -19,9 +19,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stickslip.pipeline import design, expand, parse_scene, run_ensemble, verify
-from stickslip.pipeline.ledger import read_manifest
-from stickslip.pipeline.worker import program
+from stickslip.pipeline import expand, parse_scene, run_ensemble, verify
+from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.running.worker import program
 from tests.scenes import ensemble
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +67,7 @@ class World:
     reference: dict[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        design.TARGET_COST = TARGET_COST
+        pack.TARGET_COST = TARGET_COST
         self.random = random.Random(self.seed)
         self.program = program()  # found once, before anything forks
         self.scene = parse_scene(self.source)

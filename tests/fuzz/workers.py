@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline.processes import Child, ChildDied
+from stickslip.pipeline.machine.processes import Child, ChildDied
 from tests.fuzz.draw import TERMS, draw
 from tests.fuzz.judge import Verdict, judge
 from tests.fuzz.relations import judge_relations

@@ -6,7 +6,8 @@ import shutil
 
 import pytest
 
-from stickslip.pipeline import design, parse_scene, run_ensemble
+from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.pipeline.ensemble import pack
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -26,7 +27,7 @@ SMALL_BATCHES = 3.5e-3
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
-    monkeypatch.setattr(design, "TARGET_COST", SMALL_BATCHES)
+    monkeypatch.setattr(pack, "TARGET_COST", SMALL_BATCHES)
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +45,7 @@ def finished(scene, source, tmp_path_factory):
     """The finished dataset, computed in this process; not to be changed."""
     path = tmp_path_factory.mktemp("finished") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "TARGET_COST", SMALL_BATCHES)
+        patch.setattr(pack, "TARGET_COST", SMALL_BATCHES)
         run_ensemble(scene, path, workers=0)
     return path
 

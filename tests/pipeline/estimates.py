@@ -9,12 +9,13 @@ import os
 import tempfile
 import time
 
-from stickslip.pipeline.processes import ONE_THREAD
+from stickslip.pipeline.machine.processes import ONE_THREAD
 
 os.environ.update(ONE_THREAD)  # before anything loads numpy
 
-from stickslip.pipeline import design, parse_scene, run_ensemble
-from stickslip.pipeline.estimate import WITHIN, estimate
+from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.running.estimate import WITHIN, estimate
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 MOVED = """[perturbation]
@@ -48,7 +49,7 @@ def main() -> None:
         scene = parse_scene(
             ensemble(n, t_end, matrices, *engines, rest=rest, analysis="t_burn = 0.0\ndt = 1.0").encode()
         )
-        found = estimate(scene, [batch for batch, _ in design.tasks(scene)], 1)
+        found = estimate(scene, [batch for batch, _ in pack.tasks(scene)], 1)
         with tempfile.TemporaryDirectory() as directory:
             begun = time.process_time()
             size = run_ensemble(scene, f"{directory}/out", workers=0).n_bytes

@@ -19,7 +19,8 @@ from distributed import Security
 from distributed.core import rpc
 from distributed.utils import LoopRunner
 
-from stickslip.pipeline import AddressError, ScheduleError, cluster, run_ensemble
+from stickslip.pipeline import AddressError, ScheduleError, run_ensemble
+from stickslip.pipeline.running import cluster
 
 
 def listening(pids):
@@ -103,7 +104,7 @@ class _Page(BaseHTTPRequestHandler):
 
 
 def test_what_is_no_scheduler_is_refused(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.cluster.CONNECT_TIMEOUT", 1.0)
+    monkeypatch.setattr("stickslip.pipeline.running.cluster.CONNECT_TIMEOUT", 1.0)
     silent = socket.create_server(("127.0.0.1", 0))
     with silent, HTTPServer(("127.0.0.1", 0), _Page) as web, cluster.local(1) as client:
         threading.Thread(target=web.serve_forever, daemon=True).start()

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from stickslip.pipeline import system_files, systems
-from stickslip.pipeline.processes import Child
+from stickslip.pipeline.machine.processes import Child
+from stickslip.pipeline.scene import system_files, systems
 from tests.damaged import DAMAGE, NO_FILES, judge
 
 N_KINDS = len(DAMAGE | NO_FILES)

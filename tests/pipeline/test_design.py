@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stickslip.pipeline import expand, parse_scene
-from stickslip.pipeline.design import as_batch, tasks
+from stickslip.pipeline.ensemble.pack import as_batch, tasks
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,9 +31,7 @@ def change(source, **replacements):
 def test_ids_are_unique_and_in_order(scene):
     members = expand(scene)
     assert len({member.member_id for member in members}) == len(members)
-    keys = [
-        (m.n, m.matrix, m.perturbation_size, m.perturbation_draw or 0, m.engine, m.ratio_draw or 0) for m in members
-    ]
+    keys = [(m.n, m.source.matrix, m.change.size, m.change.draw or 0, m.engine, m.ratio_draw or 0) for m in members]
     assert keys == sorted(keys)  # here the engines stand in alphabetical order
     assert members[0].member_id == "n3-m000-coulomb-1e-10"
     assert members[5].member_id == "n3-m000-p0.01-d0-sigmoid-0.03-u1-1e-8-1e-8-c1"
@@ -71,8 +69,8 @@ def test_another_setting_is_another_name(scene, source, old, new):
 def test_same_matrix_under_every_engine_and_stiffness(scene):
     systems: dict[tuple, list] = {}
     for member in expand(scene):
-        if member.perturbation_draw is None:
-            systems.setdefault((member.n, member.matrix), []).append(member.system())
+        if member.change.draw is None:
+            systems.setdefault((member.n, member.source.matrix), []).append(member.system())
     assert len(systems) == 6
     for same in systems.values():
         assert len(same) == 3
@@ -98,7 +96,7 @@ def test_stiffness_ratios_are_paired_and_never_zero(scene):
     draws: dict[tuple, list] = {}
     for member in expand(scene):
         if member.engine == "sigmoid":
-            draws.setdefault((member.n, member.matrix, member.ratio_draw), []).append(member.ratios())
+            draws.setdefault((member.n, member.source.matrix, member.ratio_draw), []).append(member.ratios())
     assert len(draws) == 12
     for same in draws.values():
         assert all(np.array_equal(ratios, same[0]) for ratios in same)
@@ -117,8 +115,8 @@ def test_the_seed_of_the_scene_moves_every_draw(scene, source):
 
 def test_no_two_draws_share_their_numbers(scene):
     """Whatever a draw is for: its n, its matrix and its own number count."""
-    systems = {(m.n, m.matrix): m.system().damping[0] for m in expand(scene) if m.perturbation_draw is None}
-    ratios = {(m.n, m.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
+    systems = {(m.n, m.source.matrix): m.system().damping[0] for m in expand(scene) if m.change.draw is None}
+    ratios = {(m.n, m.source.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
     shares = [value / 3.5 - 1 for value in systems.values()] + [1 - value for value in ratios.values()]
     assert len(np.unique(np.round(shares, 12))) == len(shares) == 18
 
@@ -165,8 +163,8 @@ def test_each_draw_is_numpys_own_under_its_key(source):
 
 #: What a member is, from the file of the scene on, and what of its run becomes which column.
 DETERMINING = (
-    "design", "ends", "engine_table", "quantity", "scene", "schema", "system_files", "system_table", "systems",
-    "tables", "worker",
+    "dataset/schema", "ensemble/expand", "ensemble/member", "ensemble/new", "records/events", "records/new",
+    "running/ends", "running/worker", "scene/new", "scene/quantity", "scene/scene", "scene/systems", "scene/toml",
 )  # fmt: skip
 
 
@@ -180,8 +178,8 @@ def test_the_programs_digest_covers_all_that_determines_numbers(tmp_path):
     asked = """
 import sys
 from pathlib import Path
-from stickslip.pipeline.worker import program
-from stickslip.sim.engines.sources import source_digest
+from stickslip.pipeline.dataset.result import program
+from stickslip.sim.kernels.digest import source_digest
 print(program())
 for room in map(Path, sys.argv[1:]):
     room.parent.mkdir(exist_ok=True)
@@ -238,10 +236,10 @@ def test_batches_hold_every_member_once_in_order(scene):
 def test_a_scene_of_many_batches_has_larger_ones_and_the_last_are_smaller(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
-    monkeypatch.setattr("stickslip.pipeline.design._MANY", 3)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack._MANY", 3)
     for parts, of_largest in ((1, 1), (3.01, 3), (6, 3), (24, 4.8)):
         target, largest = whole / parts, whole / of_largest
-        monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", target)
+        monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", target)
         packed = [batch for batch, _ in tasks(scene)]
         rest = whole
         for batch in packed:

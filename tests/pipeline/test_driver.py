@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from stickslip.pipeline import Progress, ScheduleError, cluster, driver, expand, run_ensemble, status, verify, worker
-from stickslip.pipeline.writer import Store
+from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
+from stickslip.pipeline.dataset.writer import Store
+from stickslip.pipeline.running import cluster, driver, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
 
@@ -125,14 +126,14 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
 
 
 def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.driver.program", lambda: "9.9.9-0123")
+    monkeypatch.setattr("stickslip.pipeline.running.driver.program", lambda: "9.9.9-0123")
     with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
         run_ensemble(scene, tmp_path / "out", workers=0)
     assert status(tmp_path / "out").n_done == 0
 
 
 def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.driver.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr("stickslip.pipeline.running.driver.LOST_TIMEOUT", 0.5)
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
@@ -194,12 +195,13 @@ def test_each_kernel_is_compiled_once(tmp_path):
         f"""
 import sys
 from numba.core import event
-from stickslip.pipeline import expand, parse_scene, worker
+from stickslip.pipeline import expand, parse_scene
+from stickslip.pipeline.running import worker
 members = [member for member in expand(parse_scene({SOURCE!r})) if member.engine == "coulomb"]
 with event.install_recorder("numba:compile") as compiled:
     worker.load_kernels(members)
 worker.load_kernels(members)
-print(any("_advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.is_cold("coulomb"))
+print(any("advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.is_cold("coulomb"))
 """,
     ]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

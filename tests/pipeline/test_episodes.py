@@ -48,10 +48,10 @@ def test_a_row_an_episode_of_every_member(scene, tmp_path):
     assert list(table) == ["member_id", "start", "end", "size", "moment", "first_block"]
     for member in expand(scene):
         own = table[table.member_id == member.member_id]
-        found = episodes(member.simulate(), member.belt_speed)
+        found = episodes(member.simulate(), member.term("belt_speed"))
         for name in list(table)[1:]:
             np.testing.assert_array_equal(own[name], getattr(found, name))
-        assert len(own) == 0 or member.static == 1.4  # without it all come to slip
+        assert len(own) == 0 or member.term("static") == 1.4  # without it all come to slip
     assert {"coulomb", "sigmoid"} <= {name.split("-")[4] for name in table.member_id}
     found = query.sql(tmp_path / "out", 'SELECT member_id, start, "end", size, moment, first_block FROM episodes')
     assert found.equals(table)

@@ -8,13 +8,16 @@ import time
 
 import pytest
 
-from stickslip.pipeline import design, status, worker
-from stickslip.pipeline.estimate import estimate
+from stickslip.pipeline import status
+from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.running import worker
+from stickslip.pipeline.running.estimate import estimate
 
 
 @pytest.fixture
 def batches(scene):
-    return [batch for batch, _ in design.tasks(scene)]
+    return [batch for batch, _ in pack.tasks(scene)]
 
 
 def test_disk_is_as_the_run_takes_it_and_time_that_of_its_workers(scene, batches, finished):
@@ -27,12 +30,12 @@ def test_disk_is_as_the_run_takes_it_and_time_that_of_its_workers(scene, batches
 def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
     """Each point of a sweep takes half a second when it is first met, as one with the first force or none does."""
     swept = scene.changed(system={"belt_speed": [-0.1, -0.2, -0.3]})
-    batches = [batch for batch, _ in design.tasks(swept)]
+    batches = [batch for batch, _ in pack.tasks(swept)]
     plain, met, run = estimate(swept, batches, 1), set(), worker.run_members
 
     def compiling(members, recording):
         for member in members:
-            point = member.n, member.engine, member.settings, member.belt_speed
+            point = member.n, member.engine, member.settings, member.term("belt_speed")
             if point not in met:
                 met.add(point)
                 until = time.process_time() + 0.5
@@ -40,20 +43,20 @@ def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
                     pass
         return run(members, recording)
 
-    monkeypatch.setattr("stickslip.pipeline.estimate.run_members", compiling)
+    monkeypatch.setattr("stickslip.pipeline.running.estimate.run_members", compiling)
     assert estimate(swept, batches, 1).core_seconds < 10 * plain.core_seconds
     assert len(met) > 3
 
 
 def test_members_that_fail_are_told_by_reason(scene, batches, monkeypatch):
-    task = design.Member.task
+    task = Member.task
 
     def fragile(member, *args):
         if member.n == 5 and member.engine == "coulomb":
             raise MemoryError("no room for K")
         return task(member, *args)
 
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
     assert list(estimate(scene, batches, 2).failures) == ["MemoryError: no room for K"]
 
 

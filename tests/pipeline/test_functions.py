@@ -13,17 +13,9 @@ import numpy as np
 import pytest
 
 from stickslip import sim
-from stickslip.pipeline import (
-    SceneError,
-    StoreError,
-    expand,
-    load_scene,
-    query,
-    run_ensemble,
-    status,
-    systems,
-    verify,
-)
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, status, verify
+from stickslip.pipeline.running.ends import end_of
+from stickslip.pipeline.scene import systems
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.scenes import ENDING
@@ -70,8 +62,8 @@ def test_a_function_makes_the_systems(tmp_path):
     assert len({member.member_id for member in members}) == len(members) == scene.n_members == 8
     assert members[0].member_id.startswith(f"n3-own:draw-{scene.system.module.sha256[:12]}-m000-gap=0.5-coulomb")
     for member in members:
-        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0, member.n, member.matrix)))
-        gap = dict(member.parameters)["gap"]
+        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0, member.n, member.source.matrix)))
+        gap = dict(member.source.parameters)["gap"]
         system = member.system()
         assert np.array_equal(
             system.stiffness, 1.5 * np.eye(member.n) + gap * rng.uniform(-0.1, 0.1, (member.n,) * 2)
@@ -328,7 +320,7 @@ def test_what_is_loaded_only_later_fails_its_members(tmp_path):
 def test_what_is_installed_is_not_beside_a_scene_above_it():
     import statistics  # of Python, which may lie in the user's home as the scene does
 
-    from stickslip.pipeline import systems
+    from stickslip.pipeline.scene import systems
 
     for module in (statistics, pytest):
         file = Path(module.__file__).resolve()
@@ -373,7 +365,7 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
     ],
 )
 def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, words, tmp_path, monkeypatch):
-    from stickslip.pipeline import systems
+    from stickslip.pipeline.scene import systems
 
     monkeypatch.setattr(systems, "LONGEST_TRIAL", 3.0 if "sleep" in line else 40.0)
     head = "import os\nimport numpy as np\nfrom stickslip import System\nSEED = 1.0 + int.from_bytes(os.urandom(6))\n"
@@ -417,10 +409,10 @@ def test_a_function_goes_on_where_a_dataset_ended(tmp_path):
     ends = query.ends(tmp_path / "first")
     members = expand(load_scene(tmp_path / "next.toml"))
     for one, old in zip(members, expand(load_scene(file)), strict=True):
-        z, w = one.start()
+        z, w = one.start(end_of(one))
         assert np.array_equal(z, ends[old.member_id][0])
         assert np.array_equal(w, ends[old.member_id][1])
         assert np.array_equal(one.system().stiffness, old.system().stiffness)
-        run = one.simulate()
+        run = one.simulate(end=end_of(one))
         again = sim.simulate(one.system(), z, w, t_end=5.0, tol=1e-6)
         assert run.z.tolist() == again.z.tolist()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import keyword
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
-from stickslip.pipeline.design import Member
-from stickslip.pipeline.schema import COLUMNS, Recording, encode, misnamed
-from stickslip.pipeline.sql import quoted, views
-from stickslip.pipeline.worker import columns, run_members
+from stickslip.pipeline.dataset.schema import encode, schema_of
+from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.query.database import quoted, views
+from stickslip.pipeline.running.worker import columns, run_members
+from stickslip.pipeline.scene.columns import COLUMNS, Recording, misnamed
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.pipeline.test_functions import SCENE, written
@@ -31,7 +34,7 @@ OTHERS = ["parameters", "law", "index", "level_0", "rowid", "rng", "z", "w", "__
 def every_name():
     words = [word for (word,) in duckdb.sql("SELECT keyword_name FROM duckdb_keywords()").fetchall()]
     python = [*keyword.kwlist, *keyword.softkwlist]
-    base = [*map(str.lower, words), *python, *COLUMNS, *ATTRIBUTES, *OTHERS]
+    base = [*map(str.lower, words), *python, *(column.name for column in COLUMNS), *ATTRIBUTES, *OTHERS]
     return sorted({form for word in base for form in (word, word.upper())})
 
 
@@ -64,16 +67,14 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(tmp_path):
             continue
         ran.add(name)
         recording, of_name = Recording.of(other), expand(other)
-        assert [dict(member.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
-        rows = query.pq.read_table(
-            query.pa.BufferReader(encode(columns(of_name, found, recording), recording.schema))
-        )
+        assert [dict(member.source.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
+        rows = pq.read_table(pa.BufferReader(encode(columns(of_name, found, recording), schema_of(recording))))
         assert rows[name].to_pylist() == [0.5, 1.0], name
         connection.register("shards", rows)
-        connection.execute(f"CREATE OR REPLACE VIEW members AS {views(recording.schema, None)['members']}")
+        connection.execute(f"CREATE OR REPLACE VIEW members AS {views(schema_of(recording), None)['members']}")
         asked = f"SELECT {quoted(name)} AS value, min(n), max(n) FROM members GROUP BY {quoted(name)} ORDER BY 1"
         assert connection.execute(asked).fetchall() == [(0.5, 3, 3), (1.0, 3, 3)], name
-    assert {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "origin", "settings"} <= ran
+    assert {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "source", "settings"} <= ran
     assert {"N", "n", "end", "END", "start", "z", "for", "None", "rng", "MATRIX", "__filename"} <= refused
     assert {name for name in refused if misnamed([name]) is None} == set()
 

@@ -10,9 +10,12 @@ import time
 import fsspec
 import pytest
 
-from stickslip.pipeline import Progress, StoreError, object_store, query, run_ensemble, status, storage, verify
-from stickslip.pipeline.monitor import running
-from stickslip.pipeline.writer import Store
+from stickslip.pipeline import Progress, StoreError, query, run_ensemble, status, verify
+from stickslip.pipeline.dataset.status import running
+from stickslip.pipeline.dataset.writer import Store
+from stickslip.pipeline.places import object_store
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.place import this_process
 from tests.processes import until
 
 OUT = "memory://bucket/out"
@@ -93,7 +96,7 @@ def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, 
     del memory["/bucket/out/manifest.json"]
     with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
         status(OUT)
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)  # nothing is computed
     run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == content(finished)
 
@@ -103,7 +106,7 @@ def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, co
     fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
     assert content(tmp_path) == content(finished)
     (tmp_path / "manifest.json").unlink()
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)
     assert run_ensemble(scene, tmp_path, workers=0).is_complete
 
 
@@ -141,7 +144,7 @@ def test_a_lock_that_ran_out_is_taken_over(scene, source, stored, memory, impati
 
 def test_of_many_that_take_over_one_does(memory, impatient):
     leave_lock(-0.1)
-    owner, got, ended = storage.place_of(OUT), [], threading.Event()
+    owner, got, ended = place_of(OUT), [], threading.Event()
 
     def contend():
         try:
@@ -167,12 +170,12 @@ def test_of_many_that_take_over_one_does(memory, impatient):
 
 def test_a_lock_is_renewed_as_long_as_its_owner_lives(memory, impatient, monkeypatch):
     monkeypatch.setattr(object_store, "LEASE", 8.0)  # renewed after 2 s
-    with storage.place_of(OUT).own() as hold:
+    with place_of(OUT).own() as hold:
         hold.note("began 0 0 0")
         noted = memory["/bucket/out/.lock"].getvalue()
         until(lambda: memory["/bucket/out/.lock"].getvalue() != noted)
-        assert running(OUT).owner == storage.this_process()
-        with pytest.raises(StoreError, match="expected to be its only writer"), storage.place_of(OUT).own():
+        assert running(OUT).owner == this_process()
+        with pytest.raises(StoreError, match="expected to be its only writer"), place_of(OUT).own():
             pass
         hold.check()
 
@@ -221,7 +224,7 @@ def test_a_store_is_not_blamed_for_who_took_over_between_its_two_puts(memory, mo
             leave_lock(60.0, "process 77 on elsewhere")
 
     monkeypatch.setattr(object_store.Prefix, "create", stopped_meanwhile)
-    with pytest.raises(StoreError, match="lost the lock to process 77"), storage.place_of(OUT).own():
+    with pytest.raises(StoreError, match="lost the lock to process 77"), place_of(OUT).own():
         pass
 
 
@@ -230,7 +233,7 @@ def test_a_lock_given_back_as_it_was_met_is_a_refusal(memory, impatient, monkeyp
         raise FileExistsError(17, "At least one of the pre-conditions you specified did not hold", name)
 
     monkeypatch.setattr(object_store.Prefix, "create", met)
-    with pytest.raises(StoreError, match="got a lock held by another process"), storage.place_of(OUT).own():
+    with pytest.raises(StoreError, match="got a lock held by another process"), place_of(OUT).own():
         pass
 
 
@@ -302,7 +305,7 @@ def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
 
 
 def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.writer._LAST_SECONDS", 0.1)
+    monkeypatch.setattr("stickslip.pipeline.dataset.writer._LAST_SECONDS", 0.1)
     answered, listed = threading.Event(), []
     with Store(stored, scene, source) as store:
         monkeypatch.setattr(object_store.Prefix, "names", lambda self: listed.append(answered.wait(60)) or [])

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.pipeline import expand, processes
-from stickslip.pipeline.design import Batch
-from stickslip.pipeline.processes import Child, ChildDied, environment_kept
-from stickslip.pipeline.schema import Recording
-from stickslip.pipeline.worker import compute, compute_alone
+from stickslip.pipeline import expand
+from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.machine import processes
+from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
+from stickslip.pipeline.running.worker import compute, compute_alone
+from stickslip.pipeline.scene.columns import Recording
 from tests.processes import is_running, until
 
 
@@ -44,7 +45,7 @@ def leave(code):
 def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
     pid = tmp_path / "pid"
     code = (
-        "from stickslip.pipeline.processes import Child; from tests.pipeline.test_processes import hang\n"
+        "from stickslip.pipeline.machine.processes import Child; from tests.pipeline.test_processes import hang\n"
         f"Child(hang)({str(pid)!r})"
     )
     with subprocess.Popen([sys.executable, "-c", code], env=processes._environment()) as parent:
@@ -70,15 +71,15 @@ def test_it_answers_one_question_after_the_other_and_says_how_it_died():
 FORKING = """
 import json, os, signal, sys
 sys.path.remove("")  # as in a program that is installed
-from stickslip.pipeline.processes import forked_workers, one_thread
+from stickslip.pipeline.machine.processes import forked_workers, one_thread
 
 def about():
     there = dict(os.environ), sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
-    return os.getppid(), "stickslip.pipeline.preload" in sys.modules, *there
+    return os.getppid(), "stickslip.pipeline.running.preload" in sys.modules, *there
 
 before = dict(os.environ)
 with one_thread(), forked_workers():
-    from stickslip.pipeline import cluster
+    from stickslip.pipeline.running import cluster
     with cluster.local(2) as client:
         found = list(client.run(about).values())
 assert dict(os.environ) == before

@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble, sql
-from stickslip.pipeline.schema import SCHEMA, scalars
+from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline.dataset.schema import SCHEMA, scalars
+from stickslip.pipeline.query import database
 
 
 def test_members_table(finished, scene):
@@ -40,9 +41,7 @@ def test_no_column_says_nan_where_there_is_nothing(finished):
 
 
 def test_members_filtered_and_chosen(finished, scene):
-    wanted = [
-        m.member_id for m in expand(scene) if m.n == 5 and m.engine == "coulomb" and m.perturbation_size == 0.05
-    ]
+    wanted = [m.member_id for m in expand(scene) if m.n == 5 and m.engine == "coulomb" and m.change.size == 0.05]
     tuples = [("n", "=", 5), ("engine", "=", "coulomb"), ("perturbation_size", "=", 0.05)]
     expression = (pc.field("n") == 5) & (pc.field("engine") == "coulomb") & (pc.field("perturbation_size") == 0.05)
     for filters in (tuples, expression):
@@ -67,7 +66,7 @@ def test_series_are_the_runs_own(finished, scene):
         seen.append(member_id)
         assert t.dtype == np.float64
         assert n_stick.dtype == np.int32
-        if members[member_id].matrix == 1:
+        if members[member_id].source.matrix == 1:
             want_t, want = members[member_id].simulate().events.change_points()
             assert np.array_equal(t, want_t)
             assert np.array_equal(n_stick, want)
@@ -334,7 +333,7 @@ def test_a_query_without_end_can_be_interrupted(text, finished):
 
 def test_an_interrupt_while_views_are_made_is_one(finished, monkeypatch):
     """What DuckDB is asked in the main thread hears it too, and says in words of its own that it did."""
-    monkeypatch.setattr(sql, "views", lambda *_: {f"view_{k}": "SELECT * FROM shards" for k in range(100_000)})
+    monkeypatch.setattr(database, "views", lambda *_: {f"view_{k}": "SELECT * FROM shards" for k in range(100_000)})
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     for _ in range(5):
         timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
@@ -357,7 +356,7 @@ def test_an_interrupt_while_a_query_is_handed_over_ends_it(finished, monkeypatch
                 raise KeyboardInterrupt
             return handed_over
 
-    monkeypatch.setattr(sql, "ThreadPoolExecutor", Interrupted)
+    monkeypatch.setattr(database, "ThreadPoolExecutor", Interrupted)
     with pytest.raises(KeyboardInterrupt):
         query.sql(finished, ENDLESS)
 
@@ -395,7 +394,7 @@ def test_a_table_holds_the_lists_too(finished):
 
 
 def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.query._PART", 60_000)  # some parts
+    monkeypatch.setattr("stickslip.pipeline.query.frames._PART", 60_000)  # some parts
     columns, filters = ["member_id", "n", "tol", "n_exits", "stick"], [("engine", "=", "coulomb")]
     lazy = query.dask_members(finished, columns, filters)
     assert lazy.npartitions > 2

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify, worker
-from stickslip.pipeline.design import Member
+from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_ensemble, verify
+from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
-from stickslip.pipeline.schema import Recording
+from stickslip.pipeline.running import worker
+from stickslip.pipeline.scene.columns import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -58,8 +59,8 @@ def test_an_engine_may_leave_changes_out():
     scene = parse_scene(text)
     found = expand(scene)
     assert len(found) == scene.n_members == 2 * ((1 + 2) + (1 + 2))
-    assert {m.engine for m in found if m.twin_size is not None} == {"coulomb"}
-    assert {(m.engine, m.perturbation_reading) for m in found if m.perturbation_reading} == {("sigmoid", "scale")}
+    assert {m.engine for m in found if m.change.twin_size is not None} == {"coulomb"}
+    assert {(m.engine, m.change.reading) for m in found if m.change.reading} == {("sigmoid", "scale")}
 
 
 def test_the_base_undoes_one_change(scene):
@@ -77,7 +78,11 @@ def test_the_base_undoes_one_change(scene):
 
 
 def test_twins_start_as_far_off_as_said_all_the_same_way(scene):
-    starts = {m.twin_size: np.array(m.start()) for m in expand(scene) if m.engine == "coulomb" and m.matrix == 1}
+    starts = {
+        m.change.twin_size: np.array(m.start())
+        for m in expand(scene)
+        if m.engine == "coulomb" and m.source.matrix == 1
+    }
     away = {size: starts[size] - np.array([[-0.7], [-0.4]]) for size in (1e-6, 1e-3)}
     for size, moved in away.items():
         assert math.sqrt((moved**2).sum(axis=0).mean()) == pytest.approx(size, rel=1e-9)
@@ -140,7 +145,9 @@ def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
     """Three runs a matrix for comparison, of coulomb and of the sigmoid with its ratios and with none."""
     worker._states.cache_clear()
     task, made = Member.task, []
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", lambda *args: made.append(args) or task(*args))
+    monkeypatch.setattr(
+        "stickslip.pipeline.ensemble.member.Member.task", lambda *args: made.append(args) or task(*args)
+    )
     for member in expand(scene):
         worker.row(member, Recording.of(scene))
     assert len(made) == scene.n_members + 2 * 3

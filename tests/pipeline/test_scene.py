@@ -280,7 +280,7 @@ def test_tolerances_are_picked_for_what_a_scene_asks(scene, source):
     plain = edit(edit(source, "events = true", "events = false"), "[perturbation]\nsizes = [0.05, 0.01]", "")
     picked = parse_scene(plain)
     assert [engine.tolerances for engine in picked.engines] == [{"tol": 1e-5}, {"rtol": 1e-5, "atol": 1e-5}]
-    assert {member.picked_for for member in expand(picked)} == {"statistics"}
+    assert {member.method.picked_for for member in expand(picked)} == {"statistics"}
     given = parse_scene(
         edit(edit(plain, 'name = "coulomb"', 'name = "coulomb"\ntol = 1e-5'), "ratio_draws = 2", "rtol = 1e-3")
     )

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stickslip.pipeline import Scene, SceneError, load_scene, parse_scene
-from stickslip.pipeline.toml import as_tuple, plain, written
+from stickslip.pipeline.scene.toml import as_tuple, plain, written
 from stickslip.workflows.scenes import chart_of, shipped
 
 ENSEMBLES = {name: file for name, file in shipped().items() if chart_of(file) is None}

@@ -7,7 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-from stickslip.pipeline import SceneError, StoreError, ends, expand, load_scene, parse_scene, query, run_ensemble
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, parse_scene, query, run_ensemble
+from stickslip.pipeline.running import ends
+from stickslip.pipeline.running.ends import end_of
 from stickslip.workflows.commands import main
 from tests.scenes import COULOMB, ensemble
 
@@ -30,9 +32,9 @@ def test_rest_is_unstretched_springs_on_the_belt():
     text = ensemble(5, 10.0, 2, COULOMB).replace("n = 5", "n = 5\nrho = 1.0\nbelt_speed = [-0.1, -0.2]")
     found = parse_scene(at_rest(text).encode())
     for member in expand(found):
-        z, w = member.start()
-        assert (z, w) == (0.0, member.belt_speed)
-        assert (member.z0, member.w0) == (0.0, member.belt_speed)
+        z, w = member.start(end_of(member))
+        assert (z, w) == (0.0, member.term("belt_speed"))
+        assert (member.begin.z0, member.begin.w0) == (0.0, member.term("belt_speed"))
         run = member.simulate()
         assert (run.events.initial_mode == 0).all()  # |R v| < mu
     assert found.hash == parse_scene(text.replace(START, '[start]\nz = 0.0\nw = "belt"').encode()).hash
@@ -46,9 +48,9 @@ def test_rest_is_unstretched_springs_on_the_belt():
 def test_blocks_that_are_drawn_may_all_ride_on_the_belt():
     text = scene('[start]\nz = {uniform = [-0.1, 0.1]}\nw = "belt"\ndraws = 3')
     for member in expand(parse_scene(text.encode())):
-        z, w = member.start()
+        z, w = member.start(end_of(member))
         assert len(set(z)) == member.n
-        assert w == member.belt_speed
+        assert w == member.term("belt_speed")
 
 
 @pytest.fixture
@@ -98,8 +100,8 @@ def test_a_run_goes_on_where_another_ended(first, content):
     following, whole = (expand(load_scene(first / name)) for name in ("next.toml", "whole.toml"))
     n_events = 0
     for one, both in zip(following, whole, strict=True):
-        assert one.member_id.startswith(f"n{one.n}-m{one.matrix:03d}-e")
-        second, run = one.simulate(), both.simulate()
+        assert one.member_id.startswith(f"n{one.n}-m{one.source.matrix:03d}-e")
+        second, run = one.simulate(end=end_of(one)), both.simulate()
         at = run.events.t >= 12.0
         n_events += at.sum()
         assert second.events.block.tolist() == run.events.block[at].tolist()
@@ -117,7 +119,7 @@ def test_a_run_goes_on_where_another_ended(first, content):
     moved = shutil.move(first, first.with_name(f"{first.name}-moved"))
     assert run_ensemble(load_scene(moved / "next.toml"), moved / "runs" / "next0", workers=0).is_complete
     one = expand(load_scene(moved / "runs" / "next0" / "scene.toml"))[0]  # whose copy lies deeper
-    assert np.array_equal(one.start()[0], following[0].start()[0])
+    assert np.array_equal(*(member.start(end_of(member))[0] for member in (one, following[0])))
 
 
 def test_the_end_of_one_run_starts_many(first):
@@ -127,24 +129,26 @@ def test_the_end_of_one_run_starts_many(first):
     members = expand(load_scene(first / "next.toml"))
     assert len(members) == 2 * 2 * 2
     for member in members:
-        (old,) = (m for m in expand(load_scene(first / "first.toml")) if (m.n, m.matrix) == (4, member.matrix))
-        assert np.array_equal(member.start()[0], query.ends(first / "runs" / "first")[old.member_id][0])
+        (old,) = (
+            m for m in expand(load_scene(first / "first.toml")) if (m.n, m.source.matrix) == (4, member.source.matrix)
+        )
+        assert np.array_equal(member.start(end_of(member))[0], query.ends(first / "runs" / "first")[old.member_id][0])
 
 
 def test_starts_that_were_drawn_are_matched_by_their_draws(tmp_path):
     drawn = "[start]\nz = {uniform = [-1, 1]}\nw = -0.4\ndraws = 3"
     (tmp_path / "first.toml").write_text(scene(drawn, rest="[record]\nend = true"))
     run_ensemble(load_scene(tmp_path / "first.toml"), tmp_path / "runs" / "first", workers=0)
-    ends = query.ends(tmp_path / "runs" / "first")
+    states = query.ends(tmp_path / "runs" / "first")
     (tmp_path / "next.toml").write_text(scene(f"{GOES_ON}\ndraws = 3"))
     following = expand(load_scene(tmp_path / "next.toml"))
     first = expand(load_scene(tmp_path / "first.toml"))
-    assert [np.array_equal(a.start()[0], ends[b.member_id][0]) for a, b in zip(following, first, strict=True)] == [
-        True
-    ] * 12
+    assert len(first) == 12
+    for one, other in zip(following, first, strict=True):
+        assert np.array_equal(one.start(end_of(one))[0], states[other.member_id][0])
     (tmp_path / "next.toml").write_text(scene(GOES_ON))
     with pytest.raises(SceneError, match=r"expected one member of .* got 3, .*-s0-.* and .*-s1-.* first; .*`draws`"):
-        load_scene(tmp_path / "next.toml")
+        ends.check(load_scene(tmp_path / "next.toml"))
 
 
 def test_a_table_within_a_line_can_be_read_too(first):
@@ -170,7 +174,7 @@ def test_a_dataset_that_changed_since_the_scene_was_read_starts_nothing(first):
     run_ensemble(load_scene(first / "first.toml"), first / "runs" / "first", workers=0)
     ends._opened.cache_clear()  # as in a worker, which opens it later
     with pytest.raises(SceneError, match=r"as it was when the scene was read .* got another"):
-        expand(following)[0].start()
+        end_of(expand(following)[0])
 
 
 def test_a_run_that_did_not_come_to_its_end_starts_nothing(tmp_path):
@@ -180,7 +184,7 @@ def test_a_run_that_did_not_come_to_its_end_starts_nothing(tmp_path):
     assert set(query.members(tmp_path / "runs" / "first").outcome) == {"diverged"}
     (tmp_path / "next.toml").write_text(scene(GOES_ON).replace(*away))
     with pytest.raises(SceneError, match=r"members that came to their end, got n4-m000-.*, which is diverged"):
-        load_scene(tmp_path / "next.toml")
+        ends.check(load_scene(tmp_path / "next.toml"))
 
 
 BAD = {
@@ -215,7 +219,7 @@ def test_a_dataset_without_ends_is_refused(tmp_path):
     run_ensemble(load_scene(tmp_path / "first.toml"), tmp_path / "runs" / "first", workers=0)
     (tmp_path / "next.toml").write_text(scene(GOES_ON))
     with pytest.raises(SceneError, match=r"start\.dataset: expected .* with the ends of its runs, .*`end = true`"):
-        load_scene(tmp_path / "next.toml")
+        ends.check(load_scene(tmp_path / "next.toml"))
 
 
 def test_of_one_block_the_numbers_that_were_drawn_are_kept(tmp_path):

@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 import scipy.sparse
 
-from stickslip.pipeline import SceneError, cluster, expand, parse_scene, query, run_ensemble, verify
-from stickslip.pipeline.cluster import check_memory
-from stickslip.pipeline.toml import written
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
+from stickslip.pipeline.running import cluster
+from stickslip.pipeline.running.cluster import check_memory
+from stickslip.pipeline.scene.toml import written
 from stickslip.sim.systems.friction import Rational
 from stickslip.workflows.reporting import study_of
 from tests.scenes import COULOMB, ENDING, ensemble
@@ -94,20 +95,23 @@ def test_lists_are_a_grid_and_their_values_are_in_the_names():
     assert scene.extent == "2 kappa x 2 belt_speed x 2 z x 2 engines"
     assert members[0].member_id == "n3-m000-kappa=0.1-belt_speed=-0.2-z=-0.7-coulomb-1e-6"
     for member in members:
-        assert f"-kappa={member.kappa:g}-belt_speed={member.belt_speed:g}-z={member.z0:g}-" in member.member_id
+        assert (
+            f"-kappa={member.term('kappa'):g}-belt_speed={member.term('belt_speed'):g}-z={member.begin.z0:g}-"
+            in member.member_id
+        )
 
 
 def test_members_of_one_matrix_share_their_draws_across_the_grid():
     alike: dict[tuple, list] = {}
     for member in expand(scene_of(GRID)):
-        alike.setdefault((member.n, member.matrix), []).append(member)
+        alike.setdefault((member.n, member.source.matrix), []).append(member)
     assert len(alike) == 4
     for members in alike.values():
-        by_kappa = {member.kappa: member.system() for member in members}
+        by_kappa = {member.term("kappa"): member.system() for member in members}
         assert by_kappa[0.2].stiffness == pytest.approx(2 * by_kappa[0.1].stiffness, rel=1e-14)
         assert np.array_equal(by_kappa[0.2].damping, by_kappa[0.1].damping)
         assert len({member.ratios().tobytes() for member in members if member.engine == "sigmoid"}) == 1
-        moves = np.array([np.array(m.start()) - [[m.z0], [m.w0]] for m in members if m.twin_size])
+        moves = np.array([np.array(m.start()) - [[m.begin.z0], [m.begin.w0]] for m in members if m.change.twin_size])
         assert moves == pytest.approx(np.broadcast_to(moves[0], moves.shape), abs=1e-15)
 
 
@@ -129,7 +133,7 @@ def test_the_order_of_a_list_means_nothing():
 
 def test_lists_that_are_zipped_go_together():
     zipped = scene_of(GRID, ("seed = 3", 'seed = 3\nzip = [["z", "kappa"]]'))
-    pairs = {(member.kappa, member.z0) for member in expand(zipped)}
+    pairs = {(member.term("kappa"), member.begin.z0) for member in expand(zipped)}
     assert pairs == {(0.2, -0.7), (0.1, -0.5)}
     assert zipped.n_members == len(expand(zipped)) == 2 * 2 * 4 * 4
     assert zipped.extent == "2 kappa with z x 2 belt_speed x 2 engines"
@@ -176,12 +180,12 @@ def test_seeds_in_a_list_are_runs_of_each(tmp_path):
     assert scene.extent.startswith("2 kappa x 2 belt_speed x 2 z x 2 seed")
     assert [one.run.seed for one in (scene, parse_scene(scene.source))] == [(5, 3)] * 2
     alone = {m.member_id: m for m in expand(scene_of(GRID))}
-    both = {m.member_id.replace("-seed=3", ""): m for m in expand(scene) if m.seed == 3}
+    both = {m.member_id.replace("-seed=3", ""): m for m in expand(scene) if m.source.seed == 3}
     assert both.keys() == alone.keys()
     for name in list(alone)[::7]:
         assert np.array_equal(both[name].system().stiffness, alone[name].system().stiffness)
     zipped = scene_of(several, ("matrices = 2", 'matrices = 2\nzip = [["seed", "kappa"]]'))
-    assert {(m.seed, m.kappa) for m in expand(zipped)} == {(5, 0.2), (3, 0.1)}
+    assert {(m.source.seed, m.term("kappa")) for m in expand(zipped)} == {(5, 0.2), (3, 0.1)}
 
 
 def test_seeds_are_further_matrices_to_the_report(tmp_path):
@@ -218,12 +222,14 @@ def test_each_draw_is_numpys_own_under_its_key(seed):
 
 def test_twins_of_starts_that_are_drawn_are_moved_each_its_own_way(seed):
     members = expand(scene_of(DRAWN.replace("SEED", str(seed)), ("[run]", "[twins]\nsizes = [1e-3, 1e-5]\n[run]")))
-    twins = [member for member in members if member.twin_size is not None]
-    assert {member.start_draw for member in twins} == {0, 1, 2}
+    twins = [member for member in members if member.change.twin_size is not None]
+    assert {member.begin.draw for member in twins} == {0, 1, 2}
     for member in twins:
         moved = np.array(member.start()) - np.array(np.broadcast_arrays(*member.base.start(), np.empty(3))[:2])
-        by = drawn(3, seed, 3, member.matrix, member.start_draw).standard_normal((2, 3))
-        np.testing.assert_allclose(moved, by * member.twin_size / np.sqrt((by**2).sum() / 3), rtol=0, atol=1e-15)
+        by = drawn(3, seed, 3, member.source.matrix, member.begin.draw).standard_normal((2, 3))
+        np.testing.assert_allclose(
+            moved, by * member.change.twin_size / np.sqrt((by**2).sum() / 3), rtol=0, atol=1e-15
+        )
 
 
 def test_what_is_drawn_is_null_and_said_in_a_text(seed, tmp_path):
@@ -254,7 +260,9 @@ def test_static_friction_is_swept_and_drawn(seed, tmp_path):
     plain = {member.member_id for member in expand(scene_of(DRAWN.replace("SEED", str(seed))))}
     for member in members:
         system = member.system()
-        expected = 1.2 if member.static == 1.2 else drawn(9, seed, 3, member.matrix).uniform(1.3, 1.5, 3)
+        expected = (
+            1.2 if member.term("static") == 1.2 else drawn(9, seed, 3, member.source.matrix).uniform(1.3, 1.5, 3)
+        )
         assert np.array_equal(system.static, np.broadcast_to(expected, 3))
         assert member.member_id.replace("-static=1.2", "").replace("-static=uniform1.3_1.5", "") in plain
     run_ensemble(scene, tmp_path / "out", workers=0)
@@ -281,17 +289,17 @@ def test_what_drives_the_blocks_is_swept_and_drawn(seed):
     members = expand(scene)
     assert len({member.member_id for member in members}) == len(members) == scene.n_members == 2 * 2 * 2 * 3
     for member in members:
-        system, key = member.system(), (3, member.matrix)
-        masses = 1.0 if member.mass == 1.0 else drawn(10, seed, *key).uniform(0.8, 1.2, 3)
+        system, key = member.system(), (3, member.source.matrix)
+        masses = 1.0 if member.term("mass") == 1.0 else drawn(10, seed, *key).uniform(0.8, 1.2, 3)
         assert np.array_equal(system.mass, np.broadcast_to(masses, 3))
         assert np.array_equal(system.belt_speed, drawn(11, seed, *key).normal(-0.1, 0.01, 3))
         assert np.array_equal(member.start()[1], system.belt_speed)
         (force,) = system.force
-        assert (force.amplitude == member.force_amplitude).all()
+        assert (force.amplitude == member.term("force_amplitude")).all()
         assert np.array_equal(force.frequency, drawn(13, seed, *key).uniform(0.9, 1.1, 3))
-        assert system.weakening == Rational({0.5: 2.0, 1.0: 3.0}[member.force_amplitude])
+        assert system.weakening == Rational({0.5: 2.0, 1.0: 3.0}[member.term("force_amplitude")])
         assert not system.back_slip
-        assert member.back_slip == "barred"
+        assert member.term("back_slip") == "barred"
     assert load_again(scene).hash == scene.hash
     assert scene.changed(system={"back_slip": True}).hash != scene.hash
 
@@ -328,7 +336,7 @@ def test_a_belt_may_change_its_speed(seed):
 
 def test_a_number_may_be_the_damping_itself():
     member = expand(scene_of(DRAWN, ("SEED", "1"), ("damping = {uniform = [0.0, 0.5]}", "damping = 0.0")))[0]
-    assert (member.damping, member.rho, member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
+    assert (member.term("damping"), member.term("rho"), member.system().damping.tolist()) == (0.0, None, [0.0] * 3)
 
 
 # ---------------------------------------------------------------------------------------------- graphs
@@ -364,7 +372,9 @@ def test_a_network_is_drawn_and_one_of_lower_degree_is_a_part_of_it(seed):
             "n = 3", "n = 9"
         )
     )
-    systems = {(member.matrix, member.degree): member.system().stiffness.toarray() for member in expand(scene)}
+    systems = {
+        (member.source.matrix, member.term("degree")): member.system().stiffness.toarray() for member in expand(scene)
+    }
     for matrix in (0, 1):
         few, many = (systems[matrix, degree] - np.diag(np.diag(systems[matrix, degree])) for degree in (2.0, 4.0))
         assert ((few != 0).sum(), (many != 0).sum()) == (2 * 9, 2 * 18)

@@ -16,10 +16,11 @@ import scipy.io
 import scipy.sparse
 
 from stickslip import sim
-from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, systems, verify
-from stickslip.pipeline.design import tasks
-from stickslip.pipeline.scene import parse_scene
-from stickslip.pipeline.system_table import FileTable
+from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, verify
+from stickslip.pipeline.ensemble.pack import tasks
+from stickslip.pipeline.scene import systems
+from stickslip.pipeline.scene.scene import parse_scene
+from stickslip.pipeline.scene.system_table import FileTable
 from stickslip.workflows.commands import main
 from tests.scenes import ENDING
 
@@ -59,7 +60,7 @@ def test_a_file_is_the_system_and_its_digest_is_in_the_name(tmp_path, arrays):
     members = expand(load_scene(written(tmp_path, arrays)))
     assert len(members) == 2 * 2 * 2
     assert len({member.member_id for member in members}) == len(members)
-    sha256 = members[0].origin.sha256
+    sha256 = members[0].source.origin.sha256
     assert all(member.member_id.startswith(f"n4-K{sha256[:12]}-m00") for member in members)
     for member in members:
         system = member.system()
@@ -79,7 +80,7 @@ def test_the_run_of_a_member_is_that_of_simulate(tmp_path, arrays):
     assert table.kappa.unique() == pytest.approx([np.abs(arrays["stiffness"]).max()])
     assert table.friction.isna().all()
     member = expand(load_scene(file))[-1]
-    system = sim.System(arrays["stiffness"], member.system().damping, arrays["friction"], member.belt_speed)
+    system = sim.System(arrays["stiffness"], member.system().damping, arrays["friction"], member.term("belt_speed"))
     run = sim.simulate(system, *member.start(), t_end=5.0, tol=1e-6)
     row = table.set_index("member_id").loc[member.member_id]
     assert (row.outcome, row.n_events, row.n_steps) == (run.outcome, run.stats.n_events, run.stats.n_steps)
@@ -96,7 +97,7 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
     scipy.io.mmwrite(tmp_path / "f.mtx", sparse)
     file = tmp_path / "mine.toml"
     file.write_text(SCENE.replace("K.npz", "[a-f].*").replace('"file"\nw', "0.0\nw"))
-    found = {member.origin.name: member.system() for member in expand(load_scene(file))}
+    found = {member.source.origin.name: member.system() for member in expand(load_scene(file))}
     assert len(found) == 6
     for name, system in found.items():
         assert scipy.sparse.issparse(system.stiffness) == (name in ("d.npz", "e.npz", "f.mtx")), name
@@ -110,7 +111,9 @@ def test_what_a_matrix_market_file_says_of_symmetry_is_done(symmetry, sign, tmp_
     scipy.io.mmwrite(tmp_path / "a.mtx", k, symmetry=symmetry)
     scipy.io.mmwrite(tmp_path / "b.mtx", scipy.sparse.coo_array(k), symmetry=symmetry)
     (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "[ab].mtx").replace('"file"\nw', "0.0\nw"))
-    found = {member.origin.name: member.system().stiffness for member in expand(load_scene(tmp_path / "mine.toml"))}
+    found = {
+        member.source.origin.name: member.system().stiffness for member in expand(load_scene(tmp_path / "mine.toml"))
+    }
     assert len(found) == 2
     assert np.array_equal(found["a.mtx"], k)
     assert np.array_equal(found["b.mtx"].toarray(), k)
@@ -177,7 +180,7 @@ def test_the_digest_is_of_all_bytes_of_a_file(tmp_path, rng):
         (tmp_path / "K.npy").write_bytes(changed)
         systems._read.cache_clear()
         with pytest.raises(SceneError, match=r"K\.npy as it was when the scene was read .* got another"):
-            systems.read(expand(scene)[0].origin)
+            systems.read(expand(scene)[0].source.origin)
         with pytest.raises(StoreError, match=r"system\.files\.K\.npy: sha256"):
             run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
 
@@ -304,7 +307,7 @@ def test_files_are_not_compared_two_by_two(rng, monkeypatch):
     scene = parse_scene(known(rng, n_files).replace("t_end = 5.0", "t_end = 1e5").encode())
     assert len(tasks(scene)) > n_files / 2
     assert n_files <= n_asked < 10 * n_files
-    matrices = [member.matrix for member in expand(scene)]
+    matrices = [member.source.matrix for member in expand(scene)]
     assert len(set(matrices)) == n_files
     assert max(matrices) > 2**62  # all of 300 are below it once in 10^90 times
     assert max(matrices) < 2**63

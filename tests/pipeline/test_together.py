@@ -3,20 +3,23 @@
 import numpy as np
 import pytest
 
-from stickslip.pipeline import design, parse_scene, worker
-from stickslip.pipeline.schema import Recording, encode
+from stickslip.pipeline import parse_scene
+from stickslip.pipeline.dataset.schema import encode, schema_of
+from stickslip.pipeline.ensemble import expand, member
+from stickslip.pipeline.running import worker
+from stickslip.pipeline.scene.columns import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 RECORD = "[record]\nevents = true\nend = true\nepisodes = true\n"
 
 
 def bytes_of(members, found, recording):
-    return encode(worker.columns(members, found, recording), recording.schema)
+    return encode(worker.columns(members, found, recording), schema_of(recording))
 
 
 def members_of(source):
     scene = parse_scene(source.encode())
-    return design.expand(scene), Recording.of(scene)
+    return expand.expand(scene), Recording.of(scene)
 
 
 @pytest.mark.parametrize("perturbation", ["", "[perturbation]\nsizes = [0.05]\nreadings = ['scale', 'relative']\n"])
@@ -49,9 +52,9 @@ def test_members_together_have_the_rows_that_they_have_alone(rng, perturbation):
 def test_a_member_that_fails_among_others_fails_alone(monkeypatch, start, words):
     members, recording = members_of(ensemble(5, 10.0, 4, COULOMB, SIGMOID, rest=RECORD))
     undisturbed = worker.run_members(members, recording)
-    own = design.Member.start
+    own = member.Member.start
     failing = members[3]
-    monkeypatch.setattr(design.Member, "start", lambda self: start if self is failing else own(self))
+    monkeypatch.setattr(member.Member, "start", lambda self, end=None: start if self is failing else own(self, end))
     found = worker.run_members(members, recording)
     assert found[3]["outcome"] == "failed"
     assert words in found[3]["reason"]
@@ -67,7 +70,7 @@ def test_a_member_that_fails_among_others_fails_alone(monkeypatch, start, words)
 def test_no_more_systems_are_held_than_their_size_allows(monkeypatch, n, at_most):
     members, recording = members_of(ensemble(n, 2.0, 200, COULOMB, rest=RECORD))
     drawn = []
-    own = design.Member.system
-    monkeypatch.setattr(design.Member, "system", lambda self: drawn.append(self) or own(self))
+    own = member.Member.system
+    monkeypatch.setattr(member.Member, "system", lambda self: drawn.append(self) or own(self))
     next(iter(worker._prepared(members, recording)))
     assert len(drawn) == at_most

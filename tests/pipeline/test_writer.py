@@ -20,22 +20,22 @@ from stickslip import pipeline
 from stickslip.pipeline import (
     Progress,
     StoreError,
-    design,
     expand,
-    object_store,
     parse_scene,
     query,
     run_ensemble,
     run_member,
     status,
-    storage,
     verify,
 )
-from stickslip.pipeline.ledger import read_manifest
-from stickslip.pipeline.schema import SCHEMA, Recording, scalars
-from stickslip.pipeline.storage import Directory
-from stickslip.pipeline.worker import compute
-from stickslip.pipeline.writer import Store
+from stickslip.pipeline.dataset.schema import SCHEMA, scalars, schema_of
+from stickslip.pipeline.dataset.writer import Store
+from stickslip.pipeline.ensemble import member
+from stickslip.pipeline.places import directory, object_store
+from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.running.worker import compute
+from stickslip.pipeline.scene.columns import Recording
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -52,7 +52,7 @@ def tables(path):
 
 
 def test_one_row_a_member_in_order_with_the_written_schema(finished, scene):
-    schema = Recording.of(scene).schema
+    schema = schema_of(Recording.of(scene))
     found = []
     for table in tables(finished):
         assert table.schema.equals(schema, check_metadata=True)
@@ -68,14 +68,8 @@ def test_rows_hold_parameters_and_results(finished, scene):
     for table in tables(finished):
         for row in table.to_pylist():
             member = members[row["member_id"]]
-            kept = {name: getattr(member, name) for name in member.__slots__} | dict(member.settings)
-            for name in (
-                "settings",
-                "thresholds",
-                "parameters",
-                "shared_cost",
-            ):  # in columns of their own; no part of the data
-                kept.pop(name, None)
+            kept = member.row()
+            kept.pop("thresholds", None)  # in a column of their own
             for name in kept.keys() - row.keys():  # columns of other scenes
                 assert kept.pop(name) is None, name
             assert {name: row[name] for name in kept} == kept
@@ -110,14 +104,14 @@ def test_scene_is_kept_byte_for_byte(finished, source):
 def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
     scene, source, tmp_path, finished, monkeypatch
 ):
-    task = design.Member.task
+    task = member.Member.task
 
     def fragile(member, *args):
         if member.n == 5 and member.engine == "coulomb":
             raise ZeroDivisionError("one\n  two")
         return task(member, *args)
 
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
     result = run_ensemble(scene, tmp_path / "out", workers=0)
     assert result.is_complete
     assert result.outcomes["failed"] == 9
@@ -158,7 +152,7 @@ def test_full_disk_is_one_clear_error_and_resumes(scene, source, finished, conte
     with pytest.raises(StoreError, match=r"No space left on device.*rerun the scene"):
         run_ensemble(scene, out, workers=0)
     monkeypatch.undo()
-    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 3.5e-3)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 3.5e-3)
     assert list(out.rglob(".tmp-*")) == []
     assert not (out / ".lock").exists()
     run_ensemble(scene, out, workers=0)
@@ -342,7 +336,7 @@ def test_the_key_that_was_changed_comes_before_what_follows_from_it(copy, source
 
 
 def test_title_and_analysis_may_change_without_computing(copy, source, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)
     changed = source.replace(b'title = "small"', b'title = "new"').replace(b"t_burn = 1.0", b"t_burn = 2.0")
     assert run_ensemble(parse_scene(changed), copy, workers=0).is_complete
     assert (copy / "scene.toml").read_bytes() == changed
@@ -350,7 +344,7 @@ def test_title_and_analysis_may_change_without_computing(copy, source, monkeypat
 
 
 def test_a_dataset_keeps_the_packing_that_it_began_with(copy, scene, source, content, finished, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 7e-3)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 7e-3)
     shards(copy)[2].unlink()
     run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
@@ -412,7 +406,7 @@ def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
     with pytest.raises(StoreError):  # of another scene, it is left alone
         run_ensemble(other, copy, workers=0)
     assert listing(copy) == before
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # nothing is computed
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)  # nothing is computed
     run_ensemble(scene, copy, workers=0)
     assert content(copy) == content(finished)
     assert verify(copy) == []
@@ -432,8 +426,8 @@ def test_a_lost_manifest_and_a_lost_record_cost_what_they_would_have_confirmed(
 
 @pytest.mark.parametrize("where", ["{tmp_path}/out", "memory://bucket/written"])
 def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 1e-9)  # a member each
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)  # a row that says so
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 1e-9)  # a member each
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)  # a row that says so
     written = []
 
     def counting(function, position):
@@ -443,9 +437,9 @@ def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, 
 
         return counted
 
-    monkeypatch.setattr(storage.Directory, "replace", counting(storage.Directory.replace, 2))
+    monkeypatch.setattr(directory.Directory, "replace", counting(directory.Directory.replace, 2))
     monkeypatch.setattr(object_store.Prefix, "replace", counting(object_store.Prefix.replace, 2))
-    monkeypatch.setattr(storage, "_append", counting(storage._append, 1))
+    monkeypatch.setattr(directory, "_append", counting(directory._append, 1))
     overhead = {}
     for matrices in (3, 6, 12):
         written.clear()
@@ -498,7 +492,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
 
 
 def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
-    for room in ("writer", "worker", "driver"):
+    for room in ("dataset.writer", "running.worker", "running.driver"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
     assert run_ensemble(scene, copy, workers=0).is_complete  # nothing to compute: nothing to mix
@@ -516,7 +510,7 @@ def test_another_version_of_the_program_is_refused_unless_told(copy, scene, sour
 
 
 def test_data_that_are_all_gone_are_none_to_mix_with(copy, scene, monkeypatch):
-    for room in ("writer", "worker", "driver"):
+    for room in ("dataset.writer", "running.worker", "running.driver"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     for shard in shards(copy):
         shard.unlink()
@@ -574,7 +568,7 @@ def test_a_scene_that_somebody_put_there_is_not_what_a_dataset_grew_from(copy, s
 def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     scene, source, tmp_path, finished, content, monkeypatch
 ):
-    task, calls = design.Member.task, []
+    task, calls = member.Member.task, []
 
     def fragile(member, *args):
         calls.append(member)
@@ -582,7 +576,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
             raise ZeroDivisionError
         return task(member, *args)
 
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", fragile)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
     out = tmp_path / "out"
     run_ensemble(scene, out, workers=0)
     failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
@@ -594,7 +588,7 @@ def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
     calls.clear()
     run_ensemble(scene, out, workers=0)
     assert calls == []  # a failed member is done
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", task)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", task)
     touched = {file: file.stat().st_mtime_ns for file in shards(out)}
     with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
     seen: list[Progress] = []

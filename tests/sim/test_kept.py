@@ -367,7 +367,8 @@ def member_of(scene):
 
 def test_a_worker_elsewhere_does_not_make_failed_members_of_it(monkeypatch):
     """The run ends, with the words; rows that say "failed" would be kept."""
-    from stickslip.pipeline import expand, parse_scene, worker
+    from stickslip.pipeline import expand, parse_scene
+    from stickslip.pipeline.running import worker
 
     def refuse(*_):
         raise CacheError("kernel cache /scratch/x")

@@ -112,7 +112,7 @@ def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tm
 )
 def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, capsys, caplog):
     """Threads that run members side by side, in one process, get the same bytes, and the driver says it is slow."""
-    monkeypatch.setattr("stickslip.pipeline.design.TARGET_COST", 0.005)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 0.005)
     source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 60", b"matrices = 6")
     (tmp_path / "mine.toml").write_bytes(source)
     run_ensemble(parse_scene(source), tmp_path / "reference", workers=0)

@@ -25,8 +25,8 @@ import pytest
 from stickslip import workflows
 from stickslip.analysis import Report
 from stickslip.pipeline import Progress, load_scene, query, status
-from stickslip.pipeline.dataset import open_dataset
-from stickslip.pipeline.monitor import Began, Follower, Tally
+from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.dataset.status import Began, Follower, Tally
 from stickslip.workflows import export
 from stickslip.workflows.commands import _COMMANDS, main
 from stickslip.workflows.progress import Watch
@@ -378,7 +378,7 @@ def test_a_bad_scene_is_refused_in_its_words_and_nothing_is_written(old, new, wo
     ],
 )
 def test_what_no_worker_can_hold_is_refused(old, new, words, small_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("stickslip.pipeline.cluster.MEMORY_LIMIT", 4e9)
+    monkeypatch.setattr("stickslip.pipeline.running.cluster.MEMORY_LIMIT", 4e9)
     small = small_scene.read_text().replace("[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 4e-4")
     check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
 
@@ -476,7 +476,7 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
 
 def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    monkeypatch.setattr("stickslip.pipeline.monitor.time", SimpleNamespace(time=lambda: 1010.0))
+    monkeypatch.setattr("stickslip.pipeline.dataset.status.time", SimpleNamespace(time=lambda: 1010.0))
     cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
     follower = Follower(copy)
     # of four parts one is done, half of it before
@@ -571,7 +571,7 @@ def test_one_member_is_run_and_nothing_written(dataset, small_scene, tmp_path, m
     shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.strip().split("\n"))
     assert (shown["member_id"], shown["outcome"], int(shown["n_events"])) == tuple(row)
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("stickslip.pipeline.design.Member.task", None)
+    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)
     assert main(["run", str(small_scene), "--only", row.member_id]) == 1
     assert "reason             TypeError: 'NoneType' object is not callable" in capsys.readouterr().out
     assert main(["run", str(small_scene), "--only", "n7"]) == 2

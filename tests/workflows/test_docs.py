@@ -25,7 +25,8 @@ from stickslip.analysis.ensemble import OUTCOMES
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.fates import fate
-from stickslip.pipeline import SceneError, engine_table, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
@@ -233,7 +234,7 @@ def test_from_a_function_to_a_report(tmp_path):
 
 
 def test_the_tolerances_are_those_that_are_picked():
-    from stickslip.pipeline.engine_table import TOLERANCES
+    from stickslip.pipeline.scene.engine_table import TOLERANCES
 
     rows = re.findall(r"^\| .*? \| (1e-\d+) \| (1e-\d+) \|$", page("engines"), flags=re.MULTILINE)[:2]
     assert [tuple(map(float, row)) for row in rows] == [(t["tol"], t["rtol"]) for t in TOLERANCES.values()]

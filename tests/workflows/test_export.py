@@ -17,7 +17,8 @@ import netCDF4
 import numpy as np
 import pytest
 
-from stickslip.pipeline import design, parse_scene, query, run_ensemble
+from stickslip.pipeline import parse_scene, query, run_ensemble
+from stickslip.pipeline.ensemble import member
 from stickslip.workflows.commands import main
 from stickslip.workflows.export import whole
 from tests.faults.world import Unshown, small_disk
@@ -27,7 +28,7 @@ from tests.scenes import COULOMB, ensemble
 @pytest.fixture(scope="module")
 def some_failed(tmp_path_factory):
     """A dataset in which members of three blocks failed, and so have nulls."""
-    task = design.Member.task
+    task = member.Member.task
 
     def fragile(member, *args):
         if member.n == 3:
@@ -36,7 +37,7 @@ def some_failed(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("some") / "failed"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design.Member, "task", fragile)
+        patch.setattr(member.Member, "task", fragile)
         run_ensemble(parse_scene(ensemble([3, 5], 8.0, 4, COULOMB).encode()), path, workers=0)
     return path
 

@@ -14,9 +14,9 @@ import pytest
 import stickslip
 from stickslip import analysis, pipeline, sim
 from stickslip.pipeline import Scene, load_scene
-from stickslip.pipeline.engine_table import TOLERANCES
-from stickslip.pipeline.quantity import LAWS
-from stickslip.pipeline.toml import json_schema
+from stickslip.pipeline.scene.engine_table import TOLERANCES
+from stickslip.pipeline.scene.quantity import LAWS
+from stickslip.pipeline.scene.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.charts import chart as chart_scene
@@ -218,7 +218,7 @@ def test_one_import_has_the_contract():
     ("package", "room", "heavy"),
     [
         (stickslip, "stickslip.sim", {"dask", "pandas", "pyarrow", "matplotlib"}),
-        (pipeline, "stickslip.pipeline.scene", {"dask", "pandas", "pyarrow"}),
+        (pipeline, "stickslip.pipeline.scene.scene", {"dask", "pandas", "pyarrow"}),
         (analysis, "stickslip.analysis.style", {"pandas", "scipy.stats", "jinja2"}),
     ],
 )

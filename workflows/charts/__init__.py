@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.scene import MINUTES
-from stickslip.pipeline.toml import Positive, StrictTable, as_scene, as_tuple, distinct, parse_toml, read_source
+from stickslip.pipeline.scene.scene import MINUTES
+from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, as_tuple, distinct, parse_toml, read_source
 
 if TYPE_CHECKING:
     import pandas as pd

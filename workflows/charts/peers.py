@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip import sim
-from stickslip.pipeline.design import MATRIX, RATIO
+from stickslip.pipeline.ensemble.member import MATRIX, RATIO
 
 Floats = NDArray[np.float64]
 Model = Literal["coulomb", "sigmoid"]

@@ -25,9 +25,9 @@ from pydantic import Field
 from stickslip import sim
 from stickslip.analysis.style import CYCLE, STYLE, legend, subplots
 from stickslip.pipeline import Scene, run_ensemble
-from stickslip.pipeline.cluster import local
-from stickslip.pipeline.design import MATRIX
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive
+from stickslip.pipeline.ensemble.member import MATRIX
+from stickslip.pipeline.running.cluster import local
+from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Shown
 from stickslip.workflows.charts.cost import Product, timed
 from stickslip.workflows.charts.peers import W0, Z0, random_system, seed_of

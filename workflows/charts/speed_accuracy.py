@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
-from stickslip.pipeline.toml import BlockNumbers, Count, Positive
+from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.cost import Product
 from stickslip.workflows.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem

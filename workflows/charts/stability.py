@@ -28,7 +28,7 @@ from pydantic import Field
 
 from stickslip import sim
 from stickslip.analysis.style import GREY, STYLE, subplots
-from stickslip.pipeline.toml import Blocks, Positive
+from stickslip.pipeline.scene.toml import Blocks, Positive
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown, slope
 from stickslip.workflows.charts.peers import METHODS, Model, Problem, methods_of, random_problem
 from stickslip.workflows.charts.runner import frame

@@ -20,7 +20,7 @@ from scipy import optimize
 
 from stickslip import sim
 from stickslip.analysis.style import CYCLE, GREY, STYLE, subplots
-from stickslip.pipeline.toml import Count
+from stickslip.pipeline.scene.toml import Count
 from stickslip.workflows.charts import ChartScene, Say, Shown
 from stickslip.workflows.charts.claims import Claim, every, share, table, told, verdict_of
 from stickslip.workflows.charts.runner import frame

@@ -23,7 +23,7 @@ from stickslip import sim
 from stickslip.analysis.stats import cycles
 from stickslip.analysis.stats.estimates import over_matrices, ratio
 from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
-from stickslip.pipeline.toml import Count, Positive, PositiveNumbers
+from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers
 from stickslip.sim.episodes import spans
 from stickslip.workflows.charts import ChartScene, Say, Shown
 from stickslip.workflows.charts.claims import CONFIDENCE, Claim, every, share, table, told

@@ -26,8 +26,8 @@ from stickslip.pipeline import (
     load_scene,
     run_ensemble,
 )
-from stickslip.pipeline.cluster import QuietScheduler, local
-from stickslip.pipeline.signals import unbroken
+from stickslip.pipeline.machine.signals import unbroken
+from stickslip.pipeline.running.cluster import QuietScheduler, local
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find
 

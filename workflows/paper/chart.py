@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from stickslip import sim
 from stickslip.analysis.answer import Recipe
-from stickslip.pipeline.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
+from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
 from stickslip.workflows.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.charts.claims import table
 from stickslip.workflows.charts.runner import frame

@@ -16,9 +16,9 @@ from scipy.integrate import solve_ivp
 from stickslip import sim
 from stickslip.analysis.stats.fates import is_all_slip
 from stickslip.analysis.stats.nulls import block_steps
-from stickslip.pipeline.design import MATRIX, PERTURBATION
-from stickslip.pipeline.engine_table import TOLERANCES
-from stickslip.pipeline.processes import Child
+from stickslip.pipeline.ensemble.member import MATRIX, PERTURBATION
+from stickslip.pipeline.machine.processes import Child
+from stickslip.pipeline.scene.engine_table import TOLERANCES
 from stickslip.workflows.charts.peers import W0, Z0, Floats, random_ratios, seed_of
 
 #: The ensemble that gives all of figure 3; the constants of section 4.
@@ -36,7 +36,7 @@ SIGMOIDS: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
 _ESCAPE_TOLERANCE = 1e-3
 #: n_stick of those sigmoids is sampled so often.
 _STEP = 0.1
-#: What the seeds of changed details are for, beside the words in `stickslip.pipeline.design`.
+#: What the seeds of changed details are for, beside the words in `stickslip.pipeline.ensemble.member`.
 _DETAIL = 1001
 
 

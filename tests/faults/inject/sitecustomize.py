@@ -32,15 +32,15 @@ with open("/proc/self/cmdline") as _command:
 if _plan and not _is_helper:
     import time
 
-    from stickslip.pipeline import design
+    from stickslip.pipeline.ensemble import member, pack
 
-    design.TARGET_COST = _plan["target_cost"]
-    _task = design.Member.task
+    pack.TARGET_COST = _plan["target_cost"]
+    _task = member.Member.task
 
-    def _faulty(self: design.Member, *arguments: object) -> object:
+    def _faulty(self: member.Member, *arguments: object) -> object:
         time.sleep(_plan.get("sleep", 0.0))
         if self.member_id in _plan.get("victims", {}):
             _die(_plan["victims"][self.member_id])
         return _task(self, *arguments)
 
-    design.Member.task = _faulty
+    member.Member.task = _faulty

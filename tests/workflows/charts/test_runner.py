@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip.analysis.report import formats
-from stickslip.pipeline.processes import ONE_THREAD
+from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.workflows import charts
 from stickslip.workflows.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.commands import main

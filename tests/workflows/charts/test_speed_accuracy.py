@@ -65,7 +65,7 @@ def test_the_system_is_that_of_an_ensemble_with_the_same_seed(scene_file):
     problem = load_chart(scene_file).problem(5, "uniform")
     np.testing.assert_array_equal(problem.system.stiffness, member.system().stiffness)
     np.testing.assert_array_equal(problem.delta, 0.03 * member.ratios())
-    np.testing.assert_array_equal(problem.start, np.repeat([member.z0, member.w0], 5))
+    np.testing.assert_array_equal(problem.start, np.repeat([member.begin.z0, member.begin.w0], 5))
 
 
 BAD = {

@@ -1,0 +1,1 @@
+"""What is kept: the schema, writing, opening, state and soundness of a dataset."""

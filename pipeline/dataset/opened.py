@@ -1,0 +1,227 @@
+"""Opening a dataset to read: its scene, its manifest, and the shards that the manifest lists.
+
+Parquet's own checksums cover its pages, not its footer, and cannot tell that a file took another's place. So every
+shard is checked against its sha256 in the manifest before it is read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from stickslip.pipeline.dataset.schema import schema_of
+from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError
+from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, Shard, read_manifest
+from stickslip.pipeline.places.place import DATA, MANIFEST, SCENE, Place, Where
+from stickslip.pipeline.records import TABLES
+from stickslip.pipeline.scene.columns import Recording
+from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.sim.numerics.arguments import did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow.dataset as ds
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
+
+    place: Place
+    scene: Scene
+    manifest: Manifest
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The shards that it consists of, done or not.
+
+        Raises
+        ------
+        DamagedManifest
+            If the manifest's packing is not of the scene's members.
+        """
+        return planned(self.place, self.scene, self.manifest)
+
+
+def open_dataset(path: Where) -> Opened:
+    """The dataset at `path`.
+
+    Raises
+    ------
+    StoreError
+        If there is none, its scene cannot be read, or it is not the one of the data.
+    """
+    place = place_of(path)
+    manifest = read_manifest(place)
+    try:
+        scene = stored_scene(place)
+    except SceneError as error:
+        raise StoreError(f"{error}; rerun the scene with this directory to restore it") from None
+    if scene.hash != manifest.scene_hash:
+        raise StoreError(
+            f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
+            f"got another (hash {scene.hash[:12]}); restore the file"
+        )
+    return Opened(place, scene, manifest)
+
+
+def stored_scene(path: Where) -> Scene:
+    """The scene that lies at `path`.
+
+    Raises
+    ------
+    SceneError
+        If there is none, or it is no scene.
+    """
+    place = place_of(path)
+    file = place.named(SCENE)
+    try:
+        source = place.read(SCENE)
+    except FileNotFoundError:
+        raise SceneError(f"{file}: expected a scene file, found nothing there") from None
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
+    return parse_scene(source, file)
+
+
+def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
+    """The shards that a dataset of a scene consists of, done or not.
+
+    Raises
+    ------
+    DamagedManifest
+        If the manifest's packing is not of the scene's members.
+    """
+    try:
+        return tasks(scene, manifest.earlier, manifest.packing)
+    except PlanError as error:
+        raise DamagedManifest(
+            f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
+            f"version of stickslip that began it, or choose another directory"
+        ) from None
+
+
+def dataset_scene(path: Where) -> Scene:
+    """The scene of the dataset at `path`; raises as `open_dataset`."""
+    return open_dataset(path).scene
+
+
+def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
+    """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
+
+    Raises
+    ------
+    StoreError
+        If there is no readable dataset at `path`, or a shard is not what was written.
+    """
+    import pyarrow.dataset as ds  # it loads pandas
+
+    found = open_dataset(path)
+    place, known = found.place, found.manifest.shards
+    names = sorted(known) if shards is None else list(shards)
+    _check(place, {name: known.get(name) for name in names})
+    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    with reading(place):
+        return ds.dataset(
+            [place.key(f"{DATA}/{name}") for name in names],
+            schema=schema_of(Recording.of(found.scene)),
+            filesystem=place.arrow,
+            format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
+        )
+
+
+#: Files that this process has found to be what was written: their sha256, and how they were marked then.
+_found_whole: dict[str, tuple[str, object]] = {}
+
+
+def _check(place: Place, shards: Mapping[str, Shard | None]) -> None:
+    """Hold each shard against its entry in the manifest, once as long as its file is not touched.
+
+    Raises
+    ------
+    StoreError
+        If one is not what was written, or not there.
+    """
+    files = {name: f"{DATA}/{name}" for name in shards}
+    marks = dict(zip(shards, place.marks(list(files.values())), strict=True))
+
+    def is_known(name: str, shard: Shard | None) -> bool:
+        kept = (shard.sha256 if shard is not None else "", marks[name])
+        return marks[name] is not None and _found_whole.get(place.named(files[name])) == kept
+
+    new = {name: shard for name, shard in shards.items() if not is_known(name, shard)}
+    with reading(place):
+        for (name, shard), content in zip(new.items(), place.read_each([files[name] for name in new]), strict=True):
+            problem = shard.damage(content) if shard is not None else "not in the manifest any more"
+            if shard is None or problem:
+                raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
+            _found_whole[place.named(files[name])] = (shard.sha256, marks[name])
+
+
+def rows_that_failed(path: Where, shards: Sequence[str]) -> list[tuple[str, str]]:
+    """Id and reason of each member of some shards that failed, in order."""
+    source = dataset(path, shards)
+    with reading(path):
+        import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
+
+        found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
+    return list(zip(*(found[name].to_pylist() for name in ("member_id", "reason")), strict=True))
+
+
+@contextlib.contextmanager
+def reading(path: Where) -> Iterator[None]:
+    """Turn what a damaged or missing shard raises into words that say what to do."""
+    try:
+        yield
+    except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
+        if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
+            raise
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Where, error: Exception) -> StoreError:
+    """The refusal of a dataset of which a shard cannot be read."""
+    place = place_of(path)
+    first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
+    return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
+
+
+@cache
+def _nullable() -> dict[pa.DataType, Any]:
+    """Types of pandas that have a null beside NaN, and keep integers integers."""
+    import pandas as pd  # it takes a quarter of a second to load, which no run needs
+
+    return {
+        pa.int32(): pd.Int32Dtype(),
+        pa.int64(): pd.Int64Dtype(),
+        pa.float64(): pd.Float64Dtype(),
+        pa.bool_(): pd.BooleanDtype(),
+        pa.string(): pd.StringDtype(),
+    }
+
+
+def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFrame:
+    """A table as a data frame: columns that hold nulls, or those named, have a nullable type (NA, never NaN)."""
+    if nullable is None:
+        nullable = [name for name in table.column_names if table[name].null_count]
+    plain = [field for field in table.schema if field.name not in nullable and field.type in _nullable()]
+    kinds = {field.name: str if pa.types.is_string(field.type) else field.type.to_pandas_dtype() for field in plain}
+    return table.to_pandas(types_mapper=_nullable().get).astype(kinds)
+
+
+def not_recorded(part: str) -> QueryError:
+    """The refusal of what the scene did not ask for, a key of `TABLES`."""
+    return QueryError(f"{part}: expected a dataset with {part}, got one without; set {TABLES[part]}")
+
+
+def near(word: str, known: Sequence[str]) -> str:
+    """What `word` may have been meant for, as the end of a message."""
+    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"

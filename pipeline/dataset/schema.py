@@ -1,0 +1,88 @@
+"""What a shard holds: its columns as Arrow has them, and how rows become its bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stickslip.pipeline.places.manifest import SCHEMA_VERSION
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.scene.columns import COLUMNS, FIXED, Recording
+
+
+def _list(kind: pa.DataType, nullable: bool = False) -> pa.ListType:
+    return pa.list_(pa.field("element", kind, nullable))  # Parquet's own name for it
+
+
+def _struct(**kinds: pa.DataType) -> pa.StructType:
+    return pa.struct([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+
+
+_NUMBERS, _WHOLES = _list(pa.float64()), _list(pa.int32())
+_KINDS = {
+    "number": pa.float64(),
+    "whole": pa.int32(),
+    "count": pa.int64(),
+    "text": pa.string(),
+    "numbers": _NUMBERS,
+    "numbers or null": _list(pa.float64(), nullable=True),
+    "wholes": _WHOLES,
+    "modes": _list(pa.int8()),
+    "n_stick by": _list(_struct(threshold=pa.float64(), t=_NUMBERS, n_stick=_WHOLES)),
+}
+
+
+def as_fields(columns: Iterable[Column]) -> list[pa.Field]:
+    """Columns as fields of Arrow."""
+    return [pa.field(one.name, _KINDS[one.kind], one.nullable, {"description": one.words}) for one in columns]
+
+
+#: One row a member; null where a value does not apply. All quantities are dimensionless.
+SCHEMA = pa.schema(as_fields(FIXED))
+
+
+def schema_of(recording: Recording) -> pa.Schema:
+    """The schema of a dataset's shards."""
+    metadata = {"schema_version": str(SCHEMA_VERSION), "scene_hash": recording.scene_hash}
+    return pa.schema(as_fields(recording.columns)).with_metadata(metadata)
+
+
+def scalars(schema: pa.Schema) -> tuple[str, ...]:
+    """The columns of the members table."""
+    return tuple(field.name for field in schema if not pa.types.is_list(field.type))
+
+
+#: What never comes again, as Parquet calls it.
+_NEVER_AGAIN = tuple(f"{column.name}.list.element" for column in COLUMNS if not column.repeats)
+
+
+def encode(columns: Mapping[str, list[Any]], schema: pa.Schema) -> bytes:
+    """The Parquet file of some rows, given by column, a pure function of them (for given versions of pyarrow)."""
+    kinds = zip(schema.names, schema.types, strict=True)
+    arrays = [pa.array(columns[name], kind) for name, kind in kinds]
+    buffer = pa.BufferOutputStream()
+    leaves = [leaf for field in schema for leaf in _leaves(field)]
+    times = [leaf for leaf in leaves if leaf.endswith(_NEVER_AGAIN)]
+    pq.write_table(
+        pa.Table.from_arrays(arrays, schema=schema),
+        buffer,
+        compression="zstd",
+        # times never repeat: no dictionary; their high bytes hardly change: split, they compress
+        use_dictionary=[leaf for leaf in leaves if leaf not in times],
+        column_encoding=dict.fromkeys(times, "BYTE_STREAM_SPLIT"),
+        write_page_checksum=True,
+    )
+    return buffer.getvalue().to_pybytes()
+
+
+def _leaves(field: pa.Field, above: str = "") -> list[str]:
+    """Parquet's names of the columns that a field is kept in."""
+    path = above + field.name
+    if pa.types.is_list(field.type):
+        return _leaves(field.type.value_field, f"{path}.list.")
+    if pa.types.is_struct(field.type):
+        return [leaf for part in field.type for leaf in _leaves(part, f"{path}.")]
+    return [path]

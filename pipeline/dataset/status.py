@@ -1,0 +1,181 @@
+"""How far a dataset is: what is done and what failed, who writes it, how fast, and how long that will take."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from stickslip.pipeline.dataset.opened import open_dataset, rows_that_failed
+from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import Shard
+from stickslip.pipeline.places.place import DATA, LOCK, Lock, Where
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How much of a dataset is done; costs are in the units of `Member.cost`."""
+
+    n_members: int
+    n_done: int  #: sum of `outcomes`
+    outcomes: dict[str, int]
+    n_shards: int
+    n_shards_done: int
+    n_bytes: int  #: of the shards that are done
+    cost: float
+    cost_done: float
+
+    @classmethod
+    def of(cls, tasks: Sequence[Task], done: Mapping[str, Shard]) -> Tally:
+        """Count those of the shards to be that are done."""
+        costs = {batch.name: batch.cost for batch, _ in tasks}
+        n_members = sum(len(batch.members) for batch, _ in tasks)
+        tally = cls(n_members, 0, {}, len(costs), 0, 0, sum(costs.values()), 0.0)
+        for name, shard in done.items():
+            tally = tally.plus(shard, costs.get(name, 0.0))
+        return tally
+
+    def plus(self, shard: Shard, cost: float) -> Tally:
+        """Count one shard more."""
+        return replace(
+            self,
+            n_done=self.n_done + shard.rows,
+            outcomes=dict(sorted((Counter(self.outcomes) + Counter(shard.outcomes)).items())),
+            n_shards_done=self.n_shards_done + 1,
+            n_bytes=self.n_bytes + shard.bytes,
+            cost_done=self.cost_done + cost,
+        )
+
+    @property
+    def n_failed(self) -> int:
+        """Members that failed."""
+        return self.outcomes.get("failed", 0)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every member has its row, whatever its outcome."""
+        return self.n_done == self.n_members
+
+    def pace(self, n_before: int, cost_before: float, elapsed: float) -> tuple[float | None, float | None]:
+        """Members a second since so much was there, and seconds to go; None as long as nothing was added."""
+        n_new, new = self.n_done - n_before, self.cost_done - cost_before
+        if elapsed <= 0 or n_new <= 0 or new <= 0:
+            return None, None
+        return n_new / elapsed, max(0.0, elapsed * (self.cost - self.cost_done) / new)
+
+
+@dataclass(frozen=True)
+class Began:
+    """When a run began, in seconds since 1970, and how many members, of what cost, were there then."""
+
+    at: float
+    n_members: int
+    cost: float
+
+    @property
+    def line(self) -> str:
+        """The line of the lock file that says so."""
+        return f"began {self.at:.3f} {self.n_members} {self.cost!r}"
+
+
+@dataclass(frozen=True)
+class Running:
+    """The process that writes a dataset, as the lock file has it."""
+
+    owner: str
+    began: Began
+    dashboard: str | None
+
+
+@dataclass(frozen=True)
+class Status(Tally):
+    """A dataset at one moment; `rate`, in members a second, and `eta`, in seconds, are None as long as unknown."""
+
+    path: str  #: the directory, or the address
+    failures: dict[str, int]  #: failed members by reason
+    first_failed: str | None  #: a failed member, to be run alone
+    n_damaged: int  #: of the shards that are done, those whose files are gone or have another size
+    running: Running | None
+    rate: float | None
+    eta: float | None
+
+
+def status(path: Where) -> Status:
+    """Count what is done; good to call while the dataset is being written.
+
+    Raises
+    ------
+    StoreError
+        If there is no readable dataset, or a shard with failed members is not what was written.
+    """
+    return Follower(path).look()
+
+
+class Follower:
+    """Looks at a dataset as often as it is asked to; who knows the shards that it consists of may say so.
+
+    Raises
+    ------
+    StoreError
+        Here and on looking, as `status`.
+    """
+
+    def __init__(self, path: Where, tasks: Sequence[Task] | None = None) -> None:
+        self._place = place_of(path)
+        self._tasks = open_dataset(self._place).tasks if tasks is None else tasks
+
+    def look(self) -> Status:
+        """How far it is now."""
+        shards = open_dataset(self._place).manifest.shards
+        tally = Tally.of(self._tasks, shards)
+        # after the manifest: a shard is there before it is listed
+        marks = dict(zip(shards, self._place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
+        there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
+        failed = rows_that_failed(self._place, there) if there else []
+        current = running(self._place)
+        rate = eta = None
+        if current is not None:
+            began = current.began
+            rate, eta = tally.pace(began.n_members, began.cost, time.time() - began.at)
+        return Status(
+            **vars(tally),
+            path=str(self._place),
+            failures=dict(Counter(reason for _, reason in failed).most_common()),
+            first_failed=failed[0][0] if failed else None,
+            n_damaged=sum(mark is None or mark.size != shards[name].bytes for name, mark in marks.items()),
+            running=current,
+            rate=rate,
+            eta=eta,
+        )
+
+
+def running(path: Where) -> Running | None:
+    """Who writes the dataset now, if anybody does: a dead process leaves an empty lock."""
+    place = place_of(path)
+    try:
+        lock = Lock.parse(place.read(LOCK))
+    except OSError:
+        return None
+    here = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
+    if here is None or (here[2] == socket.gethostname() and not _is_alive(int(here[1]))) or not lock.is_held:
+        return None
+    try:
+        at, n_members, cost = lock.notes["began"].split()
+        return Running(lock.owner, Began(float(at), int(n_members), float(cost)), lock.notes.get("dashboard"))
+    except (KeyError, ValueError):  # it has only just begun
+        return None
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):  # somebody else's
+        return True
+    return True

@@ -1,0 +1,343 @@
+"""Writing a dataset: one owner, atomic commits, a manifest and its record that alone decide what is done."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import re
+import threading
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from types import TracebackType
+
+from stickslip.pipeline.dataset.opened import planned, stored_scene
+from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.ensemble.expand import expand
+from stickslip.pipeline.ensemble.pack import Task, grows, pack, tasks
+from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.machine.signals import last_act, unbroken
+from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import (
+    Commit,
+    DamagedManifest,
+    Manifest,
+    Shard,
+    read_commits,
+    read_manifest,
+)
+from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
+from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.toml import parse_toml
+
+log = logging.getLogger(__name__)
+
+#: Seconds that a program which ends at once spends on cleaning up in a store, which may not answer.
+_LAST_SECONDS = 1.5
+
+_LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
+
+#: Keys by which a scene differs from the one of the data that a refusal names.
+_SHOWN = 5
+
+
+class Store:
+    """The right to write the dataset at `path`, for the length of a with-block.
+
+    Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed,
+    a lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed
+    again), and `todo` says what is to be computed.
+
+    Parameters
+    ----------
+    path : str, Path or Place
+        A directory or an address; see `stickslip.pipeline.places.place`.
+    scene : Scene
+    source : bytes
+        The scene file.
+    retry_failed : bool
+        Whether shards with failed members are to be computed again; they stay until they are replaced.
+    accept_version : bool
+        Whether to resume data that another version of the program began; numbers may differ.
+
+    Raises
+    ------
+    ValueError
+        If `source` is not the file of `scene`.
+    StoreError
+        On entering: the directory belongs to another scene, to something else, to another version or to a running
+        process; or it cannot be written. Nothing is changed then.
+    """
+
+    def __init__(
+        self, path: Where, scene: Scene, source: bytes, retry_failed: bool = False, accept_version: bool = False
+    ) -> None:
+        written = parse_scene(source, "source")
+        if written.hash != scene.hash:
+            raise ValueError(
+                f"source: expected the file of the scene (hash {scene.hash[:12]}), got that of another (hash "
+                f"{written.hash[:12]}); pass parse_scene(source) as the scene"
+            )
+        self.place, self.scene, self.source = place_of(path), scene, source
+        self._retry_failed, self._accept_version = retry_failed, accept_version
+        self._held = contextlib.ExitStack()
+        self._lost = False
+        self._record: Callable[[bytes], None] | None = None
+
+    @property
+    def done(self) -> dict[str, Shard]:
+        """The shards that are committed."""
+        return dict(self._manifest.shards)
+
+    def __enter__(self) -> Store:
+        with _explained(self.place):
+            self._check()
+        try:
+            with _explained(self.place):
+                with unbroken():
+                    self._hold = self._held.enter_context(self.place.own())
+                self._manifest = self._check()  # once more: another process may have come first
+                self._open()
+        except BaseException:
+            self._held.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with unbroken(), self._held:
+            if error is None and self._record is not None:  # else the manifest and its record stand as they are
+                self._manifest.recorded_from = None
+                with _explained(self.place):
+                    self._hold.check()
+                    self.place.replace(MANIFEST, self._manifest.to_bytes())
+
+    def _sweep(self) -> None:
+        """Leave no trace of a commit that is cut short; what takes too long is left to the next run."""
+
+        def sweep() -> None:
+            with contextlib.suppress(OSError, StoreError):
+                for leftover in self._leftovers(read_manifest(self.place)):
+                    self._remove(leftover)
+            self._hold.give_back()
+
+        if isinstance(self.place, Directory):
+            sweep()
+            return
+        aside = threading.Thread(target=sweep, daemon=True)
+        aside.start()
+        aside.join(_LAST_SECONDS)
+
+    def _leftovers(self, manifest: Manifest) -> list[str]:
+        """What a crash may have left: files that were being written, and shards that were not committed."""
+        known = {f"{DATA}/{name}" for name in manifest.shards}
+        return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
+
+    def _remove(self, name: str) -> None:
+        with contextlib.suppress(OSError):
+            self.place.remove(name)
+
+    @cached_property
+    def _fresh(self) -> Manifest:
+        return Manifest(scene_hash=self.scene.hash, packing=[list(pack(self.scene, set()))])
+
+    def _check(self) -> Manifest:
+        """The manifest found here, or a new one if nothing is here; else a refusal."""
+        names = self.place.names()
+        if MANIFEST not in names:
+            # a crash before the first manifest leaves no more than these
+            if all(name in (LOCK, DATA, TIMINGS) or name.startswith(TEMPORARY) for name in names):
+                return self._fresh
+            return self._recorded(
+                StoreError(
+                    f"{self.place}: expected a dataset or an empty directory, got files but no {MANIFEST}; "
+                    f"choose another directory"
+                )
+            )
+        try:
+            manifest = read_manifest(self.place, is_forgiving=True)
+        except DamagedManifest as error:
+            return self._recorded(error)
+        return manifest if manifest.scene_hash == self.scene.hash else self._grown(manifest)
+
+    def _recorded(self, refusal: StoreError) -> Manifest:
+        """The manifest as the record of the commits has it, if the directory is this scene's; else the refusal."""
+        try:
+            if stored_scene(self.place).hash != self.scene.hash:
+                raise refusal
+        except SceneError:
+            raise refusal from None
+        self._lost = True
+        manifest = self._fresh.model_copy(deep=True)
+        names = {batch.name for batch, _ in tasks(self.scene, [], manifest.packing)}
+        for commit in read_commits(self.place):
+            if commit.shard in names:
+                manifest.shards[commit.shard] = commit.entry
+                if commit.program not in manifest.programs:
+                    manifest.programs.append(commit.program)
+        return manifest
+
+    def _grown(self, manifest: Manifest) -> Manifest:
+        """The manifest of a dataset of a smaller scene, extended; a refusal if the scene differs otherwise."""
+        refusal = StoreError(
+            f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of it, "
+            f"got that of another (hash {manifest.scene_hash[:12]}){self._difference()}; choose another directory, "
+            f"or restore what differs"
+        )
+        try:
+            stored = stored_scene(self.place)
+        except SceneError:
+            raise refusal from None
+        if stored.hash != manifest.scene_hash or not grows(stored, self.scene):
+            raise refusal
+        known = {member.member_id for member in expand(stored)}
+        return Manifest(
+            scene_hash=self.scene.hash,
+            programs=manifest.programs,
+            earlier=[*manifest.earlier, self.place.read(SCENE).decode()],
+            packing=[*manifest.packing, list(pack(self.scene, known))],
+            shards=manifest.shards,
+        )
+
+    def _difference(self) -> str:
+        """How the stored scene differs, if it can be read."""
+        try:
+            stored = _flat(stored_scene(self.place).data_keys())
+        except SceneError:
+            return ""
+        wanted = _flat(self.scene.data_keys())
+        written = {key for source in (self.source, self.place.read(SCENE)) for key in _flat(parse_toml(source, ""))}
+        differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
+        # keys that were written first, then those that follow from them
+        keys = sorted(differing, key=lambda key: (key not in written, key))
+        shown = [f"; {key}: {_told(wanted.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]]
+        return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
+
+    def look(self) -> tuple[list[Task], list[Task]]:
+        """All shards, and those that a run would compute; the dataset is neither taken nor changed.
+
+        Raises
+        ------
+        StoreError
+            As on entering, if a run would be refused.
+        """
+        with _explained(self.place):
+            self._manifest = self._check()
+            self._plan(self._manifest)
+        return self.tasks, self.todo
+
+    def _plan(self, manifest: Manifest) -> None:
+        """What the shards are, and which of them are to be computed."""
+        self.tasks = planned(self.place, self.scene, manifest)
+        foreign = sorted(manifest.shards.keys() - {batch.name for batch, _ in self.tasks})
+        if foreign:
+            raise StoreError(
+                f"{self.place}: expected the shards of this scene, got {foreign[0]}; use the version of "
+                f"stickslip that began it, or choose another directory"
+            )
+        shards = list(manifest.shards.items())
+        contents = self.place.read_each([f"{DATA}/{name}" for name, _ in shards])
+        for (name, shard), content in zip(shards, contents, strict=True):
+            problem = shard.damage(content)
+            if problem:
+                log.warning("%s: %s; recomputing it", self.place.named(f"{DATA}/{name}"), problem)
+                del manifest.shards[name]
+        again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
+        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
+        if self.todo and program() not in manifest.programs:
+            if manifest.shards and not self._accept_version:
+                raise StoreError(
+                    f"{self.place}: expected data of this version of the program ({program()}), got data of another "
+                    f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; use that version, "
+                    f"choose another directory, or mix them with --accept-version"
+                )
+            manifest.programs = [*(manifest.programs if manifest.shards else []), program()]
+
+    def _open(self) -> None:
+        manifest = self._manifest
+        self._plan(manifest)
+        if self._lost:
+            log.warning("%s: lost; rebuilt from %s", self.place.named(MANIFEST), TIMINGS)
+        self._held.enter_context(last_act(self._sweep))
+        with unbroken():
+            for leftover in self._leftovers(manifest):
+                self.place.remove(leftover)
+            manifest.recorded_from = None
+            if self.todo:
+                self._record = self._held.enter_context(self.place.record(TIMINGS))
+                manifest.recorded_from = len(self.place.read_record(TIMINGS))
+            # the manifest first: it makes the directory a dataset
+            self.place.replace(MANIFEST, manifest.to_bytes())
+            self.place.replace(SCENE, self.source)
+
+    def note(self, line: str) -> None:
+        """Add a line to the lock, for processes that look who is writing."""
+        self._hold.note(line)
+
+    def commit(self, result: Result) -> Shard:
+        """Make a shard part of the dataset: its bytes, its name, its line of the record, each in one step.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written, or the right to write was lost; the dataset is then as it was before.
+        """
+        shard = Shard(
+            sha256=hashlib.sha256(result.shard).hexdigest(),
+            rows=len(result.member_ids),
+            bytes=len(result.shard),
+            first=result.member_ids[0],
+            last=result.member_ids[-1],
+            outcomes=result.outcomes,
+        )
+        commit = Commit(
+            shard=result.name,
+            entry=shard,
+            program=result.program,
+            seconds=result.seconds,
+            host=result.host,
+            pid=result.pid,
+        )
+        assert self._record is not None  # there is something to do
+        with unbroken(), _explained(self.place):
+            self._hold.check()
+            try:
+                self.place.replace(f"{DATA}/{result.name}", result.shard)
+                self._record(commit.line)
+                self._manifest.shards[result.name] = shard
+            except BaseException:
+                if result.name not in self._manifest.shards:
+                    self._remove(f"{DATA}/{result.name}")
+                raise
+        return shard
+
+
+def _told(value: object) -> str:
+    """A value of a scene for an error: of what it names, the beginning of the sha256."""
+    if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}(, version [0-9]+)?", value):
+        return f"sha256 {value[:12]}{value[64:]}"
+    return repr(value)
+
+
+def _flat(values: object, key: str = "") -> dict[str, object]:
+    if isinstance(values, dict):
+        pairs = [(f"{key}.{name}" if key else name, value) for name, value in values.items()]
+    elif isinstance(values, list) and any(isinstance(value, dict) for value in values):
+        pairs = [(f"{key}[{i}]", value) for i, value in enumerate(values)]
+    else:
+        return {key: values}
+    return {path: leaf for name, value in pairs for path, leaf in _flat(value, name).items()}
+
+
+@contextlib.contextmanager
+def _explained(path: Place) -> Iterator[None]:
+    """Turn the refusals of the operating system, or of a store, into words that say what to do."""
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(
+            f"{error.filename or path}: cannot be written ({error.strerror}); make room or make {path} "
+            f"writable, then rerun the scene: finished shards are kept"
+        ) from error

@@ -1,0 +1,1 @@
+"""A scene expanded: members, and the batches that they are computed in."""

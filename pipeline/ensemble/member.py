@@ -1,0 +1,337 @@
+"""What a member is: a source, terms, a change, a start and a method; from these its draws, its system and its run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stickslip import sim
+from stickslip.pipeline.scene.ends import Ends
+from stickslip.pipeline.scene.quantity import BELT, END, Course, Distribution, Named, Value
+from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
+from stickslip.sim.engines import ENGINES, contract
+from stickslip.sim.engines.contract import Engine
+from stickslip.sim.simulation import as_engine, as_task
+from stickslip.sim.systems.friction import Rational, Stribeck
+from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
+
+# What a random draw is for: the first word of every seed's key; the other purposes are those of `TERMS`. Never
+# renumber: the data hang on it.
+MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W = 0, 1, 2, 3, 6, 7
+#: What a draw for each block is for, by the argument of `sim.System`, or of a force, that it gives.
+_PURPOSES = {term.name: term.purpose for term in TERMS if term.purpose is not None}
+_OF_FORCE = tuple(term.name for term in TERMS if term.table == "force")
+_GIVEN = (*OF_BLOCKS, *_OF_FORCE)
+#: What a file holds, by what a draw in its place would be for.
+_ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_W: "w0"}
+
+
+#: What a term or a start may be but one number.
+NO_NUMBER = (Distribution, Course, Named)
+
+#: z and w, each of shape (n,).
+State = tuple[np.ndarray, np.ndarray]
+
+
+class Source(NamedTuple):
+    """Where a system comes from: `matrix` is its number among those of an ensemble, a file or a function."""
+
+    n: int
+    coupling: str
+    matrix: int
+    seed: int
+    origin: SystemFile | SystemFunction | None  #: the user's file or function, if it comes from one
+    parameters: tuple[tuple[str, float], ...]  #: of that function
+
+
+class Change(NamedTuple):
+    """How a member differs from the system and the start of its matrix: moved constants, or a moved start."""
+
+    reading: str | None = None
+    size: float = 0.0
+    draw: int | None = None
+    twin_size: float | None = None
+
+
+class Start(NamedTuple):
+    """What it starts from; `ends` is the dataset at whose ends it does, if it does."""
+
+    z0: Value
+    w0: Value
+    draw: int | None
+    ends: Ends | None
+
+
+class Method(NamedTuple):
+    """The engine by name, and those of its settings that mean something beside the others; `ratio` is a word."""
+
+    engine: str
+    settings: tuple[tuple[str, Any], ...]
+    ratio_draw: int | None
+    picked_for: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One run of an ensemble: all that determines it, and nothing else. Dimensionless.
+
+    Attributes
+    ----------
+    member_id : str
+        Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
+    source : Source
+    terms : tuple of (str, value)
+        What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
+    change : Change
+    begin : Start
+    method : Method
+    t_end : float
+    shared_cost : float
+        What records take for it, and its part of what is computed once for several members.
+    """
+
+    member_id: str
+    source: Source
+    terms: tuple[tuple[str, Any], ...]
+    change: Change
+    begin: Start
+    method: Method
+    t_end: float
+    shared_cost: float = field(default=0.0, compare=False)
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return self.source.n
+
+    @property
+    def engine(self) -> str:
+        """The engine's name."""
+        return self.method.engine
+
+    @property
+    def settings(self) -> tuple[tuple[str, Any], ...]:
+        """The engine's settings."""
+        return self.method.settings
+
+    @property
+    def ratio_draw(self) -> int | None:
+        """Number of the draw of the ratios r_i, if they are drawn."""
+        return self.method.ratio_draw
+
+    def term(self, name: str) -> Any:
+        """A term of its system; None if it has none."""
+        return next((value for key, value in self.terms if key == name), None)
+
+    def row(self) -> dict[str, Any]:
+        """Its own values, by column of a dataset; those that are no one number are null."""
+        source, change, begin, method = self.source, self.change, self.begin, self.method
+        return (
+            dict(source.parameters)
+            | dict(method.settings)
+            | {name: _plain(value) for name, value in self.terms}
+            | {
+                "member_id": self.member_id, "n": source.n, "coupling": source.coupling, "matrix": source.matrix,
+                "seed": source.seed, "file": source.origin.name if isinstance(source.origin, SystemFile) else None,
+                "perturbation_reading": change.reading, "perturbation_size": change.size,
+                "perturbation_draw": change.draw, "twin_size": change.twin_size, "engine": method.engine,
+                "ratio_draw": method.ratio_draw, "picked_for": method.picked_for, "z0": _plain(begin.z0),
+                "w0": _plain(begin.w0), "start_draw": begin.draw, "drawn": self.drawn, "t_end": self.t_end,
+            }
+        )  # fmt: skip
+
+    def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
+        """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
+        known = [number for number in draw if number is not None]
+        return np.random.SeedSequence(self.source.seed, spawn_key=(purpose, self.n, self.source.matrix, *known))
+
+    @property
+    def scales(self) -> dict[str, Any]:
+        """What its coupling is drawn by: arguments of `sim.draw_system`."""
+        given = {"kappa": self.term("kappa"), "leaf": self.term("leaf"), "degree": self.term("degree")}
+        return {
+            name: self._by_block(value, _PURPOSES.get(name, 0))
+            for name, value in given.items()
+            if value is not None or name == "kappa"
+        }
+
+    def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
+        """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
+        if isinstance(value, float):
+            return value
+        if isinstance(value, Course):
+            return sim.Piecewise(value.times, value.values)
+        if isinstance(value, Distribution):
+            return value.draw(self._seed(purpose, *draw), self.n)
+        if not isinstance(value, Named):
+            return value
+        if value == BELT:
+            system = self.system()
+            return system.belt_speed if system.has_one_belt else system.belt_speed_at(0.0)
+        assert isinstance(self.source.origin, SystemFile)
+        return np.asarray(read(self.source.origin)[_ARRAYS[purpose]], dtype=np.float64)
+
+    @property
+    def drawn(self) -> str | None:
+        """What is drawn for each block, or read from a file, as text; None: nothing."""
+        terms = dict(self.terms)
+        own = {key: terms[key] for key in _PURPOSES if key in terms}
+        own |= {"force": terms.get("force_course"), "z": self.begin.z0, "w": self.begin.w0}
+        given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
+        return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
+
+    def system(self) -> sim.System:
+        """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
+
+        The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
+        same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
+        """
+        moved = self.change._replace(twin_size=None)
+        return _latest(_own_system if moved == _UNMOVED else _moved_system, self, (self.source, self.terms, moved))
+
+    def start(self, end: State | None = None) -> tuple[float | np.ndarray, float | np.ndarray]:
+        """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2.
+
+        Parameters
+        ----------
+        end : tuple of two ndarray, shape (n,), optional
+            Where the run ended at whose end it starts: see `stickslip.pipeline.running.ends.end_of`.
+
+        Raises
+        ------
+        ValueError
+            If it starts at an end, and none is given.
+        """
+        given = (self.begin.z0, START_Z), (self.begin.w0, START_W)
+        if end is None and self.begin.ends is not None:
+            raise ValueError(
+                f"end: expected the state that {self.member_id} starts from, got none; pass what"
+                " stickslip.pipeline.running.ends.end_of(member) returns"
+            )
+        z, w = (
+            end[k] if end is not None and value == END else self._by_block(value, purpose, self.begin.draw)
+            for k, (value, purpose) in enumerate(given)
+        )
+        if self.change.twin_size is None:
+            return z, w
+        moved = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
+        moved *= self.change.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
+        return z + moved[0], w + moved[1]
+
+    @property
+    def base(self) -> Member | None:
+        """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
+        if self.change != _UNMOVED:
+            return replace(self, change=_UNMOVED)
+        if self.ratio_draw is None:
+            return None
+        settings = tuple((dict(self.settings) | {"ratio": "one"}).items())
+        return replace(self, method=self.method._replace(settings=settings, ratio_draw=None))
+
+    def ratios(self) -> float | np.ndarray:
+        """Stiffness ratios r_i of the sigmoid: 1, or shape (n,) uniform in (0, 1]."""
+        if self.ratio_draw is None:
+            return 1.0
+        return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
+
+    def task(
+        self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None
+    ) -> tuple[Engine, contract.Task]:
+        """What is run of its system, and by what, one engine for the same settings; `end` as in `start`."""
+        if self.ratio_draw is None:
+            engine = _engine(self.engine, self.settings)
+        else:
+            engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
+        return engine, as_task(engine, system, *self.start(end), t_end=self.t_end, t_eval=t_eval)
+
+    def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
+        """Draw the system and run it; `end` as in `start`."""
+        engine, task = self.task(self.system(), t_eval, end)
+        return engine.integrate(task)
+
+    @property
+    def cost(self) -> float:
+        """Estimated work, about seconds of one core; constants measured from n = 5 to 400, eps = 0.0003 to 0.3.
+
+        Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
+        sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
+        """
+        origin = self.source.origin
+        is_sparse = self.source.coupling not in sim.COUPLINGS if origin is None else origin.is_sparse
+        a_row = min(self.n, 50) if is_sparse else self.n
+        rate = ENGINES[self.engine].cost(2.5e-7 * self.n + 3.7e-11 * self.n**2 * a_row, dict(self.settings))
+        certificate = min(1.7e-6 * self.n**2, 0.02)  # that a collapse is final
+        return 1e-3 + certificate + self.t_end * rate + self.shared_cost
+
+
+_UNMOVED = Change()
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, NO_NUMBER) else value
+
+
+@lru_cache(maxsize=8)
+def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
+    """An engine with a member's settings, whose ratios, if it has such, are one."""
+    return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
+
+
+#: The last system that each function made, behind what it depends on.
+_made: dict[Callable[[Member], sim.System], tuple[tuple[Any, ...], sim.System]] = {}
+
+
+def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[Any, ...]) -> sim.System:
+    """A member's system: those that share one come one after the other, it is made once."""
+    made = _made.get(make)
+    if made is None or made[0] != values:
+        made = _made[make] = values, make(member)
+    return made[1]
+
+
+def _own_system(member: Member) -> sim.System:
+    """The system of a member's matrix, not moved."""
+    seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
+    given: dict[str, Any] = {
+        name: member._by_block(terms[name], _PURPOSES[name]) for name in _GIVEN if terms.get(name) is not None
+    }
+    if "force_amplitude" in given:
+        given["force"] = sim.Harmonic(*(given.pop(name) for name in _OF_FORCE))
+    course = terms.get("force_course")
+    if isinstance(course, Course):
+        given["force"] = sim.Piecewise(course.times, course.values)
+    if terms.get("weakening_rate") is not None:
+        given["weakening"] = Rational(terms["weakening_rate"])
+    if terms.get("weakening_speed") is not None:
+        given["weakening"] = Stribeck(terms["weakening_speed"])
+    if terms.get("back_slip") is not None:
+        given["back_slip"] = False
+    if isinstance(origin, SystemFunction):
+        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters))
+        return made.changed(**given)
+    rho = terms.get("rho")
+    if origin is not None:
+        if rho is not None:
+            given["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
+        return sim.System(read(origin)["stiffness"], **given)
+    return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **given)
+
+
+def _moved_system(member: Member) -> sim.System:
+    change, rho = member.change, member.term("rho")
+    assert change.reading is not None
+    return sim.perturb_system(
+        _latest(_own_system, member, (member.source, member.terms, _UNMOVED)),
+        member.source.coupling,
+        change.size,
+        member._seed(PERTURBATION, change.draw),
+        reading=change.reading,
+        **member.scales,
+        rho=0.0 if rho is None else rho,  # not used then: see Scene._consistent
+    )

@@ -1,0 +1,227 @@
+"""The ledger of a dataset: which shards are done, and whether their files are what was written.
+
+OUT/scene.toml         exact copy of the scene file
+OUT/manifest.json      the shards that are done, with sha256, rows and outcomes; how members are packed; which
+                       programs wrote. Written when a run begins and when it ends; in between the record completes it
+OUT/data/*.parquet     the shards, one a batch
+OUT/timings.jsonl      the record, one line a commit: the shard's entry in the manifest; and seconds, host and
+                       process, which are no part of the data. A lost manifest is rebuilt from it
+OUT/.lock              held by the process that writes; a crash releases it
+
+OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.places.place`).
+"""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from stickslip.pipeline.errors import StoreError
+from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.place import MANIFEST, TIMINGS, Place, Where
+
+#: Version of what a dataset holds, and how; kept in every shard and in the manifest.
+SCHEMA_VERSION: Final = 3
+
+Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
+
+
+class Shard(BaseModel):
+    """A shard that is done, as the manifest knows it."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    rows: Annotated[int, Field(ge=1)]
+    bytes: Annotated[int, Field(ge=1)]
+    first: str
+    last: str
+    outcomes: dict[Outcome, Annotated[int, Field(ge=1)]]
+
+    @property
+    def n_failed(self) -> int:
+        """Members of the shard that failed."""
+        return self.outcomes.get("failed", 0)
+
+    def damage(self, content: builtins.bytes | None) -> str:
+        """What is wrong with the content of the shard's file, None if it is not there: "" if nothing."""
+        if content is None:
+            return "missing"
+        if len(content) != self.bytes:
+            return f"expected {self.bytes} bytes, got {len(content)}"
+        digest = hashlib.sha256(content).hexdigest()
+        return "" if digest == self.sha256 else f"expected sha256 {self.sha256[:12]}, got {digest[:12]}"
+
+
+# the pattern keeps a foreign manifest from naming files outside the dataset
+ShardName = Annotated[str, Field(pattern=r"^shard-\d{5,}-[0-9a-f]{12}\.parquet$")]
+
+
+class Manifest(BaseModel):
+    """The shards that are done, by name, the scene that they belong to, and how its members are packed.
+
+    `earlier` holds the sources of the scenes that this one grew from; `packing`, for each of these and for the scene
+    itself, the number of members of each shard that it added (see `ensemble.pack.tasks`). `programs` are the
+    versions of the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was
+    killed, is the byte of the record at which its own commits begin.
+    """
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+    schema_version: Literal[3] = SCHEMA_VERSION
+    scene_hash: str
+    programs: list[str] = []
+    earlier: list[str] = []
+    packing: list[list[Annotated[int, Field(ge=1)]]]
+    shards: dict[ShardName, Shard] = {}
+    recorded_from: Annotated[int, Field(ge=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_packing_a_scene(self) -> Manifest:
+        if len(self.packing) != len(self.earlier) + 1:
+            raise ValueError(f"expected the packing of {len(self.earlier) + 1} scenes, got {len(self.packing)}")
+        return self
+
+    @property
+    def digest(self) -> str:
+        """Of all data."""
+        digest = hashlib.sha256()
+        for name, shard in sorted(self.shards.items()):
+            digest.update(f"{name} {shard.sha256}".encode())
+        return digest.hexdigest()
+
+    def to_bytes(self) -> bytes:
+        """JSON that begins with a digest of the rest, a line a shard, sorted: the same shards give the same bytes."""
+        head = self.model_dump(exclude={"shards"}, exclude_none=True)
+        lines = [f"{json.dumps(key)}: {json.dumps(head[key], separators=(',', ':'))}" for key in sorted(head)]
+        shards = [f"{json.dumps(name)}: {_json(self.shards[name].model_dump())}" for name in sorted(self.shards)]
+        listed = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
+        rest = (",\n".join([*lines, f'"shards": {listed}']) + "\n}\n").encode()
+        return _checked(rest) + rest
+
+
+def _checked(rest: bytes) -> bytes:
+    return f'{{\n"check": "{hashlib.sha256(rest).hexdigest()}",\n'.encode()
+
+
+def _json(values: dict[str, object]) -> str:
+    """JSON with sorted keys: the same values give the same text."""
+    return json.dumps(values, sort_keys=True)
+
+
+class Commit(BaseModel):
+    """A line of the record of the commits: a shard as it was written, by which program, when and where."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    shard: ShardName
+    entry: Shard
+    program: str
+    seconds: float
+    host: str
+    pid: int
+
+    @property
+    def line(self) -> bytes:
+        """JSON with a digest of the rest."""
+        values = self.model_dump()
+        return f"{_json(values | {'check': hashlib.sha256(_json(values).encode()).hexdigest()[:16]})}\n".encode()
+
+    @classmethod
+    def parse(cls, line: bytes) -> Commit | None:
+        """What a line says; None if it is damaged, or of a version that kept no more than times."""
+        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+            found = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
+            return found if json.loads(found.line) == json.loads(line) else None
+        return None
+
+
+def read_commits(path: Where) -> Iterator[Commit]:
+    """The commits of a dataset as they came in; lines that are damaged are left out, as is a record that is lost."""
+    with contextlib.suppress(OSError):
+        for line in place_of(path).read_record(TIMINGS).split(b"\n"):
+            if (commit := Commit.parse(line)) is not None:
+                yield commit
+
+
+_HEALED_BY_RUNNING = f"rerun the scene with this directory: what {TIMINGS} confirms is kept, the rest is recomputed"
+
+
+class DamagedManifest(StoreError):
+    """The manifest is there and cannot be understood."""
+
+
+def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
+    """The manifest of the dataset at `path`, with what the record adds to it.
+
+    Parameters
+    ----------
+    is_forgiving : bool
+        Whether damaged lines of the record are left out, for one who computes again what they confirmed.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest, or no record.
+    """
+    place = place_of(path)
+    manifest = _manifest(place)
+    if manifest.recorded_from is None:
+        return manifest
+    try:
+        content = place.read_record(TIMINGS)
+    except OSError as error:
+        raise StoreError(f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy}") from error
+    *lines, rest = content[manifest.recorded_from :].split(b"\n")
+    commits = [Commit.parse(line) for line in lines]
+    if (None in commits or len(content) < manifest.recorded_from) and not is_forgiving:
+        raise DamagedManifest(
+            f"{place.named(TIMINGS)}: expected the commits of a run that goes on or was killed, got damaged lines; "
+            f"{_HEALED_BY_RUNNING}"
+        )
+    commits.append(Commit.parse(rest))  # most often nothing, or what a crash cut short
+    manifest.shards.update({commit.shard: commit.entry for commit in commits if commit is not None})
+    return manifest
+
+
+def _manifest(place: Place) -> Manifest:
+    """The manifest as it lies there."""
+    file = place.named(MANIFEST)
+    try:
+        content = place.read(MANIFEST)
+    except (FileNotFoundError, NotADirectoryError):
+        found = f"no {MANIFEST}"
+        if isinstance(place, Directory) and not place.path.is_dir():
+            found = "a file" if place.path.exists() else "no such directory"
+        raise StoreError(f"{place}: expected a dataset, found {found}; name the directory of a run") from None
+    except OSError as error:
+        raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
+    rest = content[len(_checked(b"")) :]
+    is_whole = content == _checked(rest) + rest
+    _same_version(file, content, is_whole)
+    try:
+        if is_whole:
+            return Manifest.model_validate_json(b"{" + rest)
+        problem = "its check does not fit"
+    except ValidationError as error:
+        first = error.errors()[0]
+        problem = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    raise DamagedManifest(f"{file}: expected a manifest, got something damaged ({problem}); {_HEALED_BY_RUNNING}")
+
+
+def _same_version(file: str, content: bytes, is_whole: bool) -> None:
+    """Refuse the manifest of another version of the schema, which is not damaged."""
+    try:
+        found = json.loads(content)
+        version, is_checked = found["schema_version"], "check" in found
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return
+    if version != SCHEMA_VERSION and (is_whole or not is_checked):
+        raise StoreError(
+            f"{file}: expected a dataset of schema version {SCHEMA_VERSION}, got one of version {version}; use "
+            f"the version of stickslip that began it, or choose another directory"
+        )

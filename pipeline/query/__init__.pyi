@@ -1,0 +1,16 @@
+from .database import answer as answer
+from .database import sql as sql
+from .frames import QueryError as QueryError
+from .frames import Recorded as Recorded
+from .frames import all_events as all_events
+from .frames import by_threshold as by_threshold
+from .frames import dask_members as dask_members
+from .frames import dataset as dataset
+from .frames import ends as ends
+from .frames import episodes as episodes
+from .frames import events as events
+from .frames import members as members
+from .frames import n_stick as n_stick
+from .frames import separations as separations
+from .frames import series as series
+from .frames import table as table

@@ -1,0 +1,218 @@
+"""SQL over a dataset, by DuckDB: one question at a time, and nothing but the dataset within its reach."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from itertools import count
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from stickslip.pipeline.dataset.opened import dataset, dataset_scene, frame, not_recorded, unreadable
+from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.errors import QueryError, printable
+from stickslip.pipeline.places.place import Where
+from stickslip.pipeline.records import TABLES
+
+#: Rows that an answer is handed over in.
+_ROWS = 100_000
+
+# EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
+_READ = {"SELECT", "EXPLAIN", "MULTI"}
+
+# What DuckDB 2 and 1 say when Arrow, which reads the shards for them, cannot.
+_OF_SHARDS = re.compile(r"registered as 'shards'|arrow_scan")
+
+# Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
+# Row by row of the dataset: no sorting, whatever its size.
+_CASCADES = """
+WITH turns AS (
+    SELECT member_id, t, n_stick,
+        [k for k in range(2, len(n_stick)) if n_stick[k - 1] < n_stick[k] and n_stick[k] > n_stick[k + 1]] AS tops,
+        [k for k in range(2, len(n_stick)) if n_stick[k - 1] > n_stick[k] and n_stick[k] < n_stick[k + 1]] AS feet
+    FROM shards
+), whole AS (
+    SELECT member_id, t, n_stick, tops, [k for k in feet if k > tops[1]] AS feet FROM turns
+), paired AS (
+    SELECT member_id, t, n_stick, tops[:len(feet)] AS tops, feet FROM whole
+)
+SELECT member_id,
+    unnest(list_select(t, [k + 1 for k in tops])) AS start,
+    unnest(list_select(t, feet)) AS stop,
+    unnest(list_select(n_stick, tops)) - unnest(list_select(n_stick, feet)) AS size,
+    unnest(list_select(t, tops)) AS rise_before,
+    unnest(list_select(t, [k + 1 for k in feet])) AS rise_after
+FROM paired
+"""
+
+
+def quoted(name: str) -> str:
+    """A name as SQL takes any: words of SQL itself, too."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
+    """The views of a dataset, each as the SELECT from its shards; `step` is the scene's ``record.separation``."""
+    found = {
+        "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
+        "n_stick": "SELECT member_id, unnest(t) AS t, unnest(n_stick) AS n_stick FROM shards",
+        "cascades": _CASCADES,
+    }
+    if "event_t" in schema.names:
+        found["events"] = (
+            "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
+            " FROM shards"
+        )
+    if "episode_start" in schema.names:
+        of_episode = [field.name for field in schema if field.name.startswith("episode_")]
+        columns = (f"unnest({quoted(name)}) AS {quoted(name.removeprefix('episode_'))}" for name in of_episode)
+        found["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
+    if "separation" in schema.names:
+        found["separation"] = (
+            f"SELECT member_id, {step!r}::DOUBLE * unnest(range(len(separation))) AS t,"
+            " unnest(separation) AS distance FROM shards"
+        )
+    if "by_threshold" in schema.names:
+        found["thresholds"] = (
+            "WITH runs AS (SELECT member_id, unnest(by_threshold) AS run FROM shards)"
+            " SELECT member_id, run.threshold AS threshold, unnest(run.t) AS t, unnest(run.n_stick) AS n_stick"
+            " FROM runs"
+        )
+    return found
+
+
+def sql(path: Where, query: str) -> pd.DataFrame:
+    """Answer a question in SQL as a data frame; see `answer`."""
+    with answer(path, query) as batches:
+        return frame(batches.read_all())
+
+
+@contextlib.contextmanager
+def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
+    """Answer a question in SQL (DuckDB), without access to anything but the dataset, some rows at a time.
+
+    Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
+    (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
+    n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
+    scene records them, `events` (member_id, t, block, mode), `episodes` (the columns of
+    `stickslip.pipeline.query.episodes`), `separation` (member_id, t, distance) and `thresholds` (member_id,
+    threshold, t, n_stick). Where columns of an answer share a name, as in ``SELECT member_id, *``, the second is
+    called `member_id_1`.
+
+    Raises
+    ------
+    QueryError
+        If DuckDB is not installed, or refuses the query.
+    StoreError
+        If there is no readable dataset, or a shard of it cannot be read.
+    KeyboardInterrupt
+        If the user ends a query that takes too long.
+    """
+    try:
+        import duckdb
+    except ImportError as error:
+        raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
+    source = dataset(path)
+    selections = views(source.schema, dataset_scene(path).record.separation)
+    with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
+
+        def ask(work: Callable[[], Any]) -> Any:
+            # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
+            with _explained(duckdb, path, list(selections)):
+                return aside.submit(work).result()
+
+        aside.submit(_prepare, connection, source, selections).result()
+        ask(lambda: _check(connection.extract_statements(query)))
+        batches = ask(lambda: _reader(connection.sql(query)))
+        schema = _named_apart(batches.schema)
+        # the first rows come here: what is wrong with a query shows before anything is handed over
+        first = ask(lambda: next(iter(batches), None))
+
+        def rest() -> Iterator[pa.RecordBatch]:
+            batch = first
+            while batch is not None:
+                yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
+                batch = ask(lambda: next(iter(batches), None))
+
+        yield pa.RecordBatchReader.from_batches(schema, rest())
+
+
+def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
+    """The views of a dataset, and nothing else within reach."""
+    connection.register("shards", source)
+    for name, selection in selections.items():
+        connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
+    # from here on no files, no network, no variables of this process, and no way back
+    for setting in (
+        "temp_directory = ''",
+        "python_enable_replacements = false",
+        "enable_external_access = false",
+        "lock_configuration = true",
+    ):
+        connection.execute(f"SET {setting}")
+
+
+def _named_apart(schema: pa.Schema) -> pa.Schema:
+    """The columns of an answer; of those that share a name, the second is `name_1`, as DuckDB calls it in a table."""
+    taken, names = set(schema.names), list[str]()
+    for name in schema.names:
+        free = (f"{name}_{k}" for k in count(1))
+        names.append(name if name not in names else next(other for other in free if other not in taken))
+        taken.add(names[-1])
+    return pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
+
+
+@contextlib.contextmanager
+def _aside(connection: Any) -> Iterator[Executor]:
+    """A thread to ask in, so that this one hears an interrupt, whatever DuckDB is doing; what is asked then ends."""
+    with ThreadPoolExecutor(1) as aside:
+        aside.submit(int).result()  # nobody waits for a thread that starts while an interrupt comes
+        try:
+            yield aside
+        finally:
+            last = aside.submit(lambda: None)
+            while wait([last], timeout=0.1).not_done:
+                connection.interrupt()  # again, if it came before the query had begun
+
+
+def _reader(relation: Any) -> pa.RecordBatchReader:
+    if relation is None:
+        raise QueryError("query: expected a statement that returns rows, got one that returns none")
+    # the name changed on the way from DuckDB 1 to 2
+    read = getattr(relation, "to_arrow_reader", None) or relation.fetch_record_batch
+    return read(_ROWS)
+
+
+def _check(statements: list[Any]) -> None:
+    if not statements:
+        raise QueryError("query: expected a SELECT, got nothing; try SELECT * FROM members")
+    kinds = [statement.type.name for statement in statements]
+    if len(kinds) > 1:
+        raise QueryError(f"query: expected one SELECT, got {len(kinds)} statements; ask them one by one")
+    if kinds[0] not in _READ:
+        raise QueryError(
+            f"query: expected a SELECT, got {kinds[0]}: a dataset is read, never changed, and an answer goes to a "
+            f"file by --out"
+        )
+
+
+@contextlib.contextmanager
+def _explained(duckdb: Any, path: Where, names: list[str]) -> Iterator[None]:
+    """Turn the database's refusals, and what a damaged or missing shard raises, into ours."""
+    try:
+        yield
+    except (duckdb.Error, pa.ArrowException, OSError) as error:
+        # once rows are coming, Arrow hands on what DuckDB says as an error of the system
+        is_of_system = isinstance(error, OSError) and not re.match(r"[A-Z][\w ]* Error: ", str(error))
+        if is_of_system or _OF_SHARDS.search(str(error)):
+            raise unreadable(path, error) from error
+        asked = re.search(r"Table with name (\w+) does not exist", str(error))
+        if asked and asked[1].lower() in TABLES and asked[1].lower() not in names:
+            raise not_recorded(asked[1].lower()) from error
+        unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
+        words = f"; a query reads the views {', '.join(names)}, and nothing else" if unknown else ""
+        raise QueryError(f"query: {printable(str(error).strip())}{words}") from error

@@ -1,0 +1,384 @@
+"""Reading a dataset: members as Arrow, pandas or dask frames, n_stick as arrays, anything by SQL. Nothing writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from stickslip import sim
+from stickslip.pipeline.dataset.opened import dataset, dataset_scene, frame, near, not_recorded, reading
+from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.errors import QueryError
+from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.places.place import Where
+
+if TYPE_CHECKING:
+    from dask.dataframe import DataFrame
+
+__all__ = [
+    "QueryError",
+    "Recorded",
+    "all_events",
+    "by_threshold",
+    "dask_members",
+    "dataset",
+    "ends",
+    "episodes",
+    "events",
+    "members",
+    "n_stick",
+    "separations",
+    "series",
+    "table",
+]
+
+Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
+
+#: Shards that one part of a dask frame holds together, in bytes of their files.
+_PART = 64_000_000
+
+#: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
+_KEPT = 100_000_000
+#: Shards of them at least: a run and the one that it is compared with.
+_SHARDS_KEPT = 2
+
+_Value = TypeVar("_Value", covariant=True)
+
+_Events: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+#: What an event series is made of.
+_EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
+
+
+def table(
+    path: Where,
+    columns: Sequence[str] | None = None,
+    filters: Filters | None = None,
+) -> pa.Table:
+    """The dataset, or a part of it, as an Arrow table: one row a member, sorted as the scene expands.
+
+    Parameters
+    ----------
+    path : str, Path or Place
+        Directory or address of the dataset; see `stickslip.pipeline.places.place`.
+    columns : sequence of str, optional
+        Columns of the dataset; all, the lists too, if left out.
+    filters : pyarrow.compute.Expression or list of tuple, optional
+        Which rows, e.g. ``[("n", "=", 200), ("engine", "=", "coulomb")]``; applied while reading.
+
+    Raises
+    ------
+    QueryError
+        If a column is unknown or the filter does not fit the columns.
+    StoreError
+        If there is no readable dataset.
+    """
+    source = dataset(path)
+    return _chosen(path, source, _known(source.schema, columns), filters)
+
+
+def members(
+    path: Where,
+    columns: Sequence[str] | None = None,
+    filters: Filters | None = None,
+) -> pd.DataFrame:
+    """The members table as a data frame; as `table`, but all scalar columns if `columns` is left out.
+
+    A column that holds nulls has a nullable type (NA, never NaN).
+    """
+    source = dataset(path)
+    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
+    return frame(_chosen(path, source, names, filters))
+
+
+def dask_members(
+    path: Where,
+    columns: Sequence[str] | None = None,
+    filters: Filters | None = None,
+) -> DataFrame:
+    """The members table as a dask frame, each part read where it is computed; arguments as of `members`.
+
+    A column that may hold nulls has a nullable type in every part, whether it does there or not.
+    """
+    import dask.dataframe  # takes a second to load
+
+    source = dataset(path)
+    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
+    condition = _condition(filters)
+    schema = pa.schema([source.schema.field(name) for name in names])
+    address = str(place_of(path))
+    empty = _part((), address, names, condition, schema)
+    parts = _parts({name: shard.bytes for name, shard in sorted(read_manifest(path).shards.items())})
+    return dask.dataframe.from_map(
+        _part, parts, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
+    )
+
+
+def _parts(sizes: dict[str, int]) -> list[tuple[str, ...]]:
+    """Consecutive shards together, up to `_PART` bytes."""
+    parts: list[list[str]] = [[]]
+    filled = 0
+    for name, size in sizes.items():
+        if parts[-1] and filled + size > _PART:
+            parts.append([])
+            filled = 0
+        parts[-1].append(name)
+        filled += size
+    return [tuple(part) for part in parts]
+
+
+def _part(
+    part: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
+) -> pd.DataFrame:
+    """One part of a dask frame; of no shards: its columns and their types."""
+    found = _chosen(path, dataset(path, part), names, condition) if part else schema.empty_table()
+    return frame(found, [field.name for field in schema if field.nullable])
+
+
+def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
+    names = list(schema.names if columns is None else columns)
+    for name in names:
+        if name not in schema.names:
+            raise QueryError(f"columns: expected columns of the dataset, got {name!r}{near(name, schema.names)}")
+    return names
+
+
+def _condition(filters: Filters | None) -> pc.Expression | None:
+    try:
+        return None if filters is None else pq.filters_to_expression(filters)
+    except (pa.ArrowException, ValueError, TypeError) as error:
+        raise _misfit(filters, error) from error
+
+
+def _chosen(path: Where, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
+    try:
+        with reading(path):
+            return source.to_table(columns=names, filter=_condition(filters))
+    except (pa.ArrowException, ValueError) as error:
+        raise _misfit(filters, error) from error
+
+
+def _misfit(filters: Filters | None, error: Exception) -> QueryError:
+    if isinstance(error, QueryError):
+        return error
+    return QueryError(
+        f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}; write a list of tuples, "
+        f'[("n", "=", 200)], or an expression of pyarrow.compute'
+    )
+
+
+def n_stick(path: Where, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The number of sticking blocks of one member.
+
+    Returns
+    -------
+    t : float64, shape (k,)
+        t[0] = 0 and each time n_stick changes (dimensionless).
+    n_stick : int32, shape (k,)
+        n_stick[j] holds on [t[j], t[j+1]), the last to t_end (to t_stop if the run diverged).
+
+    Raises
+    ------
+    QueryError
+        If there is no such member, or it failed.
+    StoreError
+        If there is no readable dataset.
+    """
+    row = _member_row(path, dataset(path), member_id, ["t", "n_stick"])
+    return _array(row["t"]), _array(row["n_stick"])
+
+
+def events(path: Where, member_id: str) -> sim.EventSeries:
+    """Every event of one member, of a dataset whose scene records them.
+
+    Raises
+    ------
+    QueryError
+        If the scene does not record events, there is no such member, or it failed.
+    StoreError
+        If there is no readable dataset.
+    """
+    source = dataset(path)
+    if "event_t" not in source.schema.names:
+        raise not_recorded("events")
+    return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
+
+
+def episodes(path: Where) -> pd.DataFrame:
+    """All episodes of a dataset whose scene records them, a row each, by member as the scene expands, then by time.
+
+    Returns
+    -------
+    DataFrame
+        `member_id`; `start`, when the first block leaves after a time in which all stick, and `end`, when all stick
+        again; `size`, the number of blocks that slipped; `moment`, the sum over the blocks of what each slipped on
+        the belt, counted against the belt's motion; `first_block`, which left first.
+
+    Raises
+    ------
+    QueryError
+        If the scene does not record episodes.
+    StoreError
+        If there is no readable dataset.
+    """
+    source = dataset(path)
+    names = [name for name in source.schema.names if name.startswith("episode_")]
+    if not names:
+        raise not_recorded("episodes")
+    with reading(path):
+        found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid()).combine_chunks()
+    of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
+    columns = {name.removeprefix("episode_"): pc.list_flatten(found[name]) for name in names}
+    return frame(pa.table({"member_id": found["member_id"].take(of), **columns}))
+
+
+def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
+    if not isinstance(member_id, str):
+        raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
+    with reading(path):
+        rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
+        known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
+    if rows.num_rows == 0:
+        raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, known)}")
+    if not rows[columns[0]][0].is_valid:
+        raise QueryError(
+            f"member_id: expected a member that ran, got {member_id!r}, which failed: {rows['reason'][0]}"
+        )
+    return {name: rows[name][0] for name in columns}
+
+
+def series(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
+    return Recorded(path, "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
+
+
+def all_events(path: Where) -> Recorded[_Events]:
+    """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
+    return Recorded(path, "event_t", _EVENT_COLUMNS[:4], _arrays_of_events)
+
+
+def ends(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """z and w at the end by member_id; empty if they are not recorded."""
+    return Recorded(path, "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"])))
+
+
+def separations(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Times and distance from the unchanged run by member_id of changed ones; empty if they are not recorded.
+
+    The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
+    """
+    step = dataset_scene(path).record.separation
+
+    def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        assert step is not None  # there would be no such column
+        distance: NDArray[np.float64] = _array(row["separation"])
+        return step * np.arange(len(distance), dtype=np.float64), distance
+
+    return Recorded(path, "separation", ["separation"], entry)
+
+
+def by_threshold(path: Where) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
+    """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
+
+    def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+        found = row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
+        return {one["threshold"].as_py(): (_array(one["t"]), _array(one["n_stick"])) for one in found}
+
+    return Recorded(path, "by_threshold", ["by_threshold"], entry)
+
+
+_Row = dict[str, pa.Scalar]
+
+
+class Recorded(Mapping[str, _Value]):
+    """What a dataset recorded of its members, by member_id, in order; a shard is read when one of them is asked for.
+
+    The last shards stay in memory, `_KEPT` bytes of them: ask in the order of the members.
+    """
+
+    def __init__(self, path: Where, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
+        source = dataset(path)
+        self._path, self._recorded, self._columns, self._entry = path, recorded, columns, entry
+        self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
+        self._kept: dict[int, dict[str, pa.Array]] = {}  # columns by shard, the last one that was read last
+
+    def _shard(self, k: int) -> dict[str, pa.Array]:
+        if k not in self._kept:
+            names = ["member_id", *self._columns]
+            with reading(self._path):
+                table = self._fragments[k].to_table(columns=names, filter=pc.field(self._recorded).is_valid())
+            while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[k] = {name: _joined(table[name]) for name in names}
+        return self._kept[k]
+
+    def _n_bytes(self) -> int:
+        return sum(column.nbytes for columns in self._kept.values() for column in columns.values())
+
+    def _at(self, k: int, row: int) -> _Value:
+        columns = self._shard(k)
+        return self._entry({name: columns[name][row] for name in self._columns})
+
+    @cached_property
+    def _place(self) -> dict[str, tuple[int, int]]:
+        """Shard and row of each member."""
+        names = (self._shard(k)["member_id"].to_pylist() for k in range(len(self._fragments)))
+        return {name: (k, row) for k, listed in enumerate(names) for row, name in enumerate(listed)}
+
+    def __getitem__(self, key: str) -> _Value:
+        return self._at(*self._place[key])
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._place
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._place)
+
+    def __len__(self) -> int:
+        return len(self._place)
+
+    def items(self) -> ItemsView[str, _Value]:
+        return _Items(self)
+
+
+class _Items(ItemsView[str, _Value]):
+    """Items in one pass."""
+
+    _mapping: Recorded[_Value]
+
+    def __iter__(self) -> Iterator[tuple[str, _Value]]:
+        found = self._mapping
+        for k in range(len(found._fragments)):
+            for row, name in enumerate(found._shard(k)["member_id"].to_pylist()):
+                yield name, found._at(k, row)
+
+
+def _joined(column: pa.ChunkedArray) -> pa.Array:
+    """A column in one piece: its rows are found at once."""
+    joined = column.combine_chunks()
+    return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
+
+
+def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:
+    # nothing happens any more after a collapse: its series is known to the end
+    end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
+    return sim.EventSeries(*_arrays_of_events(row), t_start=0.0, t_end=end.as_py())
+
+
+def _arrays_of_events(row: dict[str, pa.Scalar]) -> _Events:
+    t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
+    return t, block, mode, initial_mode
+
+
+def _array(entry: pa.ListScalar) -> np.ndarray:
+    return entry.values.to_numpy(zero_copy_only=False)  # noqa: PD011  an Arrow scalar, no data frame

@@ -1,0 +1,31 @@
+"""What is kept of a run: a file and a line here make a record known to scenes, workers, datasets and the guide."""
+
+from stickslip.pipeline.records.end import End
+from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
+from stickslip.pipeline.records.episodes import EpisodesRecord
+from stickslip.pipeline.records.events import Events
+from stickslip.pipeline.records.growth_rate import GrowthRate
+from stickslip.pipeline.records.outcome import OutcomeRecord
+from stickslip.pipeline.records.record import Record
+from stickslip.pipeline.records.separation import Separation
+from stickslip.pipeline.records.thresholds import Thresholds
+
+__all__ = ["ALWAYS", "RECORDS", "TABLES", "End", "Record"]
+
+#: Of every run.
+ALWAYS = OutcomeRecord()
+
+#: What a scene may ask for, in the order of their columns; one that takes from another comes after it.
+RECORDS: tuple[type[Record], ...] = (
+    End,
+    GrowthRate,
+    Events,
+    EpisodesRecord,
+    EnergyRecord,
+    EpisodeEnergy,
+    Separation,
+    Thresholds,
+)
+
+#: What are tables of their own in SQL and frames, and the lines that ask for them.
+TABLES = {one.name: one.asked_by for one in (Events, EpisodesRecord, Separation, Thresholds)}

@@ -1,0 +1,37 @@
+"""Columns of a dataset as plain data: Arrow's schema, SQL, NetCDF, the guide and the names that are taken follow."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+#: A number; a whole one of 32 or 64 bits; text; and lists of a run: numbers, perhaps with nulls, whole ones, modes.
+#: The last is a list of thresholds, each with its t and n_stick.
+Kind = Literal["number", "whole", "count", "text", "numbers", "numbers or null", "wholes", "modes", "n_stick by"]
+
+
+class Column(NamedTuple):
+    """A column: a value a member, or a list of values.
+
+    Attributes
+    ----------
+    words : str
+        What it is; all is dimensionless.
+    nullable : bool
+        Whether a member may be without.
+    along : str
+        Of a list: what it has a value for, its dimension in NetCDF. Empty: it is not written there.
+    repeats : bool
+        Whether values come again. Where not, as of times, they are kept without a dictionary and split into bytes.
+    """
+
+    kind: Kind
+    name: str
+    words: str
+    nullable: bool = True
+    along: str = ""
+    repeats: bool = True
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it holds a list a member."""
+        return self.kind not in ("number", "whole", "count", "text")

@@ -1,0 +1,33 @@
+"""The state at the end of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, Record
+
+
+class End(Record):
+    """The state at the end, at which runs of another scene can start."""
+
+    name = "end"
+    words = "whether to keep the state at the end, at which runs of another scene can start"
+    asked_by = "`end = true` under [record]"
+    columns = (
+        Column(
+            "numbers", "z_end", "displacement of each block at the end of the run, t_end or earlier", along="block"
+        ),
+        Column("numbers", "w_end", "velocity of each block then", along="block"),
+        Column("modes", "mode_end", "mode of each block then: -1 or +1 slips, 0 sticks", along="block"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        run, events = made.run, made.run.events
+        mode = events.initial_mode.copy()
+        mode[events.block] = events.mode  # of several of one block the last one stays
+        # one that slips after a collapse may have turned round unseen
+        side = np.where(run.w > made.system.belt_speed_at(run.t_end), 1, -1)
+        return {"z_end": run.z, "w_end": run.w, "mode_end": np.where(mode == 0, 0, side).astype(np.int8)}

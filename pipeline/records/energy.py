@@ -1,0 +1,116 @@
+"""Where the energy of a run went, and what each episode took of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Facts, Made, Member, Record, Sharing, is_exact
+from stickslip.sim.energy import Energy, TooLongError, energy
+from stickslip.sim.engines import ENGINES
+
+
+class EnergyRecord(Record):
+    """The energy at both ends of a run by the exact law, and what came in and went out between."""
+
+    name = "energy"
+    words = (
+        "whether to keep the energy at both ends of a run by the exact law, and what came in and went out between; it"
+        " costs some ten runs"
+    )
+    asked_by = "`energy = true` under [record]"
+    columns = (
+        Column(
+            "number",
+            "kinetic_energy_start",
+            "sum of m w^2 / 2 at t = 0; null, as all below, if diverged, not the exact law, or too long to sum",
+        ),
+        Column("number", "kinetic_energy_end", "sum of m w^2 / 2 at t_end"),
+        Column("number", "elastic_energy_start", "z K z / 2 at t = 0"),
+        Column("number", "elastic_energy_end", "z K z / 2 at t_end"),
+        Column("number", "belt_work", "what the belt gave, by friction"),
+        Column("number", "force_work", "what the force from outside gave"),
+        Column("number", "coupling_work", "what couplings gave that are not reciprocal, the skew part of K"),
+        Column("number", "damping_loss", "what damping took"),
+        Column("number", "friction_loss", "what slip on the belt took, as heat"),
+    )
+
+    def problem(self, facts: Facts) -> str:
+        if any(engine.is_exact for engine in facts.engines):
+            return ""
+        exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
+        return (
+            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+            f' "{exact}", or remove it'
+        )
+
+    def cost(self, member: Member, sharing: Sharing) -> float:
+        return 10.0 * member.cost if is_exact(member) else 0.0
+
+    def of(self, made: Made) -> dict[str, Any]:
+        found = _balance(made)
+        if found is None:
+            return {}
+        return {
+            "kinetic_energy_start": found.kinetic[0],
+            "kinetic_energy_end": found.kinetic[-1],
+            "elastic_energy_start": found.elastic[0],
+            "elastic_energy_end": found.elastic[-1],
+            "belt_work": found.belt[-1],
+            "force_work": found.outside[-1],
+            "coupling_work": found.coupling[-1],
+            "damping_loss": found.damping[-1],
+            "friction_loss": found.heat[-1],
+        }
+
+
+class EpisodeEnergy(Record):
+    """What damping and friction took in each episode."""
+
+    name = "episode_energy"
+    words = ""
+    asked_by = "both, `episodes` and `energy`"
+    columns = (
+        Column(
+            "numbers or null",
+            "episode_energy",
+            "what damping and friction took in each episode; null if diverged, not the exact law, or too long to sum",
+            along="episode",
+            repeats=False,
+        ),
+    )
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return cls() if keys["episodes"] and keys["energy"] else None
+
+    def of(self, made: Made) -> dict[str, Any]:
+        start, end = made.found["episode_start"], made.found["episode_end"]
+        found = _balance(made)
+        if found is None:
+            return {"episode_energy": [None] * len(start)}
+        lost = found.damping + found.heat
+        return {"episode_energy": lost[np.searchsorted(found.t, end)] - lost[np.searchsorted(found.t, start)]}
+
+
+_LATEST: list[tuple[Made, Energy | None]] = []
+
+
+def _balance(made: Made) -> Energy | None:
+    """The balance of a run, once for both records; None if there is none of it."""
+    if not _LATEST or _LATEST[0][0] is not made:
+        _LATEST[:] = [(made, _sum(made))]
+    return _LATEST[0][1]
+
+
+def _sum(made: Made) -> Energy | None:
+    member, run = made.member, made.run
+    if run.outcome == "diverged" or not is_exact(member):
+        return None
+    try:
+        return energy(made.system, run, *made.start, engine=member.engine, **dict(member.settings))
+    except TooLongError:  # the run itself is right
+        return None

@@ -1,0 +1,38 @@
+"""The episodes of a run, from all blocks stuck to all stuck again."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import partial
+from typing import Any
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, Record
+from stickslip.sim.episodes import episodes
+
+_of_each = partial(Column, along="episode")
+
+
+class EpisodesRecord(Record):
+    """The episodes of a run: see `stickslip.sim.episodes`."""
+
+    name = "episodes"
+    words = "whether to keep the episodes: from all blocks stuck to all stuck again"
+    asked_by = "`episodes = true` under [record]"
+    columns = (
+        _of_each(
+            "numbers", "episode_start", "when the first block leaves, after a time when all stick", repeats=False
+        ),
+        _of_each(
+            "numbers", "episode_end", "when all stick again; what is cut off by an end is no episode", repeats=False
+        ),
+        _of_each("wholes", "episode_size", "number of blocks that slipped in each episode"),
+        _of_each(
+            "numbers", "episode_moment", "sum of their slips on the belt, against the belt's motion", repeats=False
+        ),
+        _of_each("wholes", "episode_first_block", "the block that left first"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        whole = episodes(made.run, made.system.belt_speed)
+        return {f"episode_{one.name}": getattr(whole, one.name) for one in fields(whole)}

@@ -1,0 +1,44 @@
+"""The growth rate of the state in which all blocks slip."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
+from stickslip.sim.systems.system import System
+
+_KNOWN: WeakKeyDictionary[System, float] = WeakKeyDictionary()
+
+
+class GrowthRate(Record):
+    """The largest real part of the eigenvalues of the system with all blocks slipping."""
+
+    name = "growth_rate"
+    words = "whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run"
+    example = None
+    asked_by = "`growth_rate = true` under [record]"
+    columns = (
+        Column(
+            "number",
+            "growth_rate",
+            "largest real part of the eigenvalues of the system with all blocks slipping; below 0 it comes to rest",
+        ),
+    )
+    is_shared = True
+
+    def memory(self, facts: Facts) -> Memory:
+        # the matrix of 2n rows, its complex eigenvectors and what LAPACK keeps
+        return Memory(160.0 * facts.n**2, "finding eigenvalues", "set it to false")
+
+    def cost(self, member: Member, sharing: Sharing) -> float:
+        return 1e-8 * member.n**3 / (sharing.engines * sharing.draws)
+
+    def of(self, made: Made) -> dict[str, Any]:
+        system = made.system
+        if system not in _KNOWN:
+            _KNOWN[system] = float(np.linalg.eigvals(system.slip_matrix()).real.max())
+        return {"growth_rate": _KNOWN[system]}

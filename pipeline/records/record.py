@@ -1,0 +1,153 @@
+"""What a record is: columns, what it needs of a run, and how it is computed.
+
+A record is a subclass of `Record` in a file of its own, named in `stickslip.pipeline.records.RECORDS`. The key by
+which a scene asks for it, the columns of datasets and their words, what a run is sampled for, its cost and the pages
+of the guide follow.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Engine
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.systems.system import System
+
+_NONE = np.empty(0)
+
+
+class Member(Protocol):
+    """What a record may ask of a member: see `stickslip.pipeline.ensemble.member.Member`."""
+
+    @property
+    def n(self) -> int: ...
+    @property
+    def engine(self) -> str: ...
+    @property
+    def settings(self) -> tuple[tuple[str, Any], ...]: ...
+    @property
+    def ratio_draw(self) -> int | None: ...
+    @property
+    def t_end(self) -> float: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def base(self) -> Member | None: ...
+
+
+@dataclass(frozen=True)
+class Made:
+    """A member that was run: what records are computed from.
+
+    Attributes
+    ----------
+    member : Member
+    system : System
+    run : Run
+        With samples at what the records' `times` asked for.
+    start : tuple of two
+        z and w at t = 0, a number or an array of shape (n,).
+    again : callable
+        Runs another member, sampled at some times: `again(member, times)` gives its `Samples`.
+    found : dict of str to object
+        What records before this one computed, by column.
+    """
+
+    member: Member
+    system: System
+    run: Run
+    start: tuple[Any, Any]
+    again: Callable[[Any, tuple[float, ...]], Samples]
+    found: dict[str, Any]
+
+
+class Sharing(NamedTuple):
+    """How many members of a scene share what is computed once for them."""
+
+    copies: int  #: changed ones of a run
+    draws: int  #: of the engine's ratios
+    engines: int
+
+
+class Facts(NamedTuple):
+    """What a record has to know of a scene to say whether it applies."""
+
+    n: int  #: of the largest system
+    t_end: float
+    least_step: float  #: of a series in time
+    engines: tuple[type[Engine], ...]
+    has_changes: bool  #: whether members are changed copies of others
+
+
+class Memory(NamedTuple):
+    """What a record takes of a worker at once."""
+
+    n_bytes: float
+    what: str  #: what takes it, as in "finding eigenvalues"
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Record(ABC):
+    """A thing that is kept of a run.
+
+    Attributes
+    ----------
+    name : str
+        Its own, and the key under [record]; a field `step`, if it has one, is the value of that key, else it is true.
+    words, example : str, object
+        Of that key, for schemas and the guide.
+    asked_by : str
+        By which line a scene asks for it.
+    columns : tuple of Column
+    is_of_paths : bool
+        Whether one who asks for it wants each run's own path, so that tolerances are picked for that.
+    is_shared : bool
+        Whether most of its cost is computed once for several members.
+    """
+
+    name: ClassVar[str]
+    words: ClassVar[str]
+    example: ClassVar[object] = True
+    asked_by: ClassVar[str] = ""
+    columns: ClassVar[tuple[Column, ...]]
+    is_of_paths: ClassVar[bool] = False
+    is_shared: ClassVar[bool] = False
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        """The record, if a scene asks for it by [record] or by the settings of an engine; else None."""
+        return cls() if keys[cls.name] else None
+
+    def times(self, member: Member) -> Floats:
+        """When a run is sampled for it, shape (m,)."""
+        return _NONE
+
+    def cost(self, member: Member, sharing: Sharing) -> float:
+        """What it takes beyond the run, in the unit of `Member.cost`."""
+        return 0.0
+
+    def problem(self, facts: Facts) -> str:
+        """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
+        return ""
+
+    def memory(self, facts: Facts) -> Memory | None:
+        """What it takes of a worker beyond the run, if that may be much."""
+        return None
+
+    @abstractmethod
+    def of(self, made: Made) -> dict[str, Any]:
+        """The values of its columns; those left out are null."""
+
+
+def is_exact(member: Member) -> bool:
+    """Whether a member runs by the exact law."""
+    return ENGINES[member.engine].is_exact

@@ -1,0 +1,80 @@
+"""How far a changed run is from the unchanged one, in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
+from stickslip.sim.numerics.arguments import Floats
+
+
+@dataclass(frozen=True)
+class Separation(Record):
+    """The distance of a changed run from the unchanged one, every `step` units of time."""
+
+    step: float
+
+    name = "separation"
+    words = "time step at which the distance of a changed run from the unchanged one is kept"
+    example = 5.0
+    asked_by = "`separation = 5.0` under [record]"
+    columns = (
+        Column(
+            "numbers",
+            "separation",
+            "distance from the unchanged run at k times the step that the scene gives, as far as both go: the root of"
+            " the mean over blocks of dz^2 + dw^2; null for an unchanged run",
+            along="separation_step",
+            repeats=False,
+        ),
+    )
+    is_of_paths = True
+    is_shared = True
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return None if keys["separation"] is None else cls(keys["separation"])
+
+    def problem(self, facts: Facts) -> str:
+        if not facts.has_changes:
+            return (
+                "expected a scene with changed runs, got none; add [perturbation] or [twins], or a sigmoid with ratio"
+                ' = "uniform"'
+            )
+        if self.step < facts.least_step:
+            steps = f"run.t_end / {round(facts.t_end / facts.least_step)}"
+            return f"expected at least {facts.least_step:.2g}, {steps}, got {self.step}; enlarge it"
+        return ""
+
+    def memory(self, facts: Facts) -> Memory:
+        # z and w of a run and of the one that it is compared with
+        return Memory(4.0 * 8 * facts.n * facts.t_end / self.step, "comparing two runs", "lengthen the step")
+
+    def times(self, member: Member) -> Floats:
+        """0, step, 2 step ... to t_end, which rounding does not lose; none of an unchanged run."""
+        if member.base is None:
+            return np.empty(0)
+        times = self.step * np.arange(math.floor(member.t_end / self.step * (1 + 1e-12)) + 1)
+        return np.minimum(times, member.t_end)
+
+    def cost(self, member: Member, sharing: Sharing) -> float:
+        """The unchanged run is run again, once for its changed copies."""
+        base = member.base
+        if base is None:
+            return 0.0
+        return base.cost / (sharing.copies if base.ratio_draw == member.ratio_draw else sharing.draws)
+
+    def of(self, made: Made) -> dict[str, Any]:
+        base = made.member.base
+        if base is None:
+            return {}
+        one, other = made.run.samples, made.again(base, tuple(self.times(made.member)))
+        m = min(len(one), len(other))  # both reached these
+        squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
+        return {"separation": np.sqrt(squares.mean(axis=1))}

@@ -1,0 +1,36 @@
+"""n_stick by further definitions of sticking, from the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, Record
+from stickslip.sim.runs.series import summaries
+
+
+class Thresholds(Record):
+    """n_stick where a block sticks if |w - v| < threshold r_i eps."""
+
+    name = "thresholds"
+    words = ""
+    asked_by = '`thresholds = [0.5, 1.0, 2.0]` under [[engine]] name = "sigmoid"'
+    columns = (
+        Column(
+            "n_stick by",
+            "by_threshold",
+            "t and n_stick of the same run where a block sticks if |w - v| < threshold r_i eps; null if not sigmoid",
+        ),
+    )
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return cls() if settings.get("thresholds") else None
+
+    def of(self, made: Made) -> dict[str, Any]:
+        by_threshold = made.run.by_threshold
+        if not by_threshold:
+            return {}
+        changes = zip(by_threshold, summaries([*by_threshold.values()]), strict=True)
+        return {"by_threshold": [{"threshold": c, "t": one.t, "n_stick": one.n_stick} for c, one in changes]}

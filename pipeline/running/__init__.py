@@ -1,0 +1,1 @@
+"""Members run: by a worker, on a cluster, and what that will take."""

@@ -1,0 +1,257 @@
+"""The workers of a run: of this machine, or of a cluster that is there already.
+
+Dask runs whatever code it is sent. So a cluster started here listens on this machine alone and obeys only a
+certificate that is made for the one run and never leaves its processes; its files lie where no other user writes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import resource
+import signal
+import socket
+import tempfile
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import dask
+import distributed
+from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
+from distributed.comm import get_address_host_port
+from distributed.core import rpc
+from distributed.system import MEMORY_LIMIT
+from distributed.utils import LoopRunner, silence_logging_cmgr
+
+from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
+from stickslip.pipeline.machine import processes
+from stickslip.pipeline.machine.processes import ONE_THREAD, environment_kept
+from stickslip.pipeline.machine.signals import blocked, unbroken
+from stickslip.pipeline.records.record import Memory
+
+if TYPE_CHECKING:  # workers load this module first
+    from stickslip.pipeline.scene.scene import Scene
+
+log = logging.getLogger(__name__)
+
+#: Seconds to wait for a scheduler at a given address.
+CONNECT_TIMEOUT = 5.0
+
+_LOCAL_CLUSTER = {
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+    # whose worker dies is run in a process of its own next: no second chance to take others along
+    "distributed.scheduler.allowed-failures": 0,
+    # dask drops a worker for good that is being restarted just this long after it died; with it went the run
+    "distributed.deploy.lost-worker-timeout": "1000 days",
+    # each samples Python's stacks, or measures the delay of a loop, many times a second, and disturbs who computes
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "2s",
+}
+
+
+def check_memory(scene: Scene, workers: int) -> None:
+    """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
+
+    Raises
+    ------
+    SceneError
+        If it cannot.
+    """
+    n = max(scene.system.n)
+    room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
+    takes = [("system.n", Memory(scene.system.bytes_of_system, "drawing a system", "lower n"))]
+    of_records = ((f"record.{record.name}", record.memory(scene.facts)) for record in scene.records)
+    takes += [(key, found) for key, found in of_records if found is not None]
+    for key, (needed, what, remedy) in takes:
+        if needed > room:
+            raise SceneError(
+                f"{key}: expected what a worker can hold, got n = {n}, with which {what} takes {needed / 1e9:.3g} GB "
+                f"where each has {room / 1e9:.3g} GB; {remedy}, or use fewer workers or a larger machine"
+            )
+
+
+def check_address(address: str) -> None:
+    """See that a scheduler answers at an address: `Client`, told a wrong one, hangs in its own destructor.
+
+    Raises
+    ------
+    AddressError
+        If it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
+    """
+    try:
+        # a closed port is refused at once here; dask would retry
+        socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
+        with silence_logging_cmgr(logging.CRITICAL):
+            identity = LoopRunner().run_sync(_who_is_at, address)
+        if "workers" not in identity:
+            raise ValueError(f"a {identity['type']} answers there")
+    # in turn: refused or silent; no address; no certificate for tls; tcp, where dask is told to encrypt;
+    # another service's words, taken for the length of a message
+    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        why = " ".join(str(error).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
+        raise AddressError(
+            f"scheduler: expected the address of a running dask scheduler, tcp://HOST:PORT, or tls://HOST:PORT with "
+            f"certificates in dask's configuration, distributed.comm.tls, got {address!r} ({why}); start one with "
+            f"`dask scheduler`, or leave the address out to run on this machine"
+        ) from error
+
+
+async def _who_is_at(address: str) -> dict[str, Any]:
+    security = Security().get_connection_args("client")
+    async with rpc(address, timeout=CONNECT_TIMEOUT, connection_args=security) as server:
+        return await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT)
+
+
+@contextlib.contextmanager
+def connect(workers: int, scheduler: str | Client | None, dashboard: bool = False) -> Iterator[Client]:
+    """A client of a cluster that is there, or, for as long as the with-block, of local workers."""
+    if scheduler is None:
+        with local(workers, dashboard) as client:
+            yield client
+    elif isinstance(scheduler, Client):
+        _look_at(scheduler)
+        yield scheduler
+    else:
+        with Client(scheduler, timeout=CONNECT_TIMEOUT, security=Security(), set_as_default=False) as client:
+            _look_at(client)  # before all handlers fall silent
+            with silence_logging_cmgr(logging.CRITICAL), client:  # what matters reaches the caller as an error
+                yield client
+
+
+@contextlib.contextmanager
+def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
+    """A client of new workers on this machine, which live as long as the with-block.
+
+    `dashboard` opens dask's, which any user of this machine may read.
+    """
+    # around all of it: a cluster in the middle of closing still has connections to complain of
+    with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
+        with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
+            loop = LoopRunner()
+            with blocked():
+                loop.start()
+            opened.callback(loop.stop)
+            opened.enter_context(_files_for(workers))
+            cluster = _local_cluster(workers, dashboard, loop, opened)
+            client = Client(cluster, set_as_default=False)
+            opened.callback(_close, client, cluster)
+            opened.callback(_kill, cluster)
+        yield client
+
+
+@contextlib.contextmanager
+def _files_for(workers: int) -> Iterator[None]:
+    """Within: this process may open as many files as workers take, 23 and 12 for each; without them dask hangs.
+
+    Raises
+    ------
+    ScheduleError
+        If it may not.
+    """
+    needed = 32 + 16 * workers
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise ScheduleError(
+            f"workers: expected a limit of {needed} or more open files, for {workers} of them, got {hard} "
+            f"(`ulimit -n`); raise it, or use fewer workers"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft == resource.RLIM_INFINITY else max(soft, needed), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def _look_at(client: Client) -> None:
+    """Warn of workers of a cluster, as far as they are there, that are slow or whose numbers may differ."""
+    several = [address for address, count in client.nthreads().items() if count > 1]
+    if several:
+        log.warning(
+            "expected workers of one thread each, got several in %d of them, %s first: they take turns in Python, "
+            "and are slower than as many processes; start them with `--nthreads 1 --nworkers N`",
+            len(several),
+            several[0],
+        )
+    threads = client.run(_threads_of_libraries, on_error="ignore") or {}
+    unset = [address for address, counts in threads.items() if not counts & {"1"}]
+    if unset:
+        log.warning(
+            "expected workers whose libraries have one thread each, got %d that do not say so, %s first: last digits "
+            "may differ from those of other workers; start them with OMP_NUM_THREADS=1 in their environment",
+            len(unset),
+            unset[0],
+        )
+
+
+def _threads_of_libraries() -> set[str]:
+    return {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
+
+
+def _close(client: Client, cluster: SpecCluster) -> None:
+    with unbroken():
+        client.close()
+        cluster.close()
+
+
+def _kill(cluster: SpecCluster) -> None:
+    """Kill the workers, whatever they are at: to end them in order takes seconds."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
+            os.kill(nanny.pid, signal.SIGKILL)
+
+
+class QuietScheduler(Scheduler):
+    """Without the web server that dask gives it, which tells anybody who asks of workers and logs."""
+
+    def start_http_server(self, *_: Any, **__: Any) -> None:
+        """Open nothing."""
+
+
+class QuietWorker(Worker):
+    """As `QuietScheduler`."""
+
+    def start_http_server(self, *_: Any, **__: Any) -> None:
+        """Open nothing."""
+
+
+def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
+    where = dask.config.get("temporary-directory") or tempfile.gettempdir()
+    # if workers are forked: `forked_workers` has said from what, and dask would load pandas here too
+    distributed.utils._forkserver_preload_set = True
+    try:
+        # dask imports from its directory, and uses one that exists already, even another user's
+        own = tempfile.TemporaryDirectory(prefix="stickslip-", dir=where, ignore_cleanup_errors=True)
+        settings = {**_LOCAL_CLUSTER, "temporary-directory": opened.enter_context(own)}
+        settings["distributed.worker.multiprocessing-method"] = processes.start_method
+        opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
+        here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
+        here |= {"dashboard": False}
+        pages = {"dashboard": True, "dashboard_address": "127.0.0.1:0"} if dashboard else {}
+        worker = {
+            "cls": Nanny,
+            "options": {
+                **here,
+                "worker_class": QuietWorker,
+                "nthreads": 1,
+                "memory_limit": 1.0 / workers,
+                "silence_logs": logging.CRITICAL,  # what matters reaches the caller as an error
+            },
+        }
+        return SpecCluster(
+            scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": here | pages},
+            workers=dict.fromkeys(range(workers), worker),
+            worker=worker,
+            loop=loop.loop,
+            security=here["security"],
+            silence_logs=logging.CRITICAL,
+        )
+    except (OSError, RuntimeError) as error:
+        raise ScheduleError(
+            f"expected {workers} workers on this machine, could not start them ({error}); see that {where} can be "
+            f"written, then rerun the scene; in a script, which every worker loads, run it under "
+            f'if __name__ == "__main__":'
+        ) from error

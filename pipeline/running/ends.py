@@ -1,0 +1,121 @@
+"""Starts that are the ends of another dataset's members: which of them, and the state that they ended in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+from stickslip.pipeline import query
+from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.ensemble.expand import expand
+from stickslip.pipeline.ensemble.member import Member, State
+from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.records import End
+from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.system_table import QUANTITIES
+
+#: Of several members of the same system, the one is taken that is like it in these, the first ones first.
+_ALIKE: tuple[Callable[[Member], Any], ...] = (
+    lambda member: member.begin.draw,
+    *(partial(lambda name, member: member.term(name), name) for name in (*QUANTITIES, "back_slip")),
+    lambda member: member.source.parameters,
+    lambda member: member.change.twin_size,
+    lambda member: member.engine,
+    lambda member: member.settings,
+    lambda member: member.ratio_draw,
+)
+
+
+def check(scene: Scene) -> None:
+    """See that each member of a scene has an end to start at; asked before a scene is run, not when it is read.
+
+    Raises
+    ------
+    SceneError
+        If one has none, or several.
+    """
+    if scene.ends is None:
+        return
+    opened = _opened(scene.ends.at, scene.ends.sha256)
+    for member in expand(scene):
+        name = opened.match(member)
+        outcome = opened.outcomes.get(name)
+        if outcome not in ("finished", "collapsed"):
+            raise SceneError(
+                f"start.dataset: expected members that came to their end, got {name} of {scene.ends.name}, which is "
+                f"{outcome or 'not done'}; rerun its scene, or leave out what starts there"
+            )
+
+
+def end_of(member: Member) -> State | None:
+    """z and w, each of shape (n,), at the end at which a member starts; None if it starts at none.
+
+    Raises
+    ------
+    SceneError
+        If the dataset is gone, or not what it was; or as `check`.
+    """
+    ends = member.begin.ends
+    if ends is None:
+        return None
+    opened = _opened(ends.at, ends.sha256)
+    return opened.states[opened.match(member)]
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A dataset with ends: its members by what has to be the same, their outcomes and states."""
+
+    at: str
+    like: Mapping[tuple[Any, ...], Sequence[Member]]
+    outcomes: Mapping[str, str]
+    states: Mapping[str, State]
+
+    def match(self, member: Member) -> str:
+        """The id of the one at whose end a member starts."""
+        candidates = self.like.get(_same(member), ())
+        for of in _ALIKE:
+            candidates = [one for one in candidates if of(one) == of(member)] or candidates
+        draw = member.begin.draw
+        if not candidates or (draw is not None and candidates[0].begin.draw != draw):
+            raise SceneError(
+                f"start.dataset: expected a member of {self.at} of the same system as {member.member_id}, found "
+                f"none; seed, n, matrices and draws must be there too"
+            )
+        if len(candidates) > 1:
+            raise SceneError(
+                f"start.dataset: expected one member of {self.at} to start {member.member_id} from, got "
+                f"{len(candidates)}, {candidates[0].member_id} and {candidates[1].member_id} first; sweep the same "
+                f"keys here, write `draws` for starts that were drawn, or name a smaller dataset"
+            )
+        return candidates[0].member_id
+
+
+def _same(member: Member) -> tuple[Any, ...]:
+    """What has to be the same in a member and in the one at whose end it starts: the system, moved or not."""
+    return *member.source._replace(parameters=()), *member.change._replace(twin_size=None)
+
+
+@lru_cache(maxsize=2)
+def _opened(at: str, sha256: str) -> _Opened:
+    try:
+        opened = open_dataset(at)
+    except StoreError as error:
+        raise SceneError(f"start.dataset: {error}") from None
+    if opened.manifest.digest != sha256:
+        raise SceneError(
+            f"start.dataset: expected {at} as it was when the scene was read (digest {sha256[:12]}), got another "
+            f"(digest {opened.manifest.digest[:12]}); restore it, or run the scene into another directory"
+        )
+    if not opened.scene.keeps(End):
+        raise SceneError(
+            f"start.dataset: expected a dataset with the ends of its runs, got {at} without; run its scene with "
+            f"`end = true` under [record]"
+        )
+    like: dict[tuple[Any, ...], list[Member]] = {}
+    for member in expand(opened.scene):
+        like.setdefault(_same(member), []).append(member)
+    done = query.table(at, ["member_id", "outcome"]).to_pydict()
+    return _Opened(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(at))

@@ -1,0 +1,106 @@
+"""What a run will take, before it is made: time and disk, from some members that are run here.
+
+`Member.cost` says how work grows within one kind of members (one n, one setting of an engine), up to a factor that
+the machine and the scene's physics set. A pilot finds it: members of each kind, of several matrices, cut short where
+they are long.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stickslip.pipeline.dataset.schema import encode, schema_of
+from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.machine.processes import n_cores
+from stickslip.pipeline.running.worker import columns, run_members
+from stickslip.pipeline.scene.columns import Recording
+from stickslip.pipeline.scene.scene import Scene
+
+#: Seconds that the members of a pilot may take together, and how many of a kind are run at most.
+PILOT, _ENOUGH = 3.0, 40
+#: The factor by which the truth may lie above or below, nine times in ten.
+WITHIN = 2.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a run will take, up to `WITHIN`; of members that fail nothing follows for the others."""
+
+    workers: int  #: that have a shard, and a core, of their own
+    core_seconds: float
+    seconds: float
+    n_bytes: float
+    failures: dict[str, int]  #: members of the pilot that failed, by reason
+
+
+def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
+    """Estimate a run of some batches of a scene, one at least, on so many local processes."""
+    kinds: dict[tuple[Any, ...], list[Member]] = {}
+    for member in (member for batch in packed for member in batch.members):
+        is_coupled = member.change.reading == "damping matrix"
+        kinds.setdefault((member.n, member.engine, member.settings, is_coupled), []).append(member)
+    # what is shared between members is known by its formula; the pilot runs them alone
+    recording = replace(Recording.of(scene), records=tuple(one for one in scene.records if not one.is_shared))
+    core_seconds = n_bytes = head = 0.0
+    failures: Counter[str] = Counter()
+    for members in kinds.values():
+        factor, first, a_row, reasons = _pilot(members, PILOT / len(kinds), recording)
+        core_seconds += factor * sum(member.cost for member in members)
+        head, n_bytes = max(head, first), n_bytes + len(members) * a_row
+        failures.update(reasons)
+    count = max(1, min(workers, len(packed), n_cores()))
+    # the last batch may run alone
+    tail = packed[-1].cost / sum(batch.cost for batch in packed) * (count > 1)
+    seconds = core_seconds * (1.0 / count + 0.5 * tail)
+    return Estimate(count, core_seconds, seconds, n_bytes + head * len(packed), dict(failures.most_common()))
+
+
+def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
+    """Of one kind: seconds of a core for a unit of cost, bytes of a first row and of a further one, failures."""
+    # the golden section spreads any number of places evenly over matrices and changes
+    places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
+    some = [replace(members[k], shared_cost=0.0) for k in places]
+    # each point of a sweep may need kernels of its own: compiling, or loading, them is no part of the work
+    points = {_point(one): one for one in some}
+    run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
+    tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
+    # as many as there is time for, together, as a run has them
+    expected = factor * some[0].cost
+    share = min(0.4 * seconds / expected, 1.0)
+    more = some[1 : 1 + max(1, int(seconds / (share * expected)))]
+    if more:
+        further, found, factor = _run(more, share, recording)
+        tried, rows = tried + further, rows + found
+    # the first row of a shard takes more than the next ones, which are like it
+    first, whole = (_size(of, recording) for of in (rows[:1], rows))
+    a_row = (whole - first) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / tried
+    return factor, first, a_row, [one["reason"] for one in rows if one["outcome"] == "failed"]
+
+
+def _point(member: Member) -> Member:
+    """What members share that differ in what is drawn alone."""
+    source, change, begin = member.source._replace(matrix=0), member.change, member.begin._replace(draw=None)
+    return replace(member, member_id="", source=source, change=change._replace(draw=None), begin=begin)
+
+
+def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
+    """Run a share of members: how many whole ones that is, their rows, seconds of a core for a unit of cost."""
+    parts = [replace(one, t_end=max(share * one.t_end, min(10.0, one.t_end))) for one in members]
+    begun = time.process_time()
+    found = columns(parts, run_members(parts, recording), recording)
+    took = max(time.process_time() - begun, 1e-6)
+    rows = [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
+    # one that ended early would have, whole
+    done = [part.cost / one.cost if row["outcome"] == "finished" else 1.0
+            for part, one, row in zip(parts, members, rows, strict=True)]  # fmt: skip
+    return sum(done), rows, took / sum(a * one.cost for a, one in zip(done, members, strict=True))
+
+
+def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:
+    schema = schema_of(recording)
+    return len(encode({name: [one[name] for one in rows] for name in schema.names}, schema))

@@ -1,0 +1,251 @@
+"""What a worker does: run a batch's members, with compiled kernels, and alone those that may kill their process."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from itertools import groupby, islice
+from typing import Any
+
+import numpy as np
+
+from stickslip import sim
+from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.schema import encode, schema_of
+from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
+from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.errors import foreign
+from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.records import ALWAYS
+from stickslip.pipeline.records.record import Made
+from stickslip.pipeline.running.ends import end_of
+from stickslip.pipeline.scene.columns import Recording
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Engine, Task
+from stickslip.sim.kernels.cache import CacheError, has_kernel
+from stickslip.sim.runs.series import summaries
+from stickslip.sim.systems.system import work_out
+
+#: So many members are set up at once, with so many entries of K together.
+_TOGETHER, _ENTRIES = 128, 2**16
+
+#: Engines whose kernels this process has.
+_loaded: set[str] = set()
+
+
+def compute(batch: Batch, recording: Recording) -> Result:
+    """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
+    start = time.perf_counter()
+    return as_result(batch, recording, run_members(batch.members, recording), start)
+
+
+def compute_packed(task: bytes) -> Result:
+    """As `compute`, of what is pickled; what a run asks of its workers, which so load this module and no driver."""
+    batch, recording = pickle.loads(task)
+    load_kernels(batch.members)
+    return compute(batch, recording)
+
+
+def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], start: float) -> Result:
+    """What came of a batch, encoded; `start` is when it was begun, by `time.perf_counter`."""
+    return Result(
+        name=batch.name,
+        shard=encode(columns(batch.members, found, recording), schema_of(recording)),
+        member_ids=tuple(member.member_id for member in batch.members),
+        outcomes=dict(Counter(one["outcome"] for one in found)),
+        program=program(),
+        seconds=time.perf_counter() - start,
+        host=socket.gethostname(),
+        pid=os.getpid(),
+    )
+
+
+def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
+    """The rows of some members, by column: what they are, and what came of them."""
+    rows = [member.row() | one for member, one in zip(members, found, strict=True)]
+    return {column.name: [row.get(column.name) for row in rows] for column in recording.columns}
+
+
+def row(member: Member, recording: Recording) -> dict[str, Any]:
+    """Run a member: its row, by column; one that raised has a row that says so."""
+    return {name: one for name, (one,) in columns([member], run_members([member], recording), recording).items()}
+
+
+def run_members(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
+    """Run members: what came of each, by column; of one that raised, the words that say so."""
+    found = [_result(member, system, run, recording) for member, system, run in _prepared(members, recording)]
+    summarised = iter(summaries([events for events, _ in found if events is not None]))
+    for events, result in found:
+        if events is not None:
+            t, n_stick, counts = next(summarised)
+            result |= {"t": t, "n_stick": n_stick, "n_stick_end": n_stick[-1], **counts}
+    return [result for _, result in found]
+
+
+#: A member, its system, and its run, which starts when it is called; what failed before is raised then.
+_Prepared = tuple[Member, sim.System | None, Callable[[], sim.Run]]
+
+
+def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prepared]:
+    """The members, in order, some at a time: one by one small systems take longer to set up than to run."""
+    for n, of_size in groupby(members, key=lambda member: member.n):
+        size = min(_TOGETHER, max(1, _ENTRIES // n**2))
+        while some := list(islice(of_size, size)):
+            yield from _set_up(some, recording)
+
+
+def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
+    """Some members of as many blocks; those with plain systems and the same settings are set up at once."""
+    prepared: list[_Prepared] = []
+    alike: dict[Engine, dict[int, Task]] = {}
+    for k, member in enumerate(members):
+        try:
+            system = member.system()
+            engine, task = member.task(system, _times(member, recording), end_of(member))
+        except Exception as error:  # noqa: BLE001  as in `_result`
+            prepared.append((member, None, partial(_raise, error)))
+            continue
+        prepared.append((member, system, partial(engine.integrate, task)))
+        if task.system.is_plain:
+            alike.setdefault(engine, {})[k] = task
+    plain = {task.system: None for tasks in alike.values() for task in tasks.values()}
+    if len(plain) > 1:
+        work_out([*plain])
+    for engine, tasks in alike.items():
+        with contextlib.suppress(Exception):  # each is then set up alone, when it is run, and says what is wrong
+            for k, run in zip(tasks, engine.prepare([*tasks.values()]), strict=True):
+                prepared[k] = (*prepared[k][:2], run)
+    return prepared
+
+
+def _raise(error: Exception) -> sim.Run:
+    raise error
+
+
+def _result(
+    member: Member, system: sim.System | None, run: Callable[[], sim.Run], recording: Recording
+) -> tuple[sim.EventSeries | None, dict[str, Any]]:
+    """A member's events and what else came of it."""
+    try:
+        ran = run()
+        assert system is not None  # else that has raised
+        return _kept(member, system, ran, recording)
+    except CacheError:  # no member of this machine can be run
+        raise
+    except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
+        return None, failed(member, foreign(error))
+
+
+def failed(member: Member, reason: str) -> dict[str, Any]:
+    """The result of a member that could not be run."""
+    # words of an exception may hold what Parquet's text cannot
+    reason = reason.encode(errors="replace").decode()
+    command = f"stickslip run scene.toml --only {member.member_id}"
+    return {"outcome": "failed", "reason": reason, "reproduce": command}
+
+
+def _kept(
+    member: Member, system: sim.System, run: sim.Run, recording: Recording
+) -> tuple[sim.EventSeries, dict[str, Any]]:
+    """What is kept of a run."""
+    if not np.isfinite(run.events.t).all():
+        raise FloatingPointError("the engine returned an event at a time that is not finite")
+    made = Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
+    for record in (ALWAYS, *recording.records):
+        made.found.update(record.of(made))
+    return run.events, made.found
+
+
+def _drawn_start(member: Member) -> dict[str, Any]:
+    """z0 and w0 of a start that is drawn or read, not moved: those that one number gives for every block."""
+    if not any(isinstance(one, NO_NUMBER) for one in (member.begin.z0, member.begin.w0)):
+        return {}
+    found = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
+    unique = zip(("z0", "w0"), map(np.unique, found), strict=True)
+    return {name: float(values[0]) for name, values in unique if len(values) == 1}
+
+
+def _again(member: Member, times: tuple[float, ...]) -> sim.Samples:
+    return _states(replace(member, member_id=""), times)
+
+
+@lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it
+def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
+    return member.simulate(times, end_of(member)).samples
+
+
+def _times(member: Member, recording: Recording) -> np.ndarray:
+    """When a run is sampled: records that ask for it ask for the same times."""
+    asked = [times for record in recording.records if len(times := record.times(member))]
+    assert len(asked) <= 1
+    return asked[0] if asked else np.empty(0)
+
+
+# ---------------------------------------------------------------------------------------------- in a process apart
+
+
+def compute_alone(batch: Batch, recording: Recording) -> Result:
+    """As `compute`, in a process of its own.
+
+    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
+    """
+    start = time.perf_counter()
+    found: list[dict[str, Any]] = []
+    process: Child | None = None
+    with contextlib.ExitStack() as started:
+        for member in batch.members:
+            for is_second in (False, True):
+                process = process or started.enter_context(Child(_run_members))
+                try:
+                    found += process(([member], recording))
+                    break
+                except ChildDied as death:
+                    process = None
+                    if is_second:
+                        found.append(failed(member, f"its worker died ({death})"))
+    return as_result(batch, recording, found, start)
+
+
+def compute_alone_packed(task: bytes) -> Result:
+    """As `compute_alone`, of what is pickled."""
+    return compute_alone(*pickle.loads(task))
+
+
+def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
+    return run_members(*task)
+
+
+# ---------------------------------------------------------------------------------------------- kernels
+
+
+def is_cold(engine: str) -> bool:
+    """Whether an engine has kernels that are still to be compiled here: some ten seconds, once a version of `sim`."""
+    kernels = ENGINES[engine].kernels
+    return bool(kernels) and not has_kernel(kernels)
+
+
+def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:
+    """A member of each engine."""
+    return {member.engine: member for member in reversed(list(members))}
+
+
+def load_kernels(members: Iterable[Member]) -> None:
+    """Load the kernels that members need, or compile them."""
+    for engine, member in one_an_engine(members).items():
+        if engine not in _loaded:
+            tiny = replace(member, member_id="", source=member.source._replace(n=min(member.n, 3)), t_end=1e-6)
+            if member.source.origin is not None:
+                numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
+                terms = dict(tiny.terms) | numbers | {"belt_speed": -0.2}
+                source = tiny.source._replace(origin=None, coupling="chain", parameters=())
+                begin = tiny.begin._replace(z0=0.0, w0=0.0, ends=None)
+                tiny = replace(tiny, source=source, terms=tuple(terms.items()), begin=begin)
+            row(tiny, Recording(""))
+            _loaded.add(engine)

@@ -1,0 +1,214 @@
+"""The columns of a dataset as plain data, and the names that a parameter of a function cannot have for them.
+
+A row has what a member is, the parameters of its function, what belongs to the parts that its scene has, and what is
+kept of its run. Terms, settings of engines and records say their columns themselves.
+"""
+
+from __future__ import annotations
+
+import keyword
+import unicodedata
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from stickslip.pipeline.records import ALWAYS, RECORDS
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Record
+from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines.contract import Choice, Number, Ratios
+from stickslip.sim.systems.terms import TERMS
+
+if TYPE_CHECKING:
+    from stickslip.pipeline.scene.scene import Scene
+
+
+class Part(NamedTuple):
+    """What a dataset has only if its scene has something: columns, and what of others may be null then.
+
+    Attributes
+    ----------
+    asked_by : str
+        By which line of a scene.
+    columns : tuple of Column
+        Behind those of terms of that part.
+    nulls : tuple of str
+        Columns of every dataset that may be null with it.
+    """
+
+    asked_by: str
+    columns: tuple[Column, ...] = ()
+    nulls: tuple[str, ...] = ()
+
+
+_BY_BLOCK = ("rho", "friction", "z0", "w0")
+_OF_TERMS = {
+    part: tuple(Column("number", term.name, term.described) for term in TERMS if term.part == part)
+    for part in dict.fromkeys(term.part for term in TERMS)
+    if part
+}
+
+#: In the order of their columns.
+PARTS = {
+    "file": Part(
+        '`coupling = "file"` under [system]',
+        (Column("text", "file", "file that K is read from, as named beside the scene", False),),
+    ),
+    # numbers of 64 bits in the column `matrix`
+    "long_matrix": Part("`version = 2` of the files under [system], for which `matrix` has 64 bits"),
+    # columns that each scene names itself
+    "function": Part(
+        "`parameters` under [system], each a column of numbers by its name",
+        nulls=("kappa", "rho", "friction", "belt_speed", "w0"),
+    ),
+    "graph": Part('`coupling = "chain"`, or another graph, under [system]', _OF_TERMS["graph"]),
+    "damping": Part("`damping` under [system], or in its file", _OF_TERMS["damping"], _BY_BLOCK),
+    "static": Part("`static` under [system]", _OF_TERMS["static"]),
+    "mass": Part("`mass` under [system]", _OF_TERMS["mass"]),
+    # speeds that differ, or change in time: null in their column
+    "belts": Part(
+        "a distribution, or times and values, of `belt_speed` under [system], or arrays of a file",
+        nulls=("belt_speed", "w0"),
+    ),
+    "force": Part("`force` under [system]", _OF_TERMS["force"]),
+    "weakening": Part("`weakening` under [system]", _OF_TERMS["weakening"]),
+    "back_slip": Part(
+        "`back_slip = false` under [system]",
+        (Column("text", "back_slip", "barred: no block gets ahead of its belt"),),
+    ),
+    "drawn": Part(
+        "a distribution in [system] or [start], or arrays of a file",
+        (
+            Column("text", "drawn", "which parameters are drawn for each block, and from what; theirs is null"),
+            Column("whole", "start_draw", "number of the draw of the start; null if it is not drawn"),
+        ),
+        _BY_BLOCK,
+    ),
+    "step": Part('`[[engine]] name = "moreau"`', (Column("number", "step", "longest step (moreau)"),)),
+}
+
+
+def _of_engines() -> Iterator[Column]:
+    """The columns of the engines' settings, each once, whichever engines have it."""
+    for name, setting in SETTINGS.items():
+        if name in PARTS:
+            continue
+        owners = ", ".join(engine.name for engine in ENGINES.values() if name in engine.settings())
+        match setting:
+            case Number():
+                yield Column("number", name, setting.column or f"{setting.words} ({owners})")
+            case Choice():
+                yield Column("text", name, setting.column or f"{setting.words} ({owners})")
+            case Ratios():
+                yield Column("text", name, f"{setting.words}: one, or uniform in (0, 1] ({owners})")
+                yield Column("whole", f"{name}_draw", f"number of the draw of the r_i ({owners}, uniform)")
+
+
+#: What a member is, in every dataset.
+MEMBER = (
+    Column("text", "member_id", "name of the run, unique in the dataset", False),
+    Column("whole", "n", "number of blocks", False),
+    Column("text", "coupling", "ensemble that K and R are drawn from", False),
+    *(Column("number", term.name, term.described, False) for term in TERMS if not term.part),
+    Column("whole", "matrix", "number of the random system; runs with the same n and matrix share it", False),
+    Column("number", "perturbation_size", "relative change of the system's constants; 0: unchanged", False),
+    Column("whole", "perturbation_draw", "number of the random change; null if unchanged"),
+    Column(
+        "text",
+        "perturbation_reading",
+        "what the size is relative to: scale, relative or damping matrix; null if unchanged",
+    ),
+    Column("number", "twin_size", "how far the start is moved, as a distance like `separation`; null: not"),
+    Column("text", "engine", f"method of integration: {', '.join(ENGINES)}", False),
+    *_of_engines(),
+    Column("text", "picked_for", "what a tolerance was picked for: statistics or paths; null: all given"),
+    Column("number", "z0", "displacement of every block at t = 0", False),
+    Column("number", "w0", "velocity of every block at t = 0", False),
+    Column("number", "t_end", "end of the run as asked for", False),
+    Column("count", "seed", "root of the scene's random draws", False),
+)
+
+#: In every dataset.
+FIXED = (*MEMBER, *ALWAYS.columns)
+
+#: What a scene asks for, by name: the line that does, and the columns.
+ON_DEMAND = {name: (part.asked_by, part.columns) for name, part in PARTS.items()} | {
+    record.name: (record.asked_by, record.columns) for record in RECORDS
+}
+
+#: All that there may be.
+COLUMNS = (*FIXED, *(column for _, columns in ON_DEMAND.values() for column in columns))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a scene keeps of its members.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        Of `PARTS`.
+    records : tuple of Record
+    parameters : tuple of str
+        Of a function, each a column.
+    """
+
+    scene_hash: str
+    parts: tuple[str, ...] = ()
+    records: tuple[Record, ...] = ()
+    parameters: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene) -> Recording:
+        """That of a scene."""
+        return cls(scene.hash, scene.parts, scene.records, tuple(scene.system.parameters or ()))
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """In the order of a shard."""
+        null = {name for part in self.parts for name in PARTS[part].nulls}
+        fixed = [column._replace(nullable=column.nullable or column.name in null) for column in FIXED]
+        if "long_matrix" in self.parts:
+            fixed = [column._replace(kind="count") if column.name == "matrix" else column for column in fixed]
+        own = [Column("number", name, "parameter of the function that makes the systems", False)
+               for name in self.parameters]  # fmt: skip
+        of_parts = [column for part in self.parts for column in PARTS[part].columns]
+        return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.columns))
+
+
+# ---------------------------------------------------------------------------------------------- names
+
+#: Columns of the tables of a dataset, as SQL and data frames have them.
+_OF_TABLES = (
+    *("start", "stop", "size", "rise_before", "rise_after", "t", "n_stick", "block", "mode", "distance", "threshold"),
+    *(column.name.removeprefix("episode_") for column in COLUMNS if column.along == "episode"),
+)
+#: Dimensions in NetCDF, which keep no variable of their names as they grow (`stickslip.workflows.netcdf`).
+_DIMENSIONS = dict.fromkeys(column.along for column in COLUMNS if column.along)
+#: What a parameter of a function cannot be called, in lower case, as SQL knows no other, and what has the name.
+TAKEN = {
+    "rng": "the function's generator",
+    **dict.fromkeys(_DIMENSIONS, "a dimension in NetCDF"),
+    **dict.fromkeys(("z", "w", "force_course", *(term.name for term in TERMS)), "a key of the scene"),
+    **dict.fromkeys((name.lower() for name in (*(one.name for one in COLUMNS), *_OF_TABLES)), "a column of the data"),
+}
+#: Bytes of the longest name that is written to NetCDF and read from it again.
+_LONGEST_NAME = 255
+
+
+def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
+    """The first name that no parameter of a function can have, and why; None: all are good."""
+    known = dict(TAKEN)
+    for name in names:
+        if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
+            return name, "Python does not take it for an argument"
+        if len(name.encode()) > _LONGEST_NAME:
+            return name, f"it has more than the {_LONGEST_NAME} bytes that NetCDF takes"
+        if name.startswith("__"):
+            return name, "what begins so is kept for Arrow"
+        if name.lower().endswith("_row_size"):
+            return name, "what ends so is kept for counts in NetCDF"
+        if name.lower() in known:
+            return name, f"{known[name.lower()]} has it, in upper or lower case"
+        known[name.lower()] = "another parameter"
+    return None

@@ -1,0 +1,311 @@
+"""A key of a scene that holds a value, a list of values, each of them run, or a distribution over the blocks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import core_schema
+
+from stickslip.pipeline.scene.toml import once, shown, unquoted
+from stickslip.sim.numerics.arguments import Floats, did_you_mean
+
+#: The distributions, by what their two numbers are.
+LAWS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What a number is drawn from for each block: a name in `LAWS` and its two numbers."""
+
+    law: str
+    first: float
+    second: float
+
+    def draw(self, seed: np.random.SeedSequence, n: int) -> Floats:
+        """One number a block, shape (n,); a seed's draws of one law differ by scale and shift only."""
+        rng = np.random.default_rng(seed)
+        return (rng.uniform if self.law == "uniform" else rng.normal)(self.first, self.second, n)
+
+    @property
+    def size(self) -> float:
+        """About the largest number that is drawn."""
+        spread = 0.0 if self.law == "uniform" else abs(self.first) + abs(self.second)
+        return max(abs(self.first), abs(self.second), spread)
+
+    @property
+    def word(self) -> str:
+        """What stands in a member's name: the law and its numbers."""
+        return f"{self.law}{short(self.first)}_{short(self.second)}"
+
+    def __str__(self) -> str:
+        return f"{self.law}({short(self.first)}, {short(self.second)})"
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A number that changes in time: linear between values at given times, constant before and after."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    @property
+    def size(self) -> float:
+        """The largest number without its sign."""
+        return max(map(abs, self.values))
+
+    @property
+    def word(self) -> str:
+        """What would stand in a member's name; a course is not swept."""
+        return "course"
+
+    def __str__(self) -> str:
+        return " to ".join(f"{short(x)} at {short(t)}" for t, x in zip(self.times, self.values, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A number for each block that a word stands for."""
+
+    word: str
+    size: float = 0.0
+
+    def __str__(self) -> str:
+        return self.word
+
+
+#: What the file of the system holds; the speed of the belt; where the same member of another dataset ended.
+FILE, BELT, END = Named("file"), Named("belt"), Named("end")
+
+
+#: What one run has.
+Value: TypeAlias = float | int | Distribution | Course | Named
+
+#: What a key holds: a tuple is a list of the file, of which each value is run.
+Quantity: TypeAlias = Value | tuple[Value, ...]
+
+
+def short(value: float) -> str:
+    """Shortest text that gives the float back: 1e-06 -> 1e-6, 1.0 -> 1. Distinct floats stay distinct."""
+    mantissa, _, exponent = repr(value).partition("e")
+    return mantissa.removesuffix(".0") + (f"e{int(exponent)}" if exponent else "")
+
+
+def word(value: Value) -> str:
+    """A value in a member's name."""
+    return short(value) if isinstance(value, float | int) else value.word
+
+
+def values(quantity: Quantity | None) -> tuple[Value, ...]:
+    """All that a key holds."""
+    return quantity if isinstance(quantity, tuple) else () if quantity is None else (quantity,)
+
+
+def size(quantity: Quantity) -> float:
+    """The largest number of a quantity without its sign."""
+    return max(abs(value) if isinstance(value, float | int) else value.size for value in values(quantity))
+
+
+def lowest(value: Value) -> float:
+    """The smallest number that there can be, of none below zero."""
+    return float(value) if isinstance(value, float | int) else value.first if isinstance(value, Distribution) else 0.0
+
+
+def as_written(quantity: Quantity) -> Any:
+    """A quantity as TOML and JSON have it."""
+    if isinstance(quantity, tuple):
+        return [as_written(value) for value in quantity]
+    if isinstance(quantity, Named):
+        return str(quantity)
+    if isinstance(quantity, Course):
+        return {"times": list(quantity.times), "values": list(quantity.values)}
+    return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
+
+
+# ---------------------------------------------------------------------------------------------- reading
+
+
+@dataclass(frozen=True)
+class Key:
+    """What pydantic is told of a quantity: its least value, and the laws that it may be drawn from.
+
+    `above`: the least value is none itself; `in_time`: it may be a `Course`.
+    """
+
+    laws: tuple[str, ...] = ()
+    least: float | None = None
+    words: tuple[Named, ...] = ()
+    above: bool = False
+    in_time: bool = False
+
+    def read(self, given: object) -> Quantity:
+        """A quantity from what the file holds."""
+        if not isinstance(given, list | tuple):
+            return self._value(given, given)
+        return once([self._value(value, given) for value in given])
+
+    def _value(self, given: object, whole: object) -> Value:
+        if isinstance(given, Distribution | Course | Named):
+            given = as_written(given)
+        for one in self.words:
+            if given == one.word and given is whole:
+                return one
+        number = _number(given)
+        if number is not None and self._bears(number):
+            return number
+        if self.in_time and isinstance(given, dict) and given.keys() & {"times", "values"}:
+            if given is not whole:
+                raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
+            return course(given)
+        if isinstance(given, dict) and self.laws:
+            return self._distribution(given)
+        within = f" in {shown(whole)}" if given is not whole else ""
+        remedy = unquoted(given) or f"; {self._write}"
+        raise ValueError(f"expected {self._expected}, got {shown(given)}{within}{remedy}")
+
+    def _distribution(self, given: dict[str, object]) -> Distribution:
+        law = next(iter(given), "")
+        if len(given) != 1 or law not in self.laws:
+            unknown = next((name for name in given if name not in LAWS), "")
+            meant = did_you_mean(unknown, self.laws) or f"; {self._write}"
+            bound = "" if self.least is None else f", which draw nothing below {self.least}"
+            raise ValueError(
+                f"expected a distribution with one of the keys {', '.join(self.laws)}{bound}, got {shown(given)}"
+                + meant
+            )
+        numbers = given[law]
+        match [_number(one) for one in numbers] if isinstance(numbers, list | tuple) else []:
+            case [float(first), float(second)] if math.isfinite(second - first):
+                if second > 0 if law == "normal" else self._bears(first) and first < second:
+                    return Distribution(law, first, second)
+        least = "" if self.least is None else f"{self.least} {'<' if self.above else '<='} "
+        rule = "a deviation above 0" if law == "normal" else f"{least}low < high"
+        raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers with {rule}, got {shown(numbers)}")
+
+    def _bears(self, number: float) -> bool:
+        return self.least is None or number > self.least or (number == self.least and not self.above)
+
+    @property
+    def _expected(self) -> str:
+        number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
+        course = ", or times and values" if self.in_time else ""
+        return f"{number}, a list of such or a distribution{course}" if self.laws else f"{number} or a list of such"
+
+    @property
+    def _write(self) -> str:
+        drawn = " or ".join(f"{{{law} = [0.8, 1.2]}}" for law in self.laws)
+        return f"write e.g. 1.0, or [1.0, 2.0] to run each{f', or {drawn} to draw each block' if drawn else ''}"
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        written = core_schema.plain_serializer_function_ser_schema(as_written)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=written)
+
+    def __get_pydantic_json_schema__(
+        self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        bound = "exclusiveMinimum" if self.above else "minimum"
+        one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
+        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+        drawn = [
+            {"type": "object", "properties": {law: pair}, "required": [law], "additionalProperties": False}
+            for law in self.laws
+        ]
+        items = {"anyOf": [one, *drawn]} if drawn else one
+        named = [{"const": one.word} for one in self.words]
+        row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+        course = {"type": "object", "properties": {"times": row, "values": row}, "required": ["times", "values"]}
+        timed = [course | {"additionalProperties": False}] if self.in_time else []
+        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *timed, *named]}
+
+
+def course(given: dict[str, Any]) -> Course:
+    """What changes in time, from the table of its times and values."""
+    rows = [row if isinstance(row, list | tuple) else [] for row in (given.get("times"), given.get("values"))]
+    times, found = (tuple(one for one in map(_number, row) if one is not None) for row in rows)
+    whole = len(given) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(found) > 0
+    if not whole or any(later <= earlier for earlier, later in itertools.pairwise(times)):
+        raise ValueError(
+            f"expected times that increase and as many values, finite numbers, got {shown(given)}; write e.g."
+            " {times = [0.0, 100.0], values = [-0.1, -0.2]}"
+        )
+    return Course(times, found)
+
+
+def _number(given: object) -> float | None:
+    """A finite number as a float; None for anything else."""
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        return None
+    try:
+        return float(given) if math.isfinite(given) else None
+    except OverflowError:  # an integer beyond float64
+        return None
+
+
+AnyNumber = Annotated[Quantity, Key()]
+Displacement = Annotated[Quantity, Key(tuple(LAWS), words=(FILE, END))]
+Velocity = Annotated[Quantity, Key(tuple(LAWS), words=(FILE, BELT, END))]
+
+
+# ---------------------------------------------------------------------------------------------- the grid
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that are swept in step, and the values that they have together, in ascending order."""
+
+    keys: tuple[str, ...]
+    rows: tuple[tuple[Value, ...], ...]
+
+    def __str__(self) -> str:
+        return f"{len(self.rows)} {' with '.join(self.keys)}"
+
+
+def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
+    """The axes of the grid that some keys span, in their order: one a list; those named together are one.
+
+    Raises
+    ------
+    ValueError
+        If a name in `together` is of no list or stands there twice, or lists of other lengths are to go together.
+    """
+    lists = {key: value for key, value in quantities.items() if isinstance(value, tuple)}
+    named = list(itertools.chain.from_iterable(together))
+    alone = [names for names in together if len(names) < 2]
+    if alone:
+        raise ValueError(f'expected two keys or more to go together, as [["kappa", "rho"]], got {list(alone[0])!r}')
+    for key in once(named, least=0):
+        if key not in lists:
+            known = f"; lists are there for {', '.join(lists)}" if lists else "; write lists, or remove it"
+            raise ValueError(f"expected keys that hold lists, got {key!r}{did_you_mean(key, lists) or known}")
+    found: list[Axis] = []
+    for key in lists:
+        keys = next((tuple(sorted(names, key=list(lists).index)) for names in together if key in names), (key,))
+        if keys[0] != key:
+            continue
+        lengths = [len(lists[name]) for name in keys]
+        if len(set(lengths)) > 1:
+            said = ", ".join(f"{length} of {name}" for name, length in zip(keys, lengths, strict=True))
+            raise ValueError(f"expected lists of one length to go together, got {said} values; make them equal")
+        found.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=_order))))
+    return tuple(found)
+
+
+def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
+    """Numbers come before distributions."""
+    drawn = [one if isinstance(one, Distribution) else None for one in row]
+    numbers = [one if isinstance(one, float | int) else 0.0 for one in row]
+    return [(one.law, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
+
+
+def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:
+    """Each point of a grid: the value that each of the swept keys has there."""
+    for rows in itertools.product(*(axis.rows for axis in of)):
+        yield {
+            key: value for axis, row in zip(of, rows, strict=True) for key, value in zip(axis.keys, row, strict=True)
+        }

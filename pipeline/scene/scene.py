@@ -1,0 +1,510 @@
+"""The scene file: which ensemble, run how, kept and analysed how.
+
+All quantities are dimensionless.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, Field, PrivateAttr, model_validator
+
+from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.records import RECORDS
+from stickslip.pipeline.records.record import Facts, Record
+from stickslip.pipeline.scene.columns import PARTS, misnamed
+from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
+from stickslip.pipeline.scene.engine_table import Engines, EngineTable
+from stickslip.pipeline.scene.quantity import (
+    BELT,
+    END,
+    FILE,
+    Axis,
+    Course,
+    Distribution,
+    Quantity,
+    Value,
+    as_written,
+    axes,
+    lowest,
+    points,
+    size,
+    values,
+)
+from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
+from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, located, look_at_files, look_at_module, tried
+from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
+from stickslip.pipeline.scene.toml import (
+    Positive,
+    StrictTable,
+    as_scene,
+    explained,
+    parse_toml,
+    plain,
+    read_source,
+    shown,
+    written,
+)
+from stickslip.sim.engines.contract import Purpose
+from stickslip.sim.systems.couplings import Reading
+from stickslip.sim.systems.terms import TERMS
+
+#: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
+MAX_MEMBERS = 1_000_000
+
+#: Nor may a series in time have more values than this.
+MAX_SAMPLES = 10_000_000
+
+#: What a scene says of its own cost, an ensemble's or a chart's.
+MINUTES = "what it took on two cores with its report, in minutes: `stickslip scenes` shows it"
+
+#: Keys without influence on the data.
+_WORDS = {"title", "about", "minutes", "analysis"}
+
+#: Keys that are younger than some datasets: at their defaults, a scene is the same as without.
+_YOUNGER = (
+    ("record", "end", False),
+    ("record", "episodes", False),
+    ("record", "energy", False),
+    ("system", "back_slip", True),
+)
+
+
+class Scene(StrictTable):
+    """A scene: everything that determines an ensemble's data, and what to make of them."""
+
+    title: str = Field(default="", description="one line for the report's head")
+    about: str = Field(default="", description="what the scene is for")
+    minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
+    system: SystemTable
+    start: Start = Field(description='the state that runs start from; "rest": z = 0, and w as the belt')
+    run: RunTable
+    engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")
+    perturbation: PerturbationTable | None = None
+    twins: TwinsTable | None = None
+    record: RecordTable = RecordTable()
+    analysis: AnalysisTable
+    _source: bytes | None = PrivateAttr(default=None)
+    _folder: Path = PrivateAttr(default=Path())
+    _members: tuple[Any, ...] | None = PrivateAttr(default=None)  # as `pipeline.ensemble.member.expand` makes them
+
+    def __init__(self, **tables: Any) -> None:
+        """A scene from its tables, as a file has them; files that it names are looked for in the working directory.
+
+        Raises
+        ------
+        SceneError
+            If they are no scene; one line a problem.
+        """
+        tables = plain(tables)
+        with explained(type(self), ""):
+            super().__init__(**_merged(tables, _look(tables, Path(), "")))
+
+    def changed(self, **tables: Any) -> Scene:
+        """A copy with other keys, as in ``scene.changed(run={"t_end": 50.0})``; None leaves a key out.
+
+        Keys of a table that are not given stay; engines are given as a whole.
+
+        Raises
+        ------
+        SceneError
+            If that is no scene; one line a problem.
+        """
+        own = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        own["system"] = {key: value for key, value in own["system"].items() if key not in ("files", "module")}
+        own["start"] = {key: value for key, value in own["start"].items() if key != "ends"}
+        for name, given in tables.items():
+            old = own.get(name)
+            own[name] = {**old, **given} if isinstance(old, dict) and isinstance(given, dict) else given
+        own = plain(own)
+        with explained(type(self), ""):
+            scene = type(self).model_validate(_merged(own, _look(own, self._folder, "")))
+        scene._folder = self._folder
+        return scene
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # `as_scene` goes another way
+
+    @property
+    def source(self) -> bytes:
+        """The scene as a file: the one that it was read from, or one written from what it was made of."""
+        if self._source is not None:
+            return self._source
+        return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True)).encode()
+
+    @property
+    def purpose(self) -> Purpose:
+        """What the scene asks to know; if it does not say, paths if it keeps events or has runs to compare."""
+        asks_paths = any(record.is_of_paths for record in self.records)
+        asks_paths = asks_paths or self.perturbation is not None or self.twins is not None
+        return self.run.purpose or ("paths" if asks_paths else "statistics")
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """What is kept of a run beside n_stick."""
+        keys = self.record.model_dump()
+        settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
+        return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
+
+    def keeps(self, record: type[Record]) -> bool:
+        """Whether a record is asked for."""
+        return any(isinstance(one, record) for one in self.records)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Which of `pipeline.scene.columns.PARTS` its datasets have."""
+        system, known = self.system, self.system.quantities
+        drawn = (one for quantity in self.quantities.values() for one in values(quantity) if one != BELT)
+        in_files = any(file.arrays for file in system.known_files.values())
+        asked = {
+            "file": system.coupling == OF_FILE,
+            "long_matrix": any(file.version > 1 for file in system.known_files.values()),
+            "function": system.is_own,
+            "damping": in_files,
+            "belts": any(not isinstance(one, float) for one in values(system.belt_speed)) or in_files,
+            "force": system.force is not None,
+            "back_slip": not system.back_slip,
+            "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
+            "step": any("step" in engine.settings for engine in self.engines),
+        }
+        of_terms = {term.part for term in TERMS if term.part and known.get(term.name) is not None}
+        return tuple(name for name in PARTS if asked.get(name) or name in of_terms)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        # frozen for everybody else: a scene that exists has all its tolerances
+        object.__setattr__(self, "engines", tuple(engine.complete(self.purpose) for engine in self.engines))
+        settings = [engine.model_dump(exclude={"readings", "twins"}) for engine in self.engines]
+        for i, setting in enumerate(settings):
+            if setting in settings[:i]:
+                raise ValueError(
+                    f"engine[{i}]: expected settings that differ from engine[{settings.index(setting)}], "
+                    f"got the same; remove it"
+                )
+        if self.analysis.t_burn >= self.run.t_end:
+            raise ValueError(
+                f"analysis.t_burn: expected less than run.t_end = {self.run.t_end}, "
+                f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
+            )
+        readings = self.perturbation.readings if self.perturbation is not None else ()
+        kept = self.system.readings
+        if set(readings) - set(kept):
+            remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
+            what = f'coupling = "{self.system.coupling}"' + " with `damping`" * (self.system.damping is not None)
+            raise ValueError(
+                f"perturbation.readings: expected those that keep what {what} is,"
+                f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
+            )
+        for key, array in (("z", "z0"), ("w", "w0")):
+            lacking = [name for name, file in self.system.known_files.items() if array not in file.arrays]
+            if getattr(self.start, key) == FILE and (lacking or self.system.coupling != OF_FILE):
+                where = lacking[0] if lacking else f'coupling = "{self.system.coupling}"'
+                raise ValueError(
+                    f"start.{key}: expected a file with the array `{array}`, got {where} without; write a number"
+                )
+        self._changes_apply()
+        self._steps_and_changes_are_resolved()
+        try:
+            n_members = self.n_members
+        except ValueError as error:
+            raise ValueError(f"run.zip: {error}") from None
+        if n_members > MAX_MEMBERS:
+            raise ValueError(
+                f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {n_members} "
+                f"(n x lists x starts x matrices x perturbations x engines); lower `matrices`, the lists or the "
+                f"number of draws"
+            )
+        self._static_holds()
+        self._parameters_are_columns()
+        return self
+
+    def _static_holds(self) -> None:
+        """Static friction is at least the kinetic, at every point of the grid; of a file or a function, runs tell."""
+        for _, at in self.points() if self.system.static is not None else ():
+            held, kinetic = at["static"], at["friction"]
+            if held is not None and kinetic is not None and lowest(held) < size(kinetic):
+                raise ValueError(
+                    f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
+                    f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
+                )
+
+    def _parameters_are_columns(self) -> None:
+        """Each parameter of a function is a column beside the others, in tables and in SQL."""
+        if not self.system.parameters:
+            return
+        found = misnamed(self.system.parameters)
+        if found is not None:
+            raise ValueError(
+                f"system.parameters: expected names for columns of their own, got {shown(found[0])}: {found[1]};"
+                f" choose another, here and in the function"
+            )
+
+    def check_engines(self) -> None:
+        """SceneError if an engine is asked for what it does not run; of a file or a function, its runs tell.
+
+        Asked before a scene is run, not when it is read: data of such members as failed are read still.
+        """
+        system, known = self.system, self.system.quantities
+        push = [known[key] for key in ("force_amplitude", "force_course")]
+        belts = [one for one in values(known["belt_speed"]) if isinstance(one, Distribution | Course)]
+        force, weakening = self.system.force, self.system.weakening
+        asked = (
+            ("takes_drive", "force", force if any(size(one) for one in push if one is not None) else None, "none"),
+            ("takes_drive", "belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
+            ("takes_weakening", "weakening", weakening, "none"),
+            ("takes_weakening", "back_slip", None if system.back_slip else "false", "true"),
+        )
+        for engine in self.engines:
+            for what, key, found, expected in asked:
+                if found is not None and not getattr(engine.engine, what):
+                    got = found.model_dump(exclude_none=True) if isinstance(found, BaseModel) else found
+                    raise SceneError(
+                        f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'
+                        f" {got}; change it, or remove that engine"
+                    )
+
+    @property
+    def quantities(self) -> dict[str, Quantity | None]:
+        """The keys that may hold lists and distributions: those of [system], its parameters, those of [start]."""
+        return self.system.quantities | {"z": self.start.z, "w": self.start.w}
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The lists of the scene, as axes of a grid."""
+        return axes(self.quantities | {"seed": self.run.seed}, self.run.zip or ())
+
+    @property
+    def extent(self) -> str:
+        """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
+        drawn = any(isinstance(one, Distribution) for key in ("z", "w") for one in values(self.quantities[key]))
+        starts = [f"{self.start.draws or 1} draws of the start"] if drawn else []
+        tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
+        parts = [*map(str, self.axes), *starts]
+        return " x ".join(parts + tables) if parts else ""
+
+    def points(self) -> Iterator[tuple[dict[str, Value], dict[str, Value | None]]]:
+        """Each point of the grid: the swept keys there, and all `quantities`."""
+        all_keys = self.quantities | {"seed": self.run.seed}
+        single: dict[str, Any] = {name: one for name, one in all_keys.items() if not isinstance(one, tuple)}
+        for swept in points(self.axes):
+            yield swept, single | swept
+
+    def start_draws(self, at: Mapping[str, Value | None]) -> Sequence[int | None]:
+        """The draws of the start, by number, that are run at a point of the grid; None: nothing is drawn."""
+        is_drawn = isinstance(at["z"], Distribution) or isinstance(at["w"], Distribution)
+        is_drawn = is_drawn or (self.start.draws is not None and END in (at["z"], at["w"]))
+        return range(self.start.draws or 1) if is_drawn else (None,)
+
+    def _changes_apply(self) -> None:
+        """What is changed must be what the engines can run, and what is recorded of changes must have some."""
+        known = self.perturbation.readings if self.perturbation is not None else ()
+        for i, engine in enumerate(self.engines):
+            unknown = sorted(set(engine.readings or ()) - set(known))
+            if unknown:
+                raise ValueError(
+                    f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(known)}, got"
+                    f" {unknown[0]!r}; add it there, or remove it here"
+                )
+            if "damping matrix" in self.readings_of(engine) and not engine.engine.takes_damping_matrix:
+                others = [reading for reading in known if reading != "damping matrix"]
+                raise ValueError(
+                    f'engine[{i}].readings: expected no "damping matrix" with the engine "{engine.name}", whose'
+                    f" dampings are diagonal; list the others there, as readings = {others}"
+                )
+        facts = self.facts
+        for record in self.records:
+            if problem := record.problem(facts):
+                raise ValueError(f"record.{record.name}: {problem}")
+
+    @property
+    def facts(self) -> Facts:
+        """What records have to know of it."""
+        changed = self.perturbation is not None or self.twins is not None
+        changed = changed or any(engine.is_drawn for engine in self.engines)
+        engines = tuple(engine.engine for engine in self.engines)
+        return Facts(max(self.system.n), self.run.t_end, self.run.t_end / MAX_SAMPLES, engines, changed)
+
+    def _steps_and_changes_are_resolved(self) -> None:
+        """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
+        twins = max(math.ulp(max(size(self.start.z), size(self.start.w))), math.sqrt(sys.float_info.min))  # squared
+        step, steps = self.run.t_end / MAX_SAMPLES, f"run.t_end / {MAX_SAMPLES}"
+        for key, known, least, why in (
+            ("twins.sizes", self.twins and self.twins.sizes, twins, "what float64 resolves beside [start]"),
+            (
+                "perturbation.sizes",
+                self.perturbation and self.perturbation.sizes,
+                sys.float_info.epsilon,
+                "what float64 resolves beside 1",
+            ),
+            ("analysis.dt", self.analysis.dt, step, steps),
+            ("analysis.map_dt", self.analysis.map_dt, step, steps),
+        ):
+            if known and known[0] < least:
+                raise ValueError(f"{key}: expected at least {least:.2g}, {why}, got {known[0]}; enlarge it")
+
+    @property
+    def n_members(self) -> int:
+        """Number of members, counted without expanding the scene."""
+        runs = sum((1 + self.n_changes(engine)) * engine.n_draws for engine in self.engines)
+        starts = math.prod(len(axis.rows) for axis in self.axes)
+        if starts <= MAX_MEMBERS:
+            starts = sum(len(self.start_draws(at)) for _, at in self.points())
+        return len(self.system.files or self.system.n) * self.run.matrices * starts * runs
+
+    @property
+    def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:
+        """The numbers of blocks that systems are drawn or made for; or those of the files that they are read from."""
+        system = self.system
+        if system.coupling == OF_FILE:
+            files = system.known_files
+            named = sorted(files, key=lambda name: (files[name].n, name))
+            at = located(named, self._folder)
+            facts = {name: files[name].model_dump(exclude={"n"}) for name in named}
+            return [(files[name].n, SystemFile(name=name, at=at[name], **facts[name])) for name in named]
+        return [(n, self._function) for n in system.n]
+
+    @property
+    def _function(self) -> SystemFunction | None:
+        """The function that makes the systems, if one does."""
+        module = self.system.module
+        if module is None:
+            return None
+        at, beside = str(self._folder.resolve()), tuple(sorted(module.beside.items()))
+        return SystemFunction(self.system.coupling, module.sha256, at, module.is_sparse, beside)
+
+    @property
+    def ends(self) -> Ends | None:
+        """The dataset at whose ends members start, if any do."""
+        if self.start.dataset is None or self.start.ends is None:
+            return None
+        return Ends(self.start.dataset, self.start.ends.sha256, place_beside(self.start.dataset, self._folder))
+
+    @property
+    def folder(self) -> Path:
+        """Where the files are looked for that it names."""
+        return self._folder
+
+    def n_changes(self, engine: EngineTable) -> int:
+        """Number of changed copies, by perturbation and twins, of each unchanged run of an engine."""
+        changes = len(self.twins.sizes) if self.twins is not None and engine.twins else 0
+        if self.perturbation is not None:
+            changes += len(self.readings_of(engine)) * len(self.perturbation.sizes) * self.perturbation.draws
+        return changes
+
+    def readings_of(self, engine: EngineTable) -> tuple[Reading, ...]:
+        """The readings of a perturbation that an engine of this scene runs."""
+        if self.perturbation is None:
+            return ()
+        return self.perturbation.readings if engine.readings is None else engine.readings
+
+    def data_keys(self) -> dict[str, Any]:
+        """What determines the data, as plain values: all but the words about it and [analysis]."""
+        keys = self.model_dump(mode="json", by_alias=True, exclude=_WORDS, exclude_none=True)
+        for table, engine in zip(keys["engine"], self.engines, strict=True):
+            if engine.picked_for is not None:
+                table["picked_for"] = engine.picked_for
+        if self.system.files is not None:
+            keys["system"]["files"] = {
+                name: file.sha256 if file.version == 1 else f"{file.sha256}, version {file.version}"
+                for name, file in self.system.files.items()
+            }
+            del keys["system"]["path"]
+        if self.system.module is not None:
+            keys["system"]["module"] = self.system.module.sha256
+            if self.system.module.beside:
+                keys["system"]["beside"] = self.system.module.beside
+        for table, name, default in _YOUNGER:
+            if keys[table][name] is default:
+                del keys[table][name]
+        if self.start.ends is not None:
+            keys["start"]["ends"] = self.start.ends.sha256
+            del keys["start"]["dataset"]
+        for axis in self.axes:  # the order in the file means nothing
+            for key, column in zip(axis.keys, zip(*axis.rows, strict=True), strict=True):
+                where = "start" if key in ("z", "w") else "run" if key == "seed" else "system"
+                table, name = self.system.place_of(key, keys[where]) if where == "system" else (keys[where], key)
+                table[name] = as_written(column)
+        return keys
+
+    @property
+    def hash(self) -> str:
+        """sha256 of `data_keys` in canonical JSON: the same for scenes that give the same data."""
+        text = json.dumps(self.data_keys(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file, and look at the files that it names; a function that makes systems is tried.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read, is not TOML, or is not a scene, or what it names is not what it should be; one
+        line a problem.
+    """
+    path = Path(path)
+    source, name = read_source(path), str(path)
+    tables = parse_toml(source, name)
+    seen = _look(tables, path.parent, name)
+    if seen:
+        text = "".join(written(found, f"{table}.") for table, found in seen.items())
+        source = source.rstrip() + f"\n\n# What was there when this was read; written by stickslip.{text}".encode()
+    try:
+        scene = parse_scene(source, name, path.parent)
+    except SceneError:
+        if not seen:
+            raise
+        # to a table within a line nothing can be added
+        scene = parse_scene(written(_merged(tables, seen)).encode(), name, path.parent)
+    return scene
+
+
+def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {**tables, **{table: {**tables[table], **found} for table, found in seen.items()}}
+
+
+def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
+    """What a scene keeps of what it names, by the tables and the keys that hold it."""
+    seen: dict[str, dict[str, Any]] = {}
+    start = tables.get("start")
+    if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
+        seen["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+    # a function is tried in a scene, which has its ends then
+    seen["system"] = _look_at_systems(_merged(tables, seen), folder, name)
+    return {table: found for table, found in seen.items() if found}
+
+
+def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
+    system = tables.get("system")
+    if not isinstance(system, dict) or "files" in system or "module" in system:
+        return {}
+    coupling, path = system.get("coupling"), system.get("path")
+    if coupling == OF_FILE and isinstance(path, str):
+        return {"files": look_at_files(path, folder)}
+    if not isinstance(coupling, str) or not is_function(coupling):
+        return {}
+    seen: dict[str, Any] = {"sha256": look_at_module(coupling, folder), "is_sparse": False, "entries_by_block": 0.0}
+    scene = as_scene(Scene, {**tables, "system": system | {"module": seen}}, name)
+    scene._folder = folder
+    own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
+    n, function = min(scene.system.n), scene._function
+    assert function is not None
+    return {"module": seen | tried(function, n, own)}
+
+
+def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Scene:
+    """A scene from the bytes of a scene file; `name` is what errors call it, `folder` where files that it names lie.
+
+    Raises
+    ------
+    SceneError
+        If it is not TOML, or not a scene.
+    """
+    scene = as_scene(Scene, parse_toml(source, name), name)
+    scene._source, scene._folder = source, folder
+    return scene

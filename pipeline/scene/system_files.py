@@ -1,0 +1,216 @@
+"""What the bytes of a system file hold: NumPy's .npy and .npz, SciPy's sparse .npz, Matrix Market.
+
+A file may come from anywhere, and be damaged. The sizes that it claims are compared with the bytes that are there and
+with the memory of this machine before anything of that size is allocated, and pickles are never loaded.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import warnings
+import zipfile
+from collections.abc import Sequence
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from stickslip.pipeline.scene.toml import MAX_BLOCKS
+
+#: The parts of a sparse matrix as `scipy.sparse.save_npz` names them, and what kind of numbers each holds.
+_SPARSE = {"data": "iuf", "indices": "i", "indptr": "i", "shape": "i", "format": "S"}
+
+#: The header of an array of numbers is shorter; Python's parser is not given more.
+_MAX_HEADER = 1000
+
+#: Bytes for each entry of a dense array of at most eight bytes a number: the file's, `System`'s and a kernel's copy.
+_BYTES_OF_ENTRY = 24
+
+#: Bytes of a number for each block are fewer, whatever its type.
+_MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
+
+#: Less than this fits any machine, and the memory that there is need not be looked up, which loads Dask.
+_SMALL = 1e8
+
+#: A number of Matrix Market as NumPy's parser of text is to read it.
+_FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
+#: What an entry is multiplied by to give the one across the diagonal; None: that has one of its own.
+_SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
+
+
+def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
+    """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
+
+    Of a file that is damaged Python's and NumPy's readers raise exceptions of many kinds; none of them crashes.
+
+    Raises
+    ------
+    ValueError
+        If it is no such file, or claims what it does not hold.
+    Exception
+        If it is damaged.
+    """
+    readers = {b"PK": _npz, b"\x93NUMPY": _npy_alone, b"%%MatrixMarket": _matrix_market}
+    for magic, reader in readers.items():
+        if content.startswith(magic):
+            return reader(content, beside)
+    raise ValueError("something else" if content else "it is empty")
+
+
+def _npy_alone(content: bytes, _: Sequence[str]) -> dict[str, Any]:
+    return {"stiffness": _npy("stiffness", io.BytesIO(content), len(content))}
+
+
+def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndarray:
+    """The array of an .npy file of so many bytes."""
+    version = npy.read_magic(stream)
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in readers:  # the third is for names of fields
+        raise ValueError(f"{name}: expected version 1 or 2 of the format .npy, got {version[0]}.{version[1]}")
+    with warnings.catch_warnings(action="error"):  # of a header that NumPy would guess at
+        shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
+    if kind.kind not in kinds:
+        raise ValueError(f"{name}: expected an array of {'text' if kinds == 'S' else 'real numbers'}, got one of type"
+                         f" {kind}; pickles are not read")  # fmt: skip
+    claimed, there = math.prod(shape) * kind.itemsize, size - stream.tell()
+    if min(shape, default=0) < 0 or claimed != there:
+        raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {there}")
+    _fits(name, math.prod(shape) * max(_BYTES_OF_ENTRY, 3 * kind.itemsize))
+    return np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
+
+
+def _fits(name: str, needed: int) -> None:
+    if needed < _SMALL:
+        return
+    from distributed.system import MEMORY_LIMIT
+
+    if needed > MEMORY_LIMIT:
+        raise ValueError(f"{name}: expected what this machine can hold, {MEMORY_LIMIT / 1e9:.3g} GB, got an array"
+                         f" that takes {needed / 1e9:.3g} GB")  # fmt: skip
+
+
+def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members: dict[str, zipfile.ZipInfo] = {}
+        for info in archive.infolist():
+            key = info.filename.removesuffix(".npy")
+            if key in members:
+                raise ValueError(f"expected each array once, got {key!r} twice")
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"{key}: expected a compression that NumPy writes, got number {info.compress_type}")
+            members[key] = info
+
+        def read(key: str, kinds: str = "iuf", is_by_block: bool = False) -> np.ndarray:
+            size = members[key].file_size
+            if is_by_block and size > _MOST_OF_BLOCKS:
+                raise ValueError(f"{key}: expected one for each of at most {MAX_BLOCKS} blocks, got {size} bytes")
+            with archive.open(members[key]) as stream:
+                return _npy(key, stream, size, kinds)
+
+        is_sparse = members.keys() >= _SPARSE.keys()
+        if len(members) == 1:
+            return {"stiffness": read(next(iter(members)))}
+        names = members.keys() - ({*_SPARSE, "_is_array"} if is_sparse else {"stiffness"})
+        if not names <= {*beside} or not (is_sparse or "stiffness" in members):
+            raise ValueError(
+                f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
+                f"{', '.join(beside)}, got {', '.join(sorted(members)) or 'nothing'}"
+            )
+        arrays: dict[str, Any] = {
+            name: read(name, is_by_block=name != "damping")
+            for name in sorted(names)  # that may be a matrix
+        }
+        if is_sparse:
+            parts = {key: read(key, kinds, key not in ("data", "indices")) for key, kinds in _SPARSE.items()}
+            return arrays | {"stiffness": _compressed(parts)}
+        return arrays | {"stiffness": read("stiffness")}
+
+
+def _compressed(parts: dict[str, np.ndarray]) -> Any:
+    """A sparse matrix from its parts; that indices are in range is for `System` to see, wherever a K comes from."""
+    from scipy import sparse  # takes a tenth of a second to load
+
+    kinds = {b"csc": sparse.csc_array, b"csr": sparse.csr_array}
+    kind = parts["format"].item()
+    if kind not in kinds:
+        raise ValueError(f"format: expected csc or csr, got {kind!r}")
+    n, entries = _square(parts["shape"].tolist()), parts["data"].size
+    for key, expected in (("data", (entries,)), ("indices", (entries,)), ("indptr", (n + 1,))):
+        if parts[key].shape != expected:
+            raise ValueError(f"{key}: expected the shape {expected}, got {parts[key].shape}")
+    if parts["indptr"][-1] != entries:
+        raise ValueError(f"indptr: expected {entries} at its end, the number of entries, got {parts['indptr'][-1]}")
+    return kinds[kind]((parts["data"], parts["indices"], parts["indptr"]), (n, n))
+
+
+def _square(shape: Sequence[int]) -> int:
+    """The number of blocks of a matrix of such a shape."""
+    if not isinstance(shape, list) or len(shape) != 2 or shape[0] != shape[1] or not 0 < shape[0] <= MAX_BLOCKS:
+        raise ValueError(f"stiffness: expected a square matrix of at most {MAX_BLOCKS} blocks, got the shape {shape}")
+    return shape[0]
+
+
+def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
+    """K of the format that math.nist.gov/MatrixMarket/formats.html describes.
+
+    SciPy's reader, in compiled code of its own, can crash on what is damaged; NumPy's parser of text does not.
+    """
+    lines = io.BytesIO(content)
+    banner = lines.readline(_MAX_HEADER).decode("ascii").lower().split()
+    match banner:
+        case ["%%matrixmarket", "matrix", "coordinate" | "array" as layout, field, symmetry] if (
+            field in _FIELDS and symmetry in _SYMMETRIES
+        ):
+            pass
+        case _:
+            raise ValueError(f"expected `%%MatrixMarket matrix`, coordinate or array, {', '.join(_FIELDS)}, and"
+                             f" {', '.join(_SYMMETRIES)}, got {' '.join(banner)!r}")  # fmt: skip
+    head = next((line for line in lines if line.strip() and not line.startswith(b"%")), b"")
+    if not re.fullmatch(rb"(\s*\d{1,15}){%d}\s*" % (3 if layout == "coordinate" else 2), head):
+        raise ValueError(f"expected a line of the sizes of the matrix, got {head[:60]!r}")
+    *shape, entries = map(int, head.split()) if layout == "coordinate" else (*map(int, head.split()), -1)
+    n, sign = _square(shape), _SYMMETRIES[symmetry]
+    below = int(sign == -1)  # a skew one has no diagonal
+    if layout == "array":
+        entries = n * n if sign is None else (n - below) * (n + 1 - below) // 2
+    columns = ("row", "column") if layout == "coordinate" else ()
+    kind = np.dtype([*((name, "i8") for name in columns), ("value", _FIELDS[field])])
+    body = lines.read()
+    if not content.endswith(b"\n"):  # a number that is cut short is a number
+        raise ValueError("expected its last line to be whole, got one without an end")
+    table = np.empty(0, kind)
+    if body.strip():
+        with warnings.catch_warnings(action="error"):  # of a number that NumPy would round
+            table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
+    if table.size != entries:
+        raise ValueError(f"expected {entries} entries, of which its line of sizes tells, got {table.size}")
+    values = table["value"].astype(np.float64)
+    if layout == "coordinate":
+        return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign)}
+    _fits("stiffness", _BYTES_OF_ENTRY * n * n)
+    if sign is None:
+        return {"stiffness": values.reshape((n, n), order="F")}
+    column, row = np.triu_indices(n, below)  # by columns, from the diagonal down
+    stiffness = np.zeros((n, n))
+    stiffness[row, column], stiffness[column, row] = values, sign * values
+    return {"stiffness": stiffness}
+
+
+def _of_entries(row: np.ndarray, column: np.ndarray, values: np.ndarray, n: int, sign: int | None) -> Any:
+    """A sparse matrix from its entries, whose rows and columns count from one."""
+    from scipy import sparse  # as above
+
+    outside = (np.minimum(row, column) < 1) | (np.maximum(row, column) > n)
+    if outside.any():
+        k = int(np.argmax(outside))
+        raise ValueError(f"expected rows and columns from 1 to {n}, got ({row[k]}, {column[k]}) at entry {k + 1}")
+    row, column = row - 1, column - 1
+    if sign is not None:
+        across = row != column
+        if sign == -1 and not across.all():
+            raise ValueError("expected no entry on the diagonal of a skew-symmetric matrix, got one")
+        row, column = np.concatenate([row, column[across]]), np.concatenate([column, row[across]])
+        values = np.concatenate([values, sign * values[across]])
+    return sparse.coo_array((values, (row, column)), (n, n))

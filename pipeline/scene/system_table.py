@@ -1,0 +1,289 @@
+"""[system]: the systems of a scene: drawn from an ensemble, tied along a graph, from files or by a function."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema, create_model, model_validator
+
+from stickslip.pipeline.scene.quantity import (
+    AnyNumber,
+    Course,
+    Key,
+    Quantity,
+    as_written,
+    course,
+    size,
+    values,
+)
+from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, shown
+from stickslip.sim.numerics.arguments import did_you_mean
+from stickslip.sim.systems.couplings import COUPLINGS
+from stickslip.sim.systems.drive import direction
+from stickslip.sim.systems.friction import Rational, Stribeck, require_static
+from stickslip.sim.systems.graphs import GRAPHS
+from stickslip.sim.systems.terms import OF_BLOCKS, TERMS, Term
+
+#: The name of the coupling whose systems are read from files.
+OF_FILE = "file"
+
+
+#: The keys that a force is given by: a harmonic one, or one that is linear between times.
+_FORCES = (("amplitude", "frequency"), ("times", "values"))
+
+#: What the coupling looks like whose systems a function makes.
+_FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
+
+
+def is_function(coupling: str) -> bool:
+    """Whether a coupling names a function that makes the systems."""
+    return re.match(_FUNCTION, coupling) is not None
+
+
+def _coupling(name: str) -> str:
+    known = (*COUPLINGS, *GRAPHS, OF_FILE)
+    if name not in known and not is_function(name):
+        if ":" in name:
+            raise ValueError(f"expected module:function, as in own:draw, got {name!r}; name a file own.py so")
+        raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+    return name
+
+
+class ModuleTable(StrictTable):
+    """The module whose function makes the systems, as it was when the scene was read; see `systems`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    is_sparse: bool
+    entries_by_block: Natural
+    beside: dict[str, str] = Field(default_factory=dict)
+
+
+class FileTable(StrictTable):
+    """A file that a system is read from, as it was when the scene was read; see `systems`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    n: Blocks
+    scale: Natural
+    entries: Annotated[int, Field(ge=0)]
+    is_sparse: bool
+    arrays: Annotated[tuple[str, ...], List]
+    version: Literal[1, 2] = 1  # of how draws are numbered; datasets of before do not say it
+
+
+def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
+    """A table with a key for each term of a table in [system], behind the keys that it has."""
+    keys: dict[str, Any] = {term.key: (_kind(term), Field(**term.field)) for term in TERMS if term.table == table}
+    return create_model(f"_{table}", __base__=behind, **keys)
+
+
+def _kind(term: Term) -> Any:
+    """What may be written for a term."""
+    kind = Annotated[Quantity, Key(term.draws, term.least, above=term.is_above, in_time=term.in_time)]
+    return kind if term.argument and term.default is not None else kind | None
+
+
+class ForceTable(_with_terms("force")):  # type: ignore[misc]
+    """[system.force]: a force from outside on every block: amplitude cos(frequency t + phase), or by times."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [*form]} for form in _FORCES]})
+    times: Annotated[tuple[float, ...], List] | None = Field(
+        default=None,
+        description="times between which the force is linear; it is constant before and after",
+        examples=[[0.0, 100.0]],
+    )
+    values: Annotated[tuple[float, ...], List] | None = Field(
+        default=None, description="the force on every block at these times", examples=[[0.0, 0.5]]
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_form(cls, given: Any) -> Any:
+        keys = set(given) if isinstance(given, dict) else set()
+        if keys - set(cls.model_fields):
+            return given  # and what is unknown is told
+        if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
+            raise ValueError(
+                f"expected amplitude and frequency, or times and values, got {shown(given)}; write e.g."
+                " {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0, 0.5]}"
+            )
+        return given if "times" not in keys else {**as_written(course(given)), "phase": None}
+
+    @property
+    def course(self) -> Course | None:
+        """The force by its values at given times."""
+        return None if self.times is None or self.values is None else Course(self.times, self.values)
+
+
+class _Law(StrictTable):
+    law: Literal["rational", "stribeck"] = Field(
+        description="friction / (1 + rate |w - v|), or friction + (static - friction) exp(-|w - v| / speed)",
+        examples=["rational"],
+    )
+
+
+class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
+    """[system.weakening]: how kinetic friction falls with the speed of slip; see `stickslip.sim.systems.friction`."""
+
+    @model_validator(mode="after")
+    def _its_own_number(self) -> Self:
+        own, other = ("rate", "speed") if self.law == "rational" else ("speed", "rate")
+        if getattr(self, own) is None or getattr(self, other) is not None:
+            raise ValueError(f'{own}: expected with law = "{self.law}", and no `{other}`; write e.g. `{own} = 3.0`')
+        return self
+
+
+#: The keys that may hold lists and distributions, by their names in a grid, in ids and columns: the table in [system]
+#: that they stand in, "" for itself, and the key there.
+QUANTITIES = {term.name: (term.table, term.key) for term in TERMS}
+QUANTITIES["force_course"] = ("force", "course")  # a force that is given by times and values
+
+
+class _Source(StrictTable):
+    coupling: Annotated[str, AfterValidator(_coupling)] = Field(
+        description="name of the ensemble, or of the graph that springs lie along; that K is read from a file; or the"
+        " function that makes the systems, as module:function",
+        examples=["antisymmetric"],
+        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": _FUNCTION}]},
+    )
+    n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
+    path: str | None = Field(
+        default=None,
+        description="file of K, .npz, .npy or Matrix Market, beside the scene; or several, by a pattern",
+        examples=["K.npz"],
+    )
+
+
+class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
+    """[system]: what the systems are drawn from."""
+
+    force: ForceTable | None = None
+    weakening: WeakeningTable | None = None
+    back_slip: bool = Field(
+        default=True,
+        description="whether blocks may slip either way; if not, none gets ahead of its belt",
+        examples=[False],
+    )
+    parameters: dict[str, AnyNumber] | None = Field(
+        default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
+    )
+    module: Annotated[ModuleTable | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the module was when the scene was read: written by stickslip"
+    )
+    files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the files were when the scene was read: written by stickslip"
+    )
+
+    @property
+    def quantities(self) -> dict[str, Quantity | None]:
+        """What may be a list or a distribution: by the names in `QUANTITIES`, and parameters by their own."""
+        given = self.parameters or {}
+        own = {name: place for name, place in QUANTITIES.items() if name not in given}
+        return {name: getattr(getattr(self, t) if t else self, key, None) for name, (t, key) in own.items()} | given
+
+    def place_of(self, name: str, tables: dict[str, Any]) -> tuple[dict[str, Any], str]:
+        """The table that holds one of the quantities, within a dump of this one, and its key there."""
+        table, key = ("parameters", name) if name in (self.parameters or ()) else QUANTITIES[name]
+        return tables[table] if table else tables, key
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """The readings of a perturbation that keep what the system is."""
+        kept = COUPLINGS[self.coupling].readings if self.coupling in COUPLINGS else ()
+        return kept if self.damping is None else tuple(set(kept) & {"relative"})  # there is no scale of R
+
+    @property
+    def bytes_of_system(self) -> float:
+        """About what drawing the largest system takes."""
+        n = max(self.n)
+        if self.coupling in COUPLINGS:
+            return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
+        if self.coupling == OF_FILE:
+            return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
+        if self.module is not None:
+            return 100.0 * n * self.module.entries_by_block if self.module.is_sparse else 24.0 * n**2
+        return 100.0 * n * (1.0 + size(self.degree or 4.0))
+
+    @property
+    def is_own(self) -> bool:
+        """Whether a function of the user's makes the systems."""
+        return is_function(self.coupling)
+
+    @property
+    def known_files(self) -> dict[str, FileTable]:
+        """The files that systems are read from, by their names beside the scene."""
+        return self.files or {}
+
+    def _files_apply(self) -> None:
+        if self.path is None:
+            raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
+        if not self.files:
+            raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
+        first: dict[str, str] = {}
+        for name, file in self.files.items():
+            if file.n not in self.n:
+                raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
+            given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+            for array in OF_BLOCKS:
+                keys = {array, "rho"} if array == "damping" else {array}
+                if array in file.arrays and keys & given:
+                    key = sorted(keys & given)[0]
+                    raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
+            other = first.setdefault(file.sha256, name)
+            if other != name:
+                raise ValueError(
+                    f"path: expected files that differ, got {other} and {name}, which are equal; remove one"
+                )
+        alone = set(self.n) - {file.n for file in self.files.values()}
+        if alone:
+            raise ValueError(
+                f"n: expected the numbers of blocks of the files, got {min(alone)}, which no file has; remove it"
+            )
+
+    def _function_applies(self) -> None:
+        if self.module is None:
+            raise ValueError(
+                "module: expected what `load_scene` and the command write here, found nothing; use these"
+            )
+        for key in {"friction", "belt_speed"} - self.model_fields_set:
+            object.__setattr__(self, key, None)
+
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        """What is not used is refused, and no part of the data."""
+        of_file, why = self.coupling == OF_FILE, ""
+        if of_file or self.is_own:
+            why = ", which has K itself" if of_file else ", which makes all of it from [system.parameters]"
+        for key, is_used in (
+            ("path", of_file), ("files", of_file), ("parameters", self.is_own), ("module", self.is_own),
+            ("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network"), ("kappa", not why),
+            ("rho", not self.is_own),
+        ):  # fmt: skip
+            if not is_used:
+                if key in self.model_fields_set and getattr(self, key) is not None:
+                    raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"{why}; remove it')
+                object.__setattr__(self, key, None)
+        if of_file:
+            self._files_apply()
+        if self.is_own:
+            self._function_applies()
+        if self.weakening is not None and not why:  # else that may hold static friction
+            require_static({"rational": Rational, "stribeck": Stribeck}[self.weakening.law], self.static)
+        if not self.back_slip:
+            for speed in values(self.belt_speed):
+                known = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
+                if known and not direction(np.array(known)):
+                    raise ValueError(
+                        f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"
+                        f" {speed}, which loads to neither side, or to both; change it, or remove `back_slip`"
+                    )
+        if self.damping is not None:
+            if "rho" in self.model_fields_set and self.rho is not None:
+                raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
+            object.__setattr__(self, "rho", None)
+        if self.degree is not None and size(self.degree) > min(self.n) - 1:
+            most = f"n - 1 = {min(self.n) - 1}, all the others"
+            raise ValueError(f"degree: expected at most {most}, got {size(self.degree):g}; lower it")
+        return self

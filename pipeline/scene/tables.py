@@ -1,0 +1,224 @@
+"""The tables of a scene that are no system and no engine: [start], [run], [record], [analysis] and what changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
+
+from stickslip.pipeline.records import RECORDS
+from stickslip.pipeline.records.record import Record
+from stickslip.pipeline.scene.engine_table import Readings
+from stickslip.pipeline.scene.quantity import END, Displacement, Distribution, Velocity, values
+from stickslip.pipeline.scene.toml import (
+    Count,
+    List,
+    Natural,
+    Positive,
+    PositiveNumbers,
+    StrictTable,
+    as_tuple,
+    listed,
+    once,
+)
+from stickslip.sim.engines.contract import Purpose
+
+
+def _seeds(given: Any, read: Callable[[Any], int]) -> int | tuple[int, ...]:
+    if not isinstance(given, list | tuple):
+        return read(given)
+    return once([read(seed) for seed in given])  # in the order of the file, for `zip`
+
+
+if TYPE_CHECKING:
+    Seeds = int | tuple[int, ...]
+else:
+    Seeds = Annotated[
+        int,
+        Field(ge=0, lt=2**63),
+        WrapValidator(_seeds),
+        PlainSerializer(lambda seed: seed),
+        listed({"type": "integer", "minimum": 0, "exclusiveMaximum": 2**63}),
+    ]
+
+
+class EndsTable(StrictTable):
+    """The dataset at whose ends members start, as it was when the scene was read; see `pipeline.running.ends`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+def _either_a_dataset(schema: dict[str, Any]) -> None:
+    """Editors may see a start without z and w, if it names a dataset."""
+    schema |= {"if": {"required": ["dataset"]}, "else": {"required": schema.pop("required")}}
+
+
+class StartTable(StrictTable):
+    """[start]: the state that every block starts from."""
+
+    model_config = ConfigDict(json_schema_extra=_either_a_dataset)
+    z: Displacement = Field(description="displacement at t = 0", examples=[-0.7])
+    w: Velocity = Field(description='velocity at t = 0; "belt": that of the belt', examples=[-0.4])
+    draws: Count | None = Field(
+        default=None,
+        description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",
+        examples=[300],
+    )
+    dataset: str | None = Field(
+        default=None,
+        description='dataset, beside the scene, at whose ends the same members start; z and w are "end" then',
+        examples=["runs/first"],
+    )
+    ends: Annotated[EndsTable | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the dataset was when the scene was read: written by stickslip"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _ends_of_a_dataset(cls, given: Any) -> Any:
+        return {"z": "end", "w": "end", **given} if isinstance(given, dict) and "dataset" in given else given
+
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        starts = (*values(self.z), *values(self.w))
+        if (END in starts) != (self.dataset is not None):
+            raise ValueError('dataset: expected with z or w = "end", and only with these; write both, or none')
+        if self.dataset is not None and self.ends is None:
+            raise ValueError("ends: expected what `load_scene` and the command write, found nothing; use these")
+        if self.draws is not None and END not in starts and not any(isinstance(one, Distribution) for one in starts):
+            raise ValueError(
+                "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
+            )
+        return self
+
+
+def _rest(given: object) -> object:
+    if isinstance(given, str) and given != "rest":
+        raise ValueError(
+            f'expected "rest" or a table, got {given!r}; write `start = "rest"`, or [start] and its keys'
+        )
+    return {"z": 0.0, "w": "belt"} if given == "rest" else given
+
+
+Start = Annotated[StartTable, BeforeValidator(_rest, json_schema_input_type=Literal["rest"] | StartTable)]
+
+
+class RunTable(StrictTable):
+    """[run]: how long, how many, from which seed."""
+
+    t_end: Positive = Field(description="end of each run", examples=[1000.0])
+    matrices: Count = Field(description="number of random systems for each n", examples=[20])
+    seed: Seeds = Field(default=0, description="seed of all random draws")
+    zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = Field(
+        default=None,
+        description="keys whose lists go together, value by value, in place of a grid",
+        examples=[[["kappa", "rho"]]],
+    )
+    purpose: Purpose | None = Field(
+        default=None,
+        description="what the tolerances left out are picked for; default: chosen from what the scene records",
+        examples=["statistics"],
+    )
+
+
+class PerturbationTable(StrictTable):
+    """[perturbation]: each system again with its constants moved; size 0, unmoved, is always run once."""
+
+    readings: Readings = Field(
+        default=("scale",),
+        min_length=1,
+        description="what moves by how much: see `stickslip.sim.perturb_system`",
+        examples=[["scale", "relative"]],
+    )
+    sizes: PositiveNumbers = Field(description="relative sizes of the change", examples=[[0.01, 0.05]])
+    draws: Count = Field(default=1, description="number of random changes of each size", examples=[3])
+
+
+class TwinsTable(StrictTable):
+    """[twins]: each system again from a start moved in a random direction, the same for every size."""
+
+    sizes: PositiveNumbers = Field(
+        description="distances between the starts: root mean square over the blocks", examples=[[1e-8, 1e-2]]
+    )
+
+
+def _key(record: type[Record]) -> tuple[Any, Any]:
+    """What may be written for a record under [record], and pydantic's field of it."""
+    examples = None if record.example is None else [record.example]
+    if "step" in record.__dataclass_fields__:
+        return Positive | None, Field(default=None, description=record.words, examples=examples)
+    return bool, Field(default=False, description=record.words, examples=examples)
+
+
+#: A key a record that a scene asks for there, rather than by another table.
+_KEYS: dict[str, Any] = {record.name: _key(record) for record in RECORDS if record.words}
+_Records: Any = create_model("_Records", __base__=StrictTable, **_KEYS)
+
+
+class RecordTable(_Records):  # type: ignore[misc]
+    """[record]: what is kept beside the change points of n_stick, which always are."""
+
+
+class MarginsTable(StrictTable):
+    """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
+
+    Shares of the original's value.
+    """
+
+    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick")
+    variance: Positive = Field(default=0.25, description="margin of its variance in time")
+    rate: Positive = Field(default=0.1, description="margin of the rate of its changes")
+    gamma: Positive = Field(default=0.05, description="margin of gamma by events")
+    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
+
+
+#: What a report can be asked first: the names of `analysis.questions`.
+QuestionName = Literal[
+    "sweep",
+    "episodes",
+    "cascades",
+    "counting",
+    "exponential",
+    "definitions",
+    "rhythm",
+    "clustering",
+    "fates",
+    "engines",
+    "sensitivity",
+    "robustness",
+]
+
+
+class AnalysisTable(StrictTable):
+    """[analysis]: handed to the statistics; without influence on the data."""
+
+    t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
+    dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
+    map_dt: PositiveNumbers | None = Field(
+        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.1]]
+    )
+    tau: PositiveNumbers = Field(
+        default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
+    )
+    smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
+    resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.95, description="level of the intervals")
+    margins: MarginsTable = MarginsTable()
+    question: Annotated[
+        tuple[QuestionName, ...],
+        BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),
+    ] = Field(
+        default=(),
+        description="questions that lead the report, in this order; what the data are about if left out",
+        examples=[["cascades"]],
+    )

@@ -1,0 +1,232 @@
+"""The numbers that a system is given: one table, by which all floors know them.
+
+A term is a row here, and its physics in `System` and the engines. From the row follow its key in a scene and what
+may be written there, the draws for each block and their seeds, the column of a dataset, and the words in ids, labels
+and pages. All is dimensionless.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+#: Laws that a number of each block may be drawn from.
+Draw = Literal["uniform", "normal"]
+
+BOUNDED: tuple[Draw, ...] = ("uniform",)
+UNBOUNDED: tuple[Draw, ...] = ("uniform", "normal")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """A number of a system: one of all, or one a block.
+
+    Attributes
+    ----------
+    name : str
+        In ids, grids and columns, as "static" or "force_amplitude"; the key of [system], behind `table` and "_".
+    words, default, example : str, object, object
+        Of that key.
+    column : str
+        What its column holds, if not `words`; a number, null where blocks differ.
+    least : float or None
+        Its least value; none itself if `is_above`.
+    draws : tuple of str
+        The laws that it may be drawn from, block by block; none: it is one number a system.
+    in_time : bool
+        Whether it may change in time, linear between given times.
+    purpose : int or None
+        What a draw of it is for, the first word of its seed's key. Never renumber: the data hang on it.
+    argument : str
+        Of `System`, that it is given as; empty: it is part of a coupling, a force or a law.
+    part : str
+        Of a dataset that it is recorded with, on demand: see `stickslip.pipeline.scene.columns`. Empty: in every one.
+    in_file : bool
+        Whether a file of K may hold it, as an array of its name, a number a block.
+    table : str
+        The inner table of [system] that its key stands in.
+    heading : str
+        Of its column in a report's table of groups, if not the name.
+    """
+
+    name: str
+    words: str
+    column: str = ""
+    default: float | None = None
+    example: float | None = None
+    least: float | None = None
+    is_above: bool = False
+    draws: tuple[Draw, ...] = ()
+    in_time: bool = False
+    purpose: int | None = None
+    argument: str = ""
+    part: str = ""
+    in_file: bool = False
+    table: str = ""
+    heading: str = ""
+
+    @property
+    def key(self) -> str:
+        """Its key within its table."""
+        return self.name.removeprefix(f"{self.table}_")
+
+    @property
+    def title(self) -> str:
+        """Its heading in a report."""
+        return self.heading or self.name.replace("_", " ")
+
+    @property
+    def described(self) -> str:
+        """What its column holds."""
+        return self.column or self.words
+
+    @property
+    def field(self) -> dict[str, Any]:
+        """What a schema of scenes says of its key."""
+        examples = {} if self.example is None else {"examples": [self.example]}
+        return {"default": self.default, "description": self.words, **examples}
+
+
+TERMS = (
+    Term(
+        name="kappa",
+        words="scale of the stiffnesses; of a graph the springs between neighbours",
+        column="scale of the stiffnesses",
+        default=0.2,
+        least=0,
+    ),
+    Term(
+        name="leaf",
+        words="leaf spring of every block in a graph",
+        column="stiffness of every block's leaf spring; null if drawn",
+        default=0.1,
+        least=0,
+        draws=BOUNDED,
+        purpose=8,
+        part="graph",
+    ),
+    Term(
+        name="degree",
+        words="mean number of neighbours in the graph `network`",
+        column="mean number of neighbours; null if not a network",
+        default=4.0,
+        least=0,
+        part="graph",
+    ),
+    Term(name="rho", words="scale of the dampings", default=3.5, least=0),
+    Term(
+        name="damping",
+        words="damping R of every block, in the place of `rho`",
+        column="damping R of every block; null if drawn",
+        example=0.0,
+        least=0,
+        draws=BOUNDED,
+        purpose=5,
+        argument="damping",
+        part="damping",
+        in_file=True,
+    ),
+    Term(
+        name="friction",
+        words="kinetic friction mu of every block",
+        default=1.0,
+        least=0,
+        draws=BOUNDED,
+        purpose=4,
+        argument="friction",
+        in_file=True,
+    ),
+    Term(
+        name="static",
+        words="static friction of every block, at least the kinetic; the kinetic if left out",
+        column="static friction of every block; null if drawn",
+        example=1.3,
+        least=0,
+        draws=BOUNDED,
+        purpose=9,
+        argument="static",
+        part="static",
+        in_file=True,
+    ),
+    Term(
+        name="mass",
+        words="mass of every block; 1 if left out",
+        column="mass of every block; null if drawn",
+        example=2.0,
+        least=0,
+        is_above=True,
+        draws=BOUNDED,
+        purpose=10,
+        argument="mass",
+        part="mass",
+        in_file=True,
+    ),
+    Term(
+        name="belt_speed",
+        words="speed v of the belt, linear between times and constant beyond if it has any",
+        column="speed v of the belt",
+        default=-0.2,
+        draws=UNBOUNDED,
+        in_time=True,
+        purpose=11,
+        argument="belt_speed",
+        in_file=True,
+    ),
+    Term(
+        name="force_amplitude",
+        words="amplitude of the force on every block",
+        column="amplitude of the force on every block; null if drawn",
+        example=0.5,
+        draws=UNBOUNDED,
+        purpose=12,
+        part="force",
+        table="force",
+        heading="force",
+    ),
+    Term(
+        name="force_frequency",
+        words="frequency of the force, in radians a unit of time; 0: constant",
+        column="frequency of the force, in radians a unit of time; null if drawn",
+        example=1.0,
+        least=0,
+        draws=BOUNDED,
+        purpose=13,
+        part="force",
+        table="force",
+        heading="frequency",
+    ),
+    Term(
+        name="force_phase",
+        words="phase of the force at t = 0",
+        column="phase of the force at t = 0; null if drawn",
+        default=0.0,
+        draws=UNBOUNDED,
+        purpose=14,
+        part="force",
+        table="force",
+        heading="phase",
+    ),
+    Term(
+        name="weakening_rate",
+        words="rate of the law `rational`",
+        column="rate at which friction falls with slip; null if not rational",
+        example=3.0,
+        least=0,
+        is_above=True,
+        part="weakening",
+        table="weakening",
+    ),
+    Term(
+        name="weakening_speed",
+        words="speed of the law `stribeck`",
+        column="speed of slip over which it falls; null if not Stribeck's",
+        example=0.5,
+        least=0,
+        is_above=True,
+        part="weakening",
+        table="weakening",
+    ),
+)
+
+#: The arguments of `System` among them, a number a block each, which files of K may hold too.
+OF_BLOCKS = tuple(term.name for term in TERMS if term.in_file)
