@@ -6,7 +6,6 @@ Replicates of a matrix are its base and the copies that only started elsewhere a
 from __future__ import annotations
 
 import math
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
