@@ -32,17 +32,21 @@ from stickslip.analysis.stats.fates import MOVING, QUIET, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
+from stickslip.sim.systems.terms import TERMS
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
+#: Terms of a system that every table of members says.
+_ALWAYS = ("belt_speed", "kappa", "rho")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
 OPTIONAL = (
-    *("file", "parameters", "leaf", "degree", "damping", "friction", "static", "mass", "force_amplitude"),
-    *("force_frequency", "force_phase", "weakening_rate", "weakening_speed", "back_slip", "z0", "w0"),
-    "drawn",
+    "file",
+    "parameters",
+    *(term.name for term in TERMS if term.name not in _ALWAYS),
+    *("back_slip", "z0", "w0", "drawn"),
 )
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
-SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
+SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
 #: Columns that there may not be, of draws, changes and engines that a scene does without.
 _NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
@@ -52,7 +56,7 @@ ENGINE_KEYS = (
     *TOLERANCES,
 )
 #: Columns that are null unless friction hangs on the speed of slip.
-HANG_ON_SPEED = ("eps", "weakening_rate", "weakening_speed")
+HANG_ON_SPEED = ("eps", *(term.name for term in TERMS if term.table == "weakening"))
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
     *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),

@@ -18,6 +18,8 @@ from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
+OF_CASCADES, SHARE = True, 0.05
+
 #: By what share gamma may differ from what chance gives and count as the same, whatever a scene declares of engines.
 GAMMA_MARGIN = 0.01
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)

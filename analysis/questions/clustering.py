@@ -20,6 +20,8 @@ from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import over_blocks, panel
 
+OF_CASCADES, SHARE = True, 0.23
+
 SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
 PRIMARY = 40.0  # the window of the primary question, about a block's own cycle

@@ -20,6 +20,8 @@ from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
 from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
+OF_CASCADES, SHARE = True, 0.4
+
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Rotations of each run at most: gamma of independent blocks is known that much better than of the runs.
 ROTATIONS = 30

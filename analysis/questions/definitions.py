@@ -19,6 +19,8 @@ from stickslip.analysis.stats.estimates import gamma, over_matrices
 from stickslip.analysis.stats.nulls import DRAWS, Sums, block_steps, rotations
 from stickslip.analysis.style import CYCLE, GREY, panel
 
+OF_CASCADES, SHARE = True, 0.12
+
 _DEFINITIONS: Mapping[str, str] = {
     "group": S, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I, "gamma": F, "gamma_low": F,
     "gamma_high": F, "reason": S, "chance": F, "over": F, "over_low": F, "over_high": F, "p_value": F,

@@ -48,6 +48,8 @@ from stickslip.analysis.stats.laws import Difference, difference_of_order, dista
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
+OF_CASCADES, SHARE = False, 0.8
+
 MARGIN = 0.1  # of every statistic, relative, and of Poisson's CV: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
     "power law", "cut-off power law", "exponential", "none of these", "cannot be told",

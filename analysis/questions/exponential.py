@@ -22,6 +22,8 @@ from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
+OF_CASCADES, SHARE = True, 0.08
+
 MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
 MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {

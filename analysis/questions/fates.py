@@ -45,6 +45,8 @@ from stickslip.analysis.stats.fates import (
 )
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
 
+OF_CASCADES, SHARE = False, 0.01
+
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs

@@ -31,6 +31,8 @@ from stickslip.analysis.stats.rhythm import (
 )
 from stickslip.analysis.style import over_blocks, panel
 
+OF_CASCADES, SHARE = True, 0.08
+
 CYCLES = 3.0  # of a block: a motion that takes longer is slow
 LAWS = ("period", "quality", "share")  # numbers whose laws are asked for
 KEYS = ("n", "kappa", "rho", "belt_speed")  # along which

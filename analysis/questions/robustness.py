@@ -26,6 +26,8 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, SMOOTHED, panel
 
+OF_CASCADES, SHARE = False, 0.4
+
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 #: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
 BOUND = 0.25

@@ -19,6 +19,8 @@ from stickslip.analysis.stats.fates import kaplan_meier, median
 from stickslip.analysis.stats.growth import growth
 from stickslip.analysis.style import CYCLE, GREY, panel
 
+OF_CASCADES, SHARE = False, 0.3
+
 GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that grow still in proportion

@@ -30,6 +30,8 @@ from stickslip.analysis.stats.fates import FAILED, MOVING, QUIET, WATCHED, bound
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
+OF_CASCADES, SHARE = False, 0
+
 RISES, FALLS = "rises", "falls"
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
