@@ -1,7 +1,7 @@
 """An ensemble as the statistics see it, and its members sorted into groups of like members.
 
 A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
-Only members in motion at t_end enter a statistic, those in a lull too (`stats.fates`): to leave these out would
+Only members in motion at t_end enter a statistic, those in a lull too (`models.fates`): to leave these out would
 select the runs by how they ended. The others are counted, with outcome and reason.
 
 The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis.models.counting import lulls
+from stickslip.analysis.models.fates import MOVING, QUIET, fate
+from stickslip.analysis.series.cascades import Law, Window, sizes, window
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
-from stickslip.analysis.stats.cascades import Law, Window, sizes, window
-from stickslip.analysis.stats.counting import lulls
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
-from stickslip.analysis.stats.fates import MOVING, QUIET, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
@@ -115,7 +115,7 @@ class Data:
 class Group:
     """Members alike in everything but what is drawn, with what their runs in motion give, a row a unit.
 
-    In motion are those that finished and stick in the last quarter, or are in a lull there (`stats.fates`): a run at
+    In motion are those that finished and stick in the last quarter, or are in a lull there (`models.fates`): a run at
     rest has no steady state, and of a quiet one nobody knows whether it is at rest.
 
     Attributes
@@ -132,14 +132,14 @@ class Group:
     quantities : dict of str to ndarray, shape (G, 2)
         Sums over runs of `QUANTITIES`, by name.
     stuck : ndarray, shape (G, 2)
-        Sums over runs of the integral of n_stick, and of the time without lulls (`stats.counting`): their quotient is
+        Sums over runs of the integral of n_stick, and of the time without lulls (`models.counting`): their quotient is
         the mean n_stick of the pool that the runs are held against.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 4)
         `effective.row`, of several runs of one unit their mean.
     fates : list of str
-        Of each member, as `stats.fates.fate` has it.
+        Of each member, as `models.fates.fate` has it.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     moving : DataFrame
@@ -246,7 +246,7 @@ class Study:
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     def fate(self, member_id: str) -> str:
-        """Fate of a member, as `stats.fates.fate` has it."""
+        """Fate of a member, as `models.fates.fate` has it."""
         outcome, t_end, rate = self._fated[member_id]
         points = None if outcome == "failed" else self.data.series[member_id]
         return fate(outcome, points, t_end, rate)

@@ -22,9 +22,9 @@ import scipy.io
 import scipy.sparse
 
 from stickslip.analysis.ensemble import OUTCOMES
+from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble
 from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
