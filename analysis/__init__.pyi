@@ -4,7 +4,6 @@ from .ensemble import Study as Study
 from .report.page import Report as Report
 from .report.page import build as build
 from .seismology import catalogue as catalogue
-from .settings import AnalysisSettings as AnalysisSettings
 from .series.cascades import DEFINITIONS as DEFINITIONS
 from .series.cascades import Law as Law
 from .series.cascades import Window as Window
@@ -12,6 +11,7 @@ from .series.cascades import laws as laws
 from .series.cascades import sample as sample
 from .series.cascades import sizes as sizes
 from .series.cascades import window as window
+from .settings import AnalysisSettings as AnalysisSettings
 from .stats.estimates import Estimate as Estimate
 from .stats.estimates import correlation_time as correlation_time
 from .stats.estimates import gamma as gamma

@@ -132,8 +132,8 @@ class Group:
     quantities : dict of str to ndarray, shape (G, 2)
         Sums over runs of `QUANTITIES`, by name.
     stuck : ndarray, shape (G, 2)
-        Sums over runs of the integral of n_stick, and of the time without lulls (`models.counting`): their quotient is
-        the mean n_stick of the pool that the runs are held against.
+        Sums over runs of the integral of n_stick, and of the time without lulls (`models.counting`): their quotient
+        is the mean n_stick of the pool that the runs are held against.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 4)
