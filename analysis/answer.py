@@ -40,7 +40,20 @@ class Answer:
 
 
 class Question(Protocol):
-    """A module of `analysis.questions`; its template is `report/templates/<its name>.html`."""
+    """A module of `analysis.questions`; its template is `report/templates/<its name>.html`.
+
+    Attributes
+    ----------
+    OF_CASCADES : bool
+        Whether it is of cascades: such questions are asked neither where episodes are recorded, which hold them, nor
+        of one block, which has none.
+    SHARE : float
+        Of the time of a report, as measured on the scenes that ship, where it has something to answer: those that
+        take longest are begun first.
+    """
+
+    OF_CASCADES: bool
+    SHARE: float
 
     def answer(self, study: Study) -> Answer | None:
         """What is found; None where the question is not asked of such data."""

@@ -14,8 +14,9 @@ import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S, named
 from stickslip.analysis.ensemble import Group
+from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
+from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import estimates, student
-from stickslip.analysis.stats.cascades import Window
 from stickslip.analysis.stats.compare import (
     ALIKE,
     UNKNOWN,
@@ -30,7 +31,6 @@ from stickslip.analysis.stats.compare import (
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 

@@ -1,7 +1,7 @@
 """An ensemble as the statistics see it, and its members sorted into groups of like members.
 
 A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
-Only members in motion at t_end enter a statistic, those in a lull too (`stats.fates`): to leave these out would
+Only members in motion at t_end enter a statistic, those in a lull too (`models.fates`): to leave these out would
 select the runs by how they ended. The others are counted, with outcome and reason.
 
 The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
@@ -23,26 +23,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis.models.counting import lulls
+from stickslip.analysis.models.fates import MOVING, QUIET, fate
+from stickslip.analysis.series.cascades import Law, Window, sizes, window
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import effective, enough
-from stickslip.analysis.stats.cascades import Law, Window, sizes, window
-from stickslip.analysis.stats.counting import lulls
 from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
-from stickslip.analysis.stats.fates import MOVING, QUIET, fate
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
+from stickslip.sim.systems.terms import TERMS
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
+#: Terms of a system that every table of members says.
+_ALWAYS = ("belt_speed", "kappa", "rho")
 #: Columns of members that may be left out, as if null: what a scene may sweep or draw.
 OPTIONAL = (
-    *("file", "parameters", "leaf", "degree", "damping", "friction", "static", "mass", "force_amplitude"),
-    *("force_frequency", "force_phase", "weakening_rate", "weakening_speed", "back_slip", "z0", "w0"),
-    "drawn",
+    "file",
+    "parameters",
+    *(term.name for term in TERMS if term.name not in _ALWAYS),
+    *("back_slip", "z0", "w0", "drawn"),
 )
 #: What the units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
-SYSTEM_KEYS = ("n", "coupling", "belt_speed", "kappa", "rho", *OPTIONAL, "t_end", "perturbation_size")
+SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
 #: Columns that there may not be, of draws, changes and engines that a scene does without.
 _NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
@@ -52,7 +56,7 @@ ENGINE_KEYS = (
     *TOLERANCES,
 )
 #: Columns that are null unless friction hangs on the speed of slip.
-HANG_ON_SPEED = ("eps", "weakening_rate", "weakening_speed")
+HANG_ON_SPEED = ("eps", *(term.name for term in TERMS if term.table == "weakening"))
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
     *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),
@@ -111,7 +115,7 @@ class Data:
 class Group:
     """Members alike in everything but what is drawn, with what their runs in motion give, a row a unit.
 
-    In motion are those that finished and stick in the last quarter, or are in a lull there (`stats.fates`): a run at
+    In motion are those that finished and stick in the last quarter, or are in a lull there (`models.fates`): a run at
     rest has no steady state, and of a quiet one nobody knows whether it is at rest.
 
     Attributes
@@ -128,14 +132,14 @@ class Group:
     quantities : dict of str to ndarray, shape (G, 2)
         Sums over runs of `QUANTITIES`, by name.
     stuck : ndarray, shape (G, 2)
-        Sums over runs of the integral of n_stick, and of the time without lulls (`stats.counting`): their quotient is
-        the mean n_stick of the pool that the runs are held against.
+        Sums over runs of the integral of n_stick, and of the time without lulls (`models.counting`): their quotient
+        is the mean n_stick of the pool that the runs are held against.
     histograms : list of ndarray
         Cascades by `events`: histogram[k] of size k.
     effective : ndarray, shape (G, 4)
         `effective.row`, of several runs of one unit their mean.
     fates : list of str
-        Of each member, as `stats.fates.fate` has it.
+        Of each member, as `models.fates.fate` has it.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     moving : DataFrame
@@ -242,7 +246,7 @@ class Study:
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     def fate(self, member_id: str) -> str:
-        """Fate of a member, as `stats.fates.fate` has it."""
+        """Fate of a member, as `models.fates.fate` has it."""
         outcome, t_end, rate = self._fated[member_id]
         points = None if outcome == "failed" else self.data.series[member_id]
         return fate(outcome, points, t_end, rate)

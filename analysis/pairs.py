@@ -16,8 +16,8 @@ import pandas as pd
 
 from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
-from stickslip.analysis.stats import parting
-from stickslip.analysis.stats.fates import DIVERGED, FAILED, SETTLED
+from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
+from stickslip.analysis.series import parting
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: what a perturbation moves, if the members do not say: every constant by up to a share of its scale

@@ -18,7 +18,7 @@ class AnalysisSettings:
     dt : tuple of float
         Sampling steps of the sampled definitions (dimensionless), shown in tables.
     resamples : int
-        Most surrogates of a member for what chance gives; `analysis.stats.nulls.DRAWS` are enough.
+        Most surrogates of a member for what chance gives; `analysis.series.nulls.DRAWS` are enough.
     confidence : float
         Level of every interval, in (0, 1).
     seed : int

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from stickslip.analysis.report.page import Answered
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
-LONGEST = (  # begun first
-    "robustness", "sensitivity", "definitions", "clustering", "rhythm", "counting", "exponential",
-)  # fmt: skip
 
 
 class Asking:
@@ -48,10 +45,10 @@ class Asking:
 
         What a process fails at is asked again here, so that its error is seen.
         """
-        from stickslip.analysis.questions import QUESTIONS
+        from stickslip.analysis.questions import QUESTIONS, question
         from stickslip.analysis.report.page import ask, prepare
 
-        to_go: deque[str] = deque((*LONGEST, *(key for key in QUESTIONS if key not in LONGEST)))
+        to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).SHARE))
         found: dict[str, Answered | None] = {}
 
         def next_ones() -> Iterator[str]:

@@ -12,11 +12,14 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Group, Study, law
-from stickslip.analysis.stats import enough, pool
-from stickslip.analysis.stats.cascades import spans
+from stickslip.analysis.models import pool
+from stickslip.analysis.series.cascades import spans
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
+
+OF_CASCADES, SHARE = True, 0.05
 
 #: By what share gamma may differ from what chance gives and count as the same, whatever a scene declares of engines.
 GAMMA_MARGIN = 0.01

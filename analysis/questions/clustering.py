@@ -12,13 +12,15 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
+from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN
 from stickslip.analysis.stats.effects import LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import over_blocks, panel
+
+OF_CASCADES, SHARE = True, 0.23
 
 SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back

@@ -12,13 +12,16 @@ from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFor
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
+from stickslip.analysis.models import pool
+from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, verdict_on
-from stickslip.analysis.stats import enough, pool
+from stickslip.analysis.series.nulls import block_steps
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN
-from stickslip.analysis.stats.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
-from stickslip.analysis.stats.nulls import block_steps
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+
+OF_CASCADES, SHARE = True, 0.4
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Rotations of each run at most: gamma of independent blocks is known that much better than of the runs.

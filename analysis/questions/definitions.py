@@ -12,12 +12,14 @@ from matplotlib.ticker import NullFormatter
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
-from stickslip.analysis.stats import cascades
-from stickslip.analysis.stats.cascades import DEFINITIONS, SAMPLED, Window
+from stickslip.analysis.series import cascades
+from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Window
+from stickslip.analysis.series.nulls import DRAWS, Sums, block_steps, rotations
 from stickslip.analysis.stats.effects import over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
-from stickslip.analysis.stats.nulls import DRAWS, Sums, block_steps, rotations
 from stickslip.analysis.style import CYCLE, GREY, panel
+
+OF_CASCADES, SHARE = True, 0.12
 
 _DEFINITIONS: Mapping[str, str] = {
     "group": S, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I, "gamma": F, "gamma_low": F,

@@ -30,6 +30,8 @@ from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Gr
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 
+OF_CASCADES, SHARE = False, 0.05
+
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
 #: sigmoid differs from the exact engine by O(eps), 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.

@@ -19,9 +19,7 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge
 from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
-from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import AGREE, DIFFER, Words, against, relative_difference
-from stickslip.analysis.stats.episodes import (
+from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
     DRIVE,
@@ -41,12 +39,16 @@ from stickslip.analysis.stats.episodes import (
     in_classes,
     laws_of_moments,
 )
+from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import AGREE, DIFFER, Words, against, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import Fit, maximise, parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
-from stickslip.analysis.stats.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+
+OF_CASCADES, SHARE = False, 0.8
 
 MARGIN = 0.1  # of every statistic, relative, and of Poisson's CV: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (

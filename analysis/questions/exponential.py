@@ -10,17 +10,19 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import EVENTS, Group, Study
-from stickslip.analysis.stats import pool
-from stickslip.analysis.stats.cascades import Window
-from stickslip.analysis.stats.cascades import sizes as cascade_sizes
+from stickslip.analysis.models import pool
+from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.cascades import sizes as cascade_sizes
+from stickslip.analysis.series.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.effects import MANY
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, paired_difference
 from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
-from stickslip.analysis.stats.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
+
+OF_CASCADES, SHARE = True, 0.08
 
 MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
 MOST_DRAWN = 2  # groups in the figure

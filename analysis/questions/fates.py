@@ -1,6 +1,6 @@
 """Fates of runs: how many stay in motion, how the others end and when, and whether motion that lasts is steady.
 
-Survival is that of Kaplan and Meier. Certified runs and runaways ended (`stats.fates.ends_at` says when); all others
+Survival is that of Kaplan and Meier. Certified runs and runaways ended (`models.fates.ends_at` says when); all others
 are censored at t_end, be they in motion, in a lull or quiet.
 """
 
@@ -19,11 +19,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
-from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.cascades import Window
-from stickslip.analysis.stats.effective import tau
-from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.fates import (
+from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
     ENDS,
@@ -43,7 +39,13 @@ from stickslip.analysis.stats.fates import (
     median,
     survival,
 )
+from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.effective import tau
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
+
+OF_CASCADES, SHARE = False, 0.01
 
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot

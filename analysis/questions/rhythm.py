@@ -12,14 +12,8 @@ from scipy import special, stats
 
 from stickslip.analysis.answer import Answer, F, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study, law
-from stickslip.analysis.questions.sweep import curves
-from stickslip.analysis.stats import rhythm, student
-from stickslip.analysis.stats.compare import equivalence_test
-from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import Estimate, jackknife_error
-from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.stats.nulls import block_steps
-from stickslip.analysis.stats.rhythm import (
+from stickslip.analysis.models import rhythm
+from stickslip.analysis.models.rhythm import (
     LEAST_HARMONICS,
     LEAST_PERIODS,
     NONE,
@@ -29,7 +23,16 @@ from stickslip.analysis.stats.rhythm import (
     SWINGS,
     Spectra,
 )
+from stickslip.analysis.questions.sweep import curves
+from stickslip.analysis.series.nulls import block_steps
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.compare import equivalence_test
+from stickslip.analysis.stats.effects import over_null
+from stickslip.analysis.stats.estimates import Estimate, jackknife_error
+from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import over_blocks, panel
+
+OF_CASCADES, SHARE = True, 0.08
 
 CYCLES = 3.0  # of a block: a motion that takes longer is slow
 LAWS = ("period", "quality", "share")  # numbers whose laws are asked for

@@ -15,16 +15,18 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
+from stickslip.analysis.series.cascades import Law, Window, sizes
 from stickslip.analysis.stats import components, enough
-from stickslip.analysis.stats.cascades import Law, Window, sizes
 from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
 from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, SMOOTHED, panel
+
+OF_CASCADES, SHARE = False, 0.4
 
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 #: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.

@@ -13,11 +13,13 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.models.fates import kaplan_meier, median
+from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
-from stickslip.analysis.stats import parting
-from stickslip.analysis.stats.fates import kaplan_meier, median
-from stickslip.analysis.stats.growth import growth
+from stickslip.analysis.series import parting
 from stickslip.analysis.style import CYCLE, GREY, panel
+
+OF_CASCADES, SHARE = False, 0.3
 
 GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts

@@ -22,13 +22,15 @@ from stickslip.analysis import contrast
 from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
 from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
+from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
-from stickslip.analysis.stats.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
+
+OF_CASCADES, SHARE = False, 0
 
 RISES, FALLS = "rises", "falls"
 IN_MOTION = "share in motion"

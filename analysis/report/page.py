@@ -8,21 +8,21 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import pandas as pd
 from markupsafe import Markup
 
-from stickslip.analysis.answer import F, I, Question, Recipe, S, frame, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, Data, Study
-from stickslip.analysis.questions import OF_CASCADES, QUESTIONS
+from stickslip.analysis.answer import F, I, Recipe, S, frame, records
+from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES, Data, Study
+from stickslip.analysis.questions import QUESTIONS, question
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
+from stickslip.sim.systems.terms import TERMS
 
 MOST_SAID = 3  # answers on the first screen
 _ROWS = 10_000  # of a table that are Python's values at once
@@ -68,10 +68,10 @@ def prepare() -> None:
 
 def ask(study: Study, key: str) -> Answered | None:
     """Put one of `QUESTIONS` to a study; None if it is not asked of such data: one block has no cascades."""
-    if key in OF_CASCADES and (study.data.episodes is not None or (study.data.members["n"] == 1).all()):
+    asked = question(key)
+    if asked.OF_CASCADES and (study.data.episodes is not None or (study.data.members["n"] == 1).all()):
         return None
-    question: Question = import_module(f"stickslip.analysis.questions.{key}")
-    found = question.answer(study)
+    found = asked.answer(study)
     if found is None:
         return None
     figures = {name: draw(recipe) for name, recipe in found.figures.items()}
@@ -187,6 +187,7 @@ def build(
         settings=settings,
         members=len(data.members),
         groups=records(groups),
+        group_columns=group_columns(),
         provenance=provenance,
         made_from=made_from,
     )
@@ -237,6 +238,21 @@ def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
     if "robustness" in keys:
         return ("robustness", "sensitivity")
     return ("cascades", "exponential", "clustering", "fates")
+
+
+def group_columns() -> list[tuple[str, str, str | None]]:
+    """Of the table of groups: heading, column and how its numbers are shown; those that all groups are without go."""
+    titles = {term.name: term.title for term in TERMS}
+    of_system = [name for name in SYSTEM_KEYS if name in titles]
+    return [
+        *((name, name, None) for name in ("group", "coupling")),
+        *((titles[name], name, "g") for name in of_system),
+        ("back slip", "back_slip", None),
+        ("drawn", "drawn", None),
+        *((name, name, "g") for name in ("t_end", *TOLERANCES)),
+        *((name, name, None) for name in ("file", "parameters")),
+        *((name, name, "n") for name in ("members", "matrices", "starts")),
+    ]
 
 
 def groups_table(study: Study) -> pd.DataFrame:

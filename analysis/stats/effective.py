@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.series.cascades import Window
 
 BATCHES = 10
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 

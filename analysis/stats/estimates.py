@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
+from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.cascades import Window
 
 LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.stats.cascades import Law, Window, sums
+from stickslip.analysis.series.cascades import Law, Window, sums
 from stickslip.analysis.stats.estimates import Statistic, correlation_time, gamma, ratio
 
 

@@ -48,7 +48,14 @@ _OF_TERMS = {
     if part
 }
 
-#: In the order of their columns.
+
+def _of_term(part: str) -> Part:
+    """The part that a scene has with a term of that part."""
+    term = next(term for term in TERMS if term.part == part)
+    return Part(f"`{term.table or term.key}` under [system]", _OF_TERMS[part])
+
+
+#: In the order of their columns; of the terms those that are not here come last.
 PARTS = {
     "file": Part(
         '`coupling = "file"` under [system]',
@@ -63,15 +70,15 @@ PARTS = {
     ),
     "graph": Part('`coupling = "chain"`, or another graph, under [system]', _OF_TERMS["graph"]),
     "damping": Part("`damping` under [system], or in its file", _OF_TERMS["damping"], _BY_BLOCK),
-    "static": Part("`static` under [system]", _OF_TERMS["static"]),
-    "mass": Part("`mass` under [system]", _OF_TERMS["mass"]),
+    "static": _of_term("static"),
+    "mass": _of_term("mass"),
     # speeds that differ, or change in time: null in their column
     "belts": Part(
         "a distribution, or times and values, of `belt_speed` under [system], or arrays of a file",
         nulls=("belt_speed", "w0"),
     ),
-    "force": Part("`force` under [system]", _OF_TERMS["force"]),
-    "weakening": Part("`weakening` under [system]", _OF_TERMS["weakening"]),
+    "force": _of_term("force"),
+    "weakening": _of_term("weakening"),
     "back_slip": Part(
         "`back_slip = false` under [system]",
         (Column("text", "back_slip", "barred: no block gets ahead of its belt"),),
@@ -86,6 +93,7 @@ PARTS = {
     ),
     "step": Part('`[[engine]] name = "moreau"`', (Column("number", "step", "longest step (moreau)"),)),
 }
+PARTS |= {part: _of_term(part) for part in _OF_TERMS if part not in PARTS}
 
 
 def _of_engines() -> Iterator[Column]:

@@ -13,30 +13,17 @@ from itertools import pairwise, product
 import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
+from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm
+from stickslip.analysis.models.episodes import DRIVE, OCCUPANCY, Catalogue
 from stickslip.analysis.questions.robustness import BOUND
-from stickslip.analysis.stats import (
-    clustering,
-    compare,
-    components,
-    counting,
-    dispersion,
-    effective,
-    enough,
-    fates,
-    growth,
-    laws,
-    multiplicity,
-    pool,
-    rhythm,
-)
-from stickslip.analysis.stats.cascades import Law, Window, sizes, sums, window
-from stickslip.analysis.stats.cascades import laws as cascade_laws
+from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
+from stickslip.analysis.series.cascades import laws as cascade_laws
+from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
+from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.episodes import DRIVE, OCCUPANCY, Catalogue
 from stickslip.analysis.stats.estimates import LN2, Estimate, correlation_time, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
-from stickslip.analysis.stats.nulls import DRAWS, BlockSteps, rotations
 from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95
@@ -634,7 +621,7 @@ def equivalence_study(rng, ensembles):
                 base, changed = rng.gamma(1 / within**2, within**2, (2, MATRICES)) * own
                 sums = [np.column_stack([values, np.ones(MATRICES)]) for values in (base, changed * (1 + true))]
                 test = compare.equivalence_test(*compare.relative_difference(ratio, *sums, True), margin)
-                told = compare.verdict(test.p_equivalent, test.p_different, 1 - CONFIDENCE)
+                told = test.verdict(CONFIDENCE)
                 false += told == (compare.AGREE if true else compare.DIFFER)
             row = f"{name} by {true:g}, margin {margin:g}"
             yield Row("equivalence", row, true, np.nan, np.nan, 1 - false / ensembles, ensembles)

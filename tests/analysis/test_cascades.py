@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stickslip.analysis import Law, laws, sample, sizes, window
-from stickslip.analysis.stats.cascades import spans, sums
+from stickslip.analysis.series.cascades import spans, sums
 
 EVENTS = Law("events")
 # Change points counted by hand. Steps: -1 -1 | +1 | -1 0 -1 | +2 | -3 | +1 | -1 (cut)

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import Law, over_matrices, sizes, window
-from stickslip.analysis.stats.cascades import Window, laws
+from stickslip.analysis.series.cascades import Window, laws
+from stickslip.analysis.series.nulls import BlockSteps, block_steps, rotated, rotations
 from stickslip.analysis.stats.estimates import LN2, gamma
-from stickslip.analysis.stats.nulls import BlockSteps, block_steps, rotated, rotations
 from tests.chance import SURE, agrees
 
 EVENTS = Law("events")

@@ -9,14 +9,14 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.models import counting, pool
 from stickslip.analysis.questions import cascades
 from stickslip.analysis.questions import counting as question
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import plain
-from stickslip.analysis.stats import counting, pool
-from stickslip.analysis.stats.cascades import Window
+from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import LN2
-from stickslip.analysis.stats.nulls import BlockSteps
 from tests.analysis import studies
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -5,7 +5,7 @@ import secrets
 import numpy as np
 import pytest
 
-from stickslip.analysis.stats.cycles import period, slope
+from stickslip.analysis.series.cycles import period, slope
 
 
 @pytest.mark.parametrize("length", [1, 2, 7])

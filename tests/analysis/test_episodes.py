@@ -9,9 +9,7 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis import catalogue as as_catalogue
-from stickslip.analysis.questions import engines, episodes, sweep
-from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.episodes import (
+from stickslip.analysis.models.episodes import (
     DRIVE,
     FANO,
     FITTED,
@@ -26,6 +24,8 @@ from stickslip.analysis.stats.episodes import (
     in_classes,
     laws_of_moments,
 )
+from stickslip.analysis.questions import engines, episodes, sweep
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
 from tests.chance import ERRORS, SURE, agrees

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stickslip.analysis import Data, Study
+from stickslip.analysis.models import pool
 from stickslip.analysis.questions import exponential
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats import pool
 from tests.analysis import studies
 from tests.chance import ERRORS, agrees
 

@@ -8,11 +8,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study, build
-from stickslip.analysis.questions.fates import answer
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
-from stickslip.analysis.stats.compare import wilson
-from stickslip.analysis.stats.fates import (
+from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
     LULL,
@@ -24,6 +20,10 @@ from stickslip.analysis.stats.fates import (
     kaplan_meier,
     median,
 )
+from stickslip.analysis.questions.fates import answer
+from stickslip.analysis.report.formats import environment
+from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
+from stickslip.analysis.stats.compare import wilson
 from tests.analysis import studies
 
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis.stats import laws
+from stickslip.analysis.models import laws
 from stickslip.analysis.stats.estimates import Undefined
 from tests.analysis import studies
 from tests.chance import agrees

@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.models import rhythm
 from stickslip.analysis.questions import rhythm as question
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats import rhythm
+from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.nulls import BlockSteps
 from tests.analysis import studies
 from tests.chance import ERRORS, agrees
 

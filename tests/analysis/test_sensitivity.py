@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.models.fates import kaplan_meier, median
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats import parting
-from stickslip.analysis.stats.fates import kaplan_meier, median
+from stickslip.analysis.series import parting
 
 T_END = 1000.0
 

@@ -6,20 +6,11 @@ import secrets
 import numpy as np
 import pytest
 
-from stickslip.analysis.stats import (
-    clustering,
-    components,
-    dispersion,
-    effective,
-    effects,
-    enough,
-    growth,
-    multiplicity,
-    pool,
-)
-from stickslip.analysis.stats.cascades import window
+from stickslip.analysis.models import clustering, growth, pool
+from stickslip.analysis.series.cascades import window
+from stickslip.analysis.series.nulls import BlockSteps
+from stickslip.analysis.stats import components, dispersion, effective, effects, enough, multiplicity
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import BlockSteps
 from tests.analysis import studies
 
 # ----------------------------------------------------------------------------------- dispersion and the pool

@@ -6,6 +6,7 @@ import doctest
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -22,9 +23,9 @@ import scipy.io
 import scipy.sparse
 
 from stickslip.analysis.ensemble import OUTCOMES
+from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.fates import fate
 from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble
 from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
@@ -243,8 +244,63 @@ def test_the_tolerances_are_those_that_are_picked():
 # ---------------------------------------------------------------------------------------------- extending
 
 
+@pytest.fixture
+def tree(tmp_path):
+    """A copy of the source, to add to, and how to run Python there."""
+    shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)
+    for folder in ("sim", "pipeline", "analysis", "workflows"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def python(*arguments):
+        done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return tmp_path, python
+
+
+def test_a_term_is_a_row(tree):
+    """What follows from it, but the physics, which the guide does not have."""
+    root, python = tree
+    file, end = root / "sim" / "systems" / "terms.py", "\n)\n\n#: The arguments"
+    file.write_text(file.read_text().replace(end, f"\n{blocks(page('extending'), 'python')[0].strip()},{end}", 1))
+    keys = python("-m", "stickslip", "schema", "--keys")
+    assert "system.drag" in keys
+    assert "drag of every block, a force -drag |w| w" in keys
+    swept = (root / "workflows" / "scenes" / "quick.toml").read_text().replace("friction = 1.0", "drag = [0.1, 0.2]")
+    (root / "mine.toml").write_text(swept)
+    show = """
+from stickslip.analysis.ensemble import SYSTEM_KEYS
+from stickslip.analysis.report.page import group_columns
+from stickslip.pipeline import expand, load_scene
+from stickslip.pipeline.scene.columns import Recording
+from stickslip.pipeline.scene.systems import BY_BLOCK
+
+members = expand(load_scene("mine.toml"))
+known = SYSTEM_KEYS, BY_BLOCK, {one for _, one, _ in group_columns()}, {one.term("drag") for one in members}
+columns = {one.name: one.words for one in Recording.of(load_scene("mine.toml")).columns}
+print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"], members[0].member_id)
+"""
+    said = python("-c", show)
+    assert said.startswith("True True True [0.1, 0.2] drag of every block; null if drawn n20-m000-drag=0.1-")
+
+
+def test_a_record_is_a_file_and_a_line(tree):
+    root, python = tree
+    (root / "pipeline" / "records" / "largest.py").write_text(blocks(page("extending"), "python")[1])
+    file, before = root / "pipeline" / "records" / "__init__.py", "from stickslip.pipeline.records.outcome"
+    text = file.read_text().replace(before, f"from stickslip.pipeline.records.largest import Largest\n{before}")
+    file.write_text(text.replace("    Thresholds,\n)", "    Thresholds,\n    Largest,\n)"))
+    scene = (ROOT / "workflows" / "scenes" / "quick.toml").read_text()
+    (root / "mine.toml").write_text(scene.replace("[record]", "[record]\nlargest = true\n#"))
+    python("-m", "stickslip", "run", "mine.toml", "--out", "out", "--no-report", "--workers", "1")
+    asked = "SELECT min(largest) > 0 AS is_there, count(largest) AS n FROM members"
+    assert python("-m", "stickslip", "query", "out", asked).split()[-2:] == ["True", "16"]
+    assert "record.largest" in python("-m", "stickslip", "schema", "--keys")
+
+
 def test_a_coupling_is_one_line(monkeypatch):
-    line = blocks(page("extending"), "python")[0]
+    line = blocks(page("extending"), "python")[2]
     new = eval(f"{{{line}}}", vars(couplings) | {"scipy": scipy})
     ((name, coupling),) = new.items()
     monkeypatch.setitem(couplings.COUPLINGS, name, coupling)
@@ -260,7 +316,7 @@ def test_a_coupling_is_one_line(monkeypatch):
 
 def test_a_question_is_a_file_and_a_template(first):
     study = study_of(str(first / "runs" / "mine"))
-    found = run_python("extending", 1)["answer"](study)
+    found = run_python("extending", 3)["answer"](study)
     words = environment().from_string(blocks(page("extending"), "jinja")[0]).module
     assert len(found.tables["pauses"]) == sum(group.n_runs for group in study.groups) > 0
     assert "The longest pause of a run is" in words.answer(found.facts)
@@ -270,7 +326,7 @@ def test_a_question_is_a_file_and_a_template(first):
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
-    (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[2])
+    (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[4])
     (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
     (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])
     monkeypatch.syspath_prepend(tmp_path)
@@ -285,7 +341,7 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
 
 
 def test_an_engine_is_a_class_with_its_settings(monkeypatch):
-    engine = run_python("extending", 3)["FixedStep"]
+    engine = run_python("extending", 5)["FixedStep"]
     monkeypatch.setitem(ENGINES, engine.name, engine)
     system = draw_system("antisymmetric", 5, 3)
     run = simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", eps=0.1, step=0.001, t_eval=[1.0, 2.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.stats.cascades import spans, window
+from stickslip.analysis.series.cascades import spans, window
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from tests.scenes import COULOMB, SIGMOID, ensemble
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.stats import cycles
+from stickslip.analysis.series import cycles
 from stickslip.analysis.stats.estimates import over_matrices, ratio
 from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
 from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers

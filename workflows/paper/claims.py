@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stickslip import sim
-from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.questions.exponential import MARGIN as FORM
-from stickslip.analysis.questions.robustness import BOUND
-from stickslip.analysis.stats import components
-from stickslip.analysis.stats.compare import Words
-from stickslip.analysis.stats.compare import verdict as compared
-from stickslip.analysis.stats.enough import LEAST_MATRICES
-from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
-from stickslip.analysis.stats.estimates import gamma as law_gamma
-from stickslip.analysis.stats.fates import (
+from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
     FAILED,
@@ -31,6 +22,15 @@ from stickslip.analysis.stats.fates import (
     kaplan_meier,
     median,
 )
+from stickslip.analysis.questions.cascades import PAPER_GAMMA
+from stickslip.analysis.questions.exponential import MARGIN as FORM
+from stickslip.analysis.questions.robustness import BOUND
+from stickslip.analysis.stats import components
+from stickslip.analysis.stats.compare import Words
+from stickslip.analysis.stats.compare import verdict as compared
+from stickslip.analysis.stats.enough import LEAST_MATRICES
+from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import gamma as law_gamma
 from stickslip.workflows.charts.claims import (
     CONFIDENCE,
     CONTRADICTED,

@@ -14,8 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
+from stickslip.analysis.models import fates
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.stats import cascades, dispersion, estimates, fates
+from stickslip.analysis.series import cascades
+from stickslip.analysis.stats import dispersion, estimates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis
 from stickslip.workflows.charts.claims import CONFIDENCE, Claim
 from stickslip.workflows.paper.runs import Exits, Path

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from stickslip import sim
-from stickslip.analysis.stats.fates import is_all_slip
-from stickslip.analysis.stats.nulls import block_steps
+from stickslip.analysis.models.fates import is_all_slip
+from stickslip.analysis.series.nulls import block_steps
 from stickslip.pipeline.ensemble.member import MATRIX, PERTURBATION
 from stickslip.pipeline.machine.processes import Child
 from stickslip.pipeline.scene.engine_table import TOLERANCES

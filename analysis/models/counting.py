@@ -2,7 +2,7 @@
 
     gamma / ln 2 - 1 = counting + habits + coupling
 
-    counting    pool - coin          as many blocks without memory: finitely many can let go (`stats.pool`)
+    counting    pool - coin          as many blocks without memory: finitely many can let go (`models.pool`)
     habits      rotation - pool      the runs' own blocks, which have memory and differ, but ignore each other
     coupling    runs - rotation      what turning each block's series in time breaks (`nulls.rotated`)
 
@@ -20,10 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stickslip.analysis.stats import estimates, pool
-from stickslip.analysis.stats.cascades import Law, Window, sums
+from stickslip.analysis.models import pool
+from stickslip.analysis.series.cascades import Law, Window, sums
+from stickslip.analysis.series.nulls import BlockSteps, rotations
+from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import LN2, Statistic, ratio
-from stickslip.analysis.stats.nulls import BlockSteps, rotations
 
 LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
 EVENTS = Law("events")

@@ -4,13 +4,13 @@
 model              kept                                     broken
 =================  =======================================  =============================================
 fair order         nothing                                  all: exits and entries by the toss of a coin
-finite pool        number of blocks, mean n_stick           all else: blocks with constant rates (`stats.pool`)
+finite pool        number of blocks, mean n_stick           all else: blocks with constant rates (`models.pool`)
 rotation           each block's own series of events        the blocks' timing relative to each other
 =================  =======================================  =============================================
 
 Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`). The finite pool has gamma by `events` in
 closed form too. Rotation is simulated. It is the null of "no coupling": it keeps that a block cannot let go twice
-without having stuck in between, and the block's own rhythm. `stats.pool` says which null answers which question.
+without having stuck in between, and the block's own rhythm. `models.pool` says which null answers which question.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.stats import cascades
-from stickslip.analysis.stats.cascades import Law, Window
+from stickslip.analysis.series import cascades
+from stickslip.analysis.series.cascades import Law, Window
 
 #: Rotations of each run at most. They scatter as the run does, so d of them add a share of 1 / d to the variance of a
 #: difference from chance: 10 widen intervals by 5%. The intervals contain it, each matrix being set against its own.

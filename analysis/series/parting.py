@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stickslip.analysis.stats.cascades import sample
+from stickslip.analysis.series.cascades import sample
 
 SPAN = 20.0
 SHARE = 0.5

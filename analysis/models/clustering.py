@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
+from stickslip.analysis.series.nulls import BlockSteps, in_order
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.nulls import BlockSteps, in_order
 
 POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
 SAMPLES = 4096  # of a window: periods from a thousandth of it on are free of aliases

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
+from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
-from stickslip.analysis.stats.nulls import BlockSteps
 
 SWINGING = 0.5  # quality above which a damped oscillator swings
 QUALITIES = (0.2, 20.0)  # those that are looked for

@@ -1,0 +1,61 @@
+"""Every term of the table has its column, its groups and its heading: else a sweep pools its values."""
+
+import pytest
+
+from stickslip.analysis.ensemble import SYSTEM_KEYS
+from stickslip.analysis.report.page import group_columns
+from stickslip.pipeline import expand, parse_scene, query, run_ensemble
+from stickslip.sim.systems.terms import TERMS
+from stickslip.workflows.reporting import study_of
+
+#: What a scene says beside a term, where a chain of blocks without static friction does not do.
+BESIDE = {
+    "degree": 'coupling = "network"',
+    "rho": 'coupling = "full"',
+    "force_amplitude": "force = {frequency = 1.0, amplitude = VALUE}",
+    "force_frequency": "force = {amplitude = 0.5, frequency = VALUE}",
+    "force_phase": "force = {amplitude = 0.5, frequency = 1.0, phase = VALUE}",
+    "weakening_rate": 'weakening = {law = "rational", rate = VALUE}',
+    "weakening_speed": 'static = 1.3\nweakening = {law = "stribeck", speed = VALUE}',
+    "static": "friction = 0.5\nstatic = VALUE",
+}
+
+
+def scene(term, value):
+    beside = BESIDE.get(term.name, "")
+    lines = beside if "VALUE" in beside else f"{beside}\n{term.key} = VALUE"
+    coupling = "" if "coupling" in lines else 'coupling = "chain"\n'
+    return parse_scene(
+        f"[system]\n{coupling}n = 5\n{lines.replace('VALUE', value)}\n"
+        '[start]\nz = 0.1\nw = "belt"\n[run]\nt_end = 4.0\nmatrices = 2\n[[engine]]\nname = "coulomb"\ntol = 1e-6\n'
+        "[analysis]\nt_burn = 1.0\ndt = [0.5]\n".encode()
+    )
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
+def test_a_swept_term_has_its_column_its_ids_and_its_groups(term, tmp_path):
+    swept = scene(term, "[0.7, 0.9]")
+    members = expand(swept)
+    assert [member.term(term.name) for member in members] == [0.7, 0.9] * 2
+    assert all(f"-{term.name}=" in member.member_id for member in members)
+    run_ensemble(swept, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert table[term.name].tolist() == [0.7, 0.9] * 2
+    assert query.table(tmp_path / "out").schema.field(term.name).metadata[b"description"].decode() == term.described
+    groups = study_of(str(tmp_path / "out")).groups
+    assert {group.key[term.name] for group in groups} == {0.7, 0.9}
+    assert term.name in SYSTEM_KEYS
+    assert term.name in {column for _, column, _ in group_columns()}
+
+
+@pytest.mark.parametrize("term", [term for term in TERMS if term.draws], ids=lambda term: term.name)
+def test_a_drawn_term_has_numbers_of_its_own_for_each_block(term):
+    """By a purpose of its own: no two terms share their draws."""
+    (first, _), drawn = expand(scene(term, "{uniform = [0.7, 0.9]}")), {}
+    for other in TERMS:
+        if other.draws and other.name != term.name:
+            (same, _) = expand(scene(other, "{uniform = [0.7, 0.9]}"))
+            drawn[other.name] = same.term(other.name).draw(same._seed(other.purpose), 5).tolist()
+    assert first.row()[term.name] is None
+    assert f"{term.name} = uniform(0.7, 0.9)" in first.drawn
+    assert first.term(term.name).draw(first._seed(term.purpose), 5).tolist() not in drawn.values()
