@@ -82,9 +82,9 @@ def growth(
         d = np.asarray(distance)[len(times) - len(t) :]
         inside[k, : len(d)] = (d > bounds[0]) & (d < bounds[1])
         log[k, : len(d)] = np.log(np.where(inside[k, : len(d)], d, 1.0))
-        first = int(np.argmin(inside[k])) if not inside[k].all() else len(t)
+        first = int(np.cumprod(inside[k], dtype=np.int64).sum())
         at_floor[k] = first < len(d) and d[first] <= bounds[0]
-    length = np.where(inside.all(axis=1), len(t), np.argmin(inside, axis=1))
+    length = np.cumprod(inside, axis=1, dtype=np.int64).sum(axis=1)  # up to the first that is outside
     needed = max(int(np.searchsorted(t, t_from + least, side="right")), LEAST_POINTS)
     kept = length >= needed
     n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))

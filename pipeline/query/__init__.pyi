@@ -1,7 +1,6 @@
 from .database import answer as answer
 from .database import sql as sql
 from .frames import QueryError as QueryError
-from .frames import Recorded as Recorded
 from .frames import all_events as all_events
 from .frames import by_threshold as by_threshold
 from .frames import dask_members as dask_members

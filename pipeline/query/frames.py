@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "QueryError",
-    "Recorded",
     "all_events",
     "by_threshold",
     "dask_members",

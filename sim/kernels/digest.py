@@ -1,4 +1,7 @@
-"""The sources of `sim`, by which the kernels compiled from them are known, without loading numba."""
+"""The sources of `sim`, by which the kernels compiled from them are known, without loading numba.
+
+`sim/theory` is none of them: it explains, and nothing that computes a run needs it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ _SOURCES = Path(__file__).parent.parent
 def source_digest(*others: Path) -> str:
     """Digest of the sources of ``sim`` and of some others, as this process loaded them: the same compute the same."""
     digest = hashlib.sha256()
-    for source in (*sorted(_SOURCES.rglob("*.py")), *others):
+    own = sorted(source for source in _SOURCES.rglob("*.py") if source.parent.name != "theory")
+    for source in (*own, *others):
         digest.update(f"{source.parent.name}/{source.name}".encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -6,6 +6,7 @@ import pytest
 
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.models.fates import kaplan_meier, median
+from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
@@ -113,6 +114,13 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     assert row["rate"] == pytest.approx(rate, abs=0.002)
     assert row["verdict"] == verdict
     assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
+
+
+def test_runs_too_short_for_a_rate_have_none():
+    """All of them end before the range in which rates are taken."""
+    times = np.arange(10.0)
+    found = growth(times, [1e-6 * np.exp(0.1 * times)] * 3, [0, 1, 2], 100.0, 100.0, (1e-9, 1e-2), 0.95)
+    assert (found.rate.value, found.rate.reason) == (None, "no pair in range")
 
 
 def test_displacements_below_the_errors_of_a_smoothed_law_tell_nothing(rng, planted, settings):

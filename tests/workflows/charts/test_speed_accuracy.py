@@ -113,7 +113,11 @@ def test_the_jacobian_times_a_vector_is_the_jacobian():
     np.testing.assert_allclose(product, equations.jacobian(0.0, y) @ direction, rtol=1e-13)
 
 
-@pytest.mark.parametrize("method", PEERS, ids=lambda method: method.name)
+#: It compiles for ten seconds.
+_SLOW = {"CyRK DOP853": pytest.mark.long}
+
+
+@pytest.mark.parametrize("method", [pytest.param(one, marks=_SLOW.get(one.name, ()), id=one.name) for one in PEERS])
 def test_every_method_solves_the_same_equations(method):
     """Against the sigmoid engine's neighbour in the list: two codes that share nothing agree at a tight tolerance."""
     problem = problem_of_three()
