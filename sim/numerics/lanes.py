@@ -215,8 +215,8 @@ def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
     """A formula on rows of a table, for kernels.
 
     ``f(table, column, given)`` works on `WIDTH` columns from this one on. What is given is a table of numbers, or an
-    empty named tuple, which the formula then gets the class of, and is compiled for. If the formula gives a condition,
-    that is returned as a number whose lowest bits are those of the lanes.
+    empty named tuple: the formula then gets its class, and can emit code for it alone. If the formula gives a
+    condition, this returns the number in which bit k says whether that holds in column k, `ALL` if in all of them.
     """
 
     @intrinsic

@@ -56,7 +56,7 @@ def _rows(rows: int | slice) -> property:
     return property(get, assign)
 
 
-class Named(types.Type):  # type: ignore[misc]
+class Named(types.Type):
     """A table in a kernel."""
 
     def __init__(self, table: type[Table], array: Any) -> None:
@@ -65,27 +65,28 @@ class Named(types.Type):  # type: ignore[misc]
 
 
 @register_model(Named)
-class _NamedModel(models.StructModel):  # type: ignore[misc]
+class _NamedModel(models.StructModel):
     def __init__(self, manager: Any, kind: Named) -> None:
-        super().__init__(manager, kind, [("array", kind.array)])
+        super().__init__(manager, kind, [("array", kind.array)])  # type: ignore[no-untyped-call]
 
 
 @infer_getattr
-class _RowsOfNamed(AttributeTemplate):  # type: ignore[misc]
+class _RowsOfNamed(AttributeTemplate):
     key = Named
 
-    def generic_resolve(self, kind: Named, name: str) -> Any:
+    def generic_resolve(self, kind: Named, name: str) -> Any:  # type: ignore[override]
         if name in kind.table.places:
             return types.Array(kind.array.dtype, 2 if kind.table.places[name][1] else 1, "C")
         return None
 
 
-@lower_getattr_generic(Named)
+@lower_getattr_generic(Named)  # type: ignore[untyped-decorator]
 def _row(context: Any, builder: Any, kind: Named, value: Any, name: str) -> Any:
     first, count = kind.table.places[name]
     whole = make_array(kind.array)(context, builder, builder.extract_value(value, 0))
-    columns, (row_bytes, bytes_a_number) = cgutils.unpack_tuple(builder, whole.shape)[1], cgutils.unpack_tuple(
-        builder, whole.strides
+    columns, (row_bytes, bytes_a_number) = (
+        cgutils.unpack_tuple(builder, whole.shape)[1],
+        cgutils.unpack_tuple(builder, whole.strides),
     )
     data = builder.gep(whole.data, [builder.mul(columns, context.get_constant(types.intp, first))])
     shape, strides = [columns], [bytes_a_number]
@@ -99,14 +100,12 @@ def _row(context: Any, builder: Any, kind: Named, value: Any, name: str) -> Any:
 def named(table: type[Table]) -> Callable[..., Any]:
     """For kernels, ``f(array)``: the array by these names. Its rows are arrays, and cost nothing to make."""
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def apply(typing_context, array):  # type: ignore[no-untyped-def]
         kind = Named(table, array)
 
         def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            return builder.insert_value(
-                cgutils.get_null_value(context.get_value_type(kind)), arguments[0], 0
-            )
+            return builder.insert_value(cgutils.get_null_value(context.get_value_type(kind)), arguments[0], 0)
 
         return kind(array), codegen
 

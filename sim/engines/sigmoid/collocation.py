@@ -60,7 +60,7 @@ def _allowed(block: Any, law: Law) -> Lane:
 
 
 def _newton(block: Any, law: Law) -> Lane:
-    """One iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0. Gives the mask of those done."""
+    """One iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0. Gives who is done."""
     h, u0, steep, mu, done = block.h, block.u0, block.steep, block.friction, block.done
     stages = range(STAGES)
     u, f = block.u, block.f

@@ -1,7 +1,8 @@
-"""The control of steps: every constant that lengths of steps and errors depend on, and how a step follows from the last.
+"""The control of steps: all constants that their lengths and errors depend on, and how one follows from the last.
 
-A constant without a unit is a share or a number. Where nothing else is said it is a choice within the usual range,
-held, with all others, against methods of high order on random systems (`tests/sim/test_sigmoid_accuracy.py`).
+A constant without a unit is a share or a number. Where nothing else is said, it was not measured alone: all together
+are held against a method of order 13 on random systems (`tests/sim/test_sigmoid_accuracy.py`; the figures are in
+`docs/guide/sigmoid-engine.md`).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from stickslip.sim.numerics.radau import STAGES
 
 #: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
 CALIBRATION = 5.0
-#: A substep has the tolerance SUBSTEP tol^POWER, which over tol is the safety factor: superconvergence makes the error
-#: at its end far less than that of the polynomial.
+#: A substep has the tolerance SUBSTEP tol^POWER, over tol the safety factor: superconvergence makes the error at its
+#: end far less than that of the polynomial.
 SUBSTEP, POWER = 3.0, 0.85
 #: The share of tolerance that K in single precision may cost in w.
 SINGLE_SHARE = 0.05

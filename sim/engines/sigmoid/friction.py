@@ -68,8 +68,8 @@ SHAPES: dict[Law, Callable[[Lane], tuple[Lane, Lane]]] = {Rational: _rational, E
 def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: Lane) -> tuple[Lane, Lane]:
     """s(tanh x) (f + (1 - f) S(b |x|)), and its derivative; on a side that is closed, its tangent at x = 0.
 
-    f is `far`, b is `weakening`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows with
-    the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
+    f is `far`, b is `weakening`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows
+    with the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
     """
     value, slope = peaked_sign(x, c)
     if law in SHAPES:

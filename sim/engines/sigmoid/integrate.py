@@ -1,4 +1,4 @@
-"""A run of the engine `sigmoid`: the model and the workspace of its kernels, from a system and the engine's settings."""
+"""A run of the engine `sigmoid`: the model and workspace of its kernels, from a system and the engine's settings."""
 
 from __future__ import annotations
 
@@ -97,7 +97,8 @@ class _Prepared:
         self.tasks, self.engine = tasks, engine
         systems = self.systems = [task.system for task in tasks]
         system = systems[0]  # where it is not plain, it is the only one
-        layer, inside = self.layer, self.inside = _Layer.of(system, engine), _Inside.of(engine)
+        layer = self.layer = _Layer.of(system, engine)
+        self.inside = _Inside.of(engine)
         self.allowed = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
         self.by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
         self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
@@ -154,9 +155,7 @@ class _Prepared:
         work = Workspace.of(self.tables[k], self.modes[k], drive.outside is not None, n_substeps)
         work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
-        model = Model(
-            self.layer.law, *self.matrices[k], drive.outside, self.bands[k], self.borne[k], self.by_force
-        )
+        model = Model(self.layer.law, *self.matrices[k], drive.outside, self.bands[k], self.borne[k], self.by_force)
         collapse = certificates.Collapse(system, self.allowed[k], self.smoothed(system.fastest_belt, self.widest[k]))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
         rate = limits.single_rate(self.pulls[k])
@@ -254,7 +253,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
 
 
 def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
-    """The x at which a law that weakens with the speed of slip has its peak; infinite where that counts for nothing."""
+    """The x at which a law that weakens with speed has its peak; infinite where that counts for nothing."""
     assert system.weakening is not None
     near, far = system.slip_friction
     low, high = np.zeros(system.n), np.full(system.n, 20.0)
@@ -289,8 +288,9 @@ def _matrices(systems: Sequence[System]) -> list[tuple[Matrix, Matrix, bool]]:
             kept = _matrix(system.stiffness), _NONE if cross is None else _matrix(cross), cross is not None
             _MATRICES[system] = kept
         return [_MATRICES[system]]
-    dense, single, *no_rows = _matrix(np.array([one.stiffness for one in systems]))
-    return [(Matrix(dense[k], single[k], *no_rows), _NONE, False) for k in range(len(systems))]
+    of_all = _matrix(np.array([one.stiffness for one in systems]))
+    dense, single = of_all.panels, of_all.single_panels
+    return [(of_all._replace(panels=dense[k], single_panels=single[k]), _NONE, False) for k in range(len(systems))]
 
 
 def _matrix(matrix: Any) -> Matrix:

@@ -1,6 +1,6 @@
 """What the kernels work on: the numbers of each block by name, what a run keeps constant, and what changes.
 
-Shapes are for n blocks, p of them a multiple of the width of vectors, m definitions of sticking; a step has five nodes.
+Shapes are for n blocks, p = n rounded up to whole vectors, m definitions of sticking; a step has five nodes.
 """
 
 from __future__ import annotations

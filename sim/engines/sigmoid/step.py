@@ -29,7 +29,7 @@ from stickslip.sim.numerics.roots import horner
 _products, _single_products = products(STAGES), products(STAGES, single=True)
 
 
-@inner
+@inner(inlined=True)
 def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
     """Begin a macro step at the end of the one that is kept: F and u at the nodes, and who takes substeps anyway."""
     block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
@@ -129,7 +129,7 @@ def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
     return largest(block.moved[:n]), largest(block.tail[:n])
 
 
-@inner
+@inner(inlined=True)
 def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
     """Solve the blocks, and F from them, until F has converged.
 
@@ -160,7 +160,7 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
             break
         is_last = iteration > 0 and moved * now < enough
         last, contraction = moved, now
-    return Found(converged, tail, contraction, n_substeps)
+    return Found(converged, tail, contraction, n_substeps)  # type: ignore[arg-type]
 
 
 @inner
@@ -230,7 +230,10 @@ def advance(model, work, control, state, events, bound, watch):  # type: ignore[
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:
                 return loop.PAUSED, n_recorded
-            n_left, may_grow = loop.STEPS_A_SLICE, True  # as a slice begins: the result does not depend on the slicing
+            n_left, may_grow = (
+                loop.STEPS_A_SLICE,
+                True,
+            )  # as a slice begins: the result does not depend on the slicing
         h = next_step(control, clock)
         _predict_step(model, work, clock, h)
         found = _solve_waveform(model, work, control, clock, counters, h)

@@ -30,7 +30,7 @@ def _split(work, first, accepted, n_split, anew):  # type: ignore[no-untyped-def
     return n_split
 
 
-@inner
+@inner(inlined=True)
 def _in_one_step(law, work):  # type: ignore[no-untyped-def]
     """All blocks in one step; returns how many are listed for substeps, those marked before among them."""
     block, n = blocks(work.table), len(work.is_split)
@@ -59,7 +59,7 @@ def probe_blocks(law, work, n_split):  # type: ignore[no-untyped-def]
     return n_split
 
 
-@inner
+@inner(inlined=True)
 def solve_blocks(model, work, h, is_last):  # type: ignore[no-untyped-def]
     """Solve every block on a macro step, F at the nodes given.
 
