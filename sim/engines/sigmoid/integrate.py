@@ -124,7 +124,7 @@ class _Prepared:
         changes = np.abs(np.array([w, block.damping * (w - v) + pull, [one.friction for one in systems]]))
         self.fastest, self.widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
         self.pulls, self.matrices = block.row_sum.max(axis=1).tolist(), _matrices(systems)
-        self.smoothed = cache(self._smoothed)
+        self.smoothed = cache(partial(_smoothed, layer))  # it does not hold this, or all would wait for the collector
 
     def _fill_in_the_law(self, block: Blocks, near: Floats, far: Floats) -> None:
         """What formulas need of the smoothed law."""
@@ -139,10 +139,6 @@ class _Prepared:
             block.far = np.divide(far, near, out=np.ones_like(near), where=near > 0)
         # how deep in the layer friction differs from kinetic by what counts
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
-
-    def _smoothed(self, speed: float, widest: float) -> certificates.Smoothed:
-        """The law as certificates have it, under a belt of that |v|; `widest` is the largest band of all."""
-        return certificates.Smoothed(speed, self.layer.delta, self.layer.hidden, float(self.layer.band.max()), widest)
 
     def run(self, k: int) -> Run:
         """Run the task k."""
@@ -181,6 +177,11 @@ class _Prepared:
             thresholds=engine.thresholds,
             go_on=lambda: _go_on(system, drive, state, work, atol),
         )
+
+
+def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
+    """The law as certificates have it, under a belt of that |v|; `widest` is the largest band of all."""
+    return certificates.Smoothed(speed, layer.delta, layer.hidden, float(layer.band.max()), widest)
 
 
 def _jumped(state: loop.State, work: Workspace) -> None:
