@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive, Outside
+from stickslip.sim.engines.watch import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
@@ -140,6 +141,21 @@ class State(NamedTuple):
         clock = np.array([0.0, check, check, *clocks])
         samples = Room(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
+
+
+@inner
+def is_check_due(clock, mode):  # type: ignore[no-untyped-def]
+    """Whether the pre-check of collapse is due, if all blocks slip as the first."""
+    return mode[0] != 0 and clock[TIME] > clock[CHECK + (mode[0] > 0)]
+
+
+@inner
+def may_collapse(state, mode, watch):  # type: ignore[no-untyped-def]
+    """Whether Python is to certify a collapse; if not, when the next pre-check is due is noted."""
+    later = too_far(watch, state.z, state.w, mode[0])
+    if later != 0.0:
+        state.clock[CHECK + (mode[0] > 0)] = state.clock[TIME] + later
+    return later == 0.0
 
 
 @inner

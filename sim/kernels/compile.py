@@ -152,16 +152,19 @@ def _warn_uncached(error: OSError) -> None:
     )
 
 
-def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
+def inner(function: Callable[..., Any] | None = None, *, counts: bool = False, inlined: bool = False) -> Any:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
     It becomes part of each `kernel` that needs it: no wrapper for Python, no machine code and no file of its own,
-    which take time.
+    which take time. What is called in one place with large tuples may be `inlined` there: else LLVM, which does not
+    know that the place is the only one, passes each of their arrays by its parts.
     """
     if function is None:
-        return partial(inner, counts=counts)
+        return partial(inner, counts=counts, inlined=inlined)
     no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    compiled = _jit(**_POLICY, **no_wrappers, _nrt=counts, pipeline_class=_PartCompiler)(function)
+    compiled = _jit(**_POLICY, **no_wrappers, _nrt=counts, forceinline=inlined, pipeline_class=_PartCompiler)(
+        function
+    )
     template = compiled.get_call_template
     # numba would compile it for each number that is written out in a call
     compiled.get_call_template = lambda args, kws: template([unliteral(kind) for kind in args], kws)

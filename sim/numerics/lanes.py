@@ -16,6 +16,8 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from stickslip.sim.numerics.tables import Named
+
 #: Numbers side by side: four float64 fill a register of AVX2.
 WIDTH = 4
 ALL = 2**WIDTH - 1
@@ -155,49 +157,64 @@ def exponential(x: Lane) -> Lane:
 
 
 class Rows:
-    """The rows of a table at some columns, as a formula reads and writes them."""
+    """The rows of a table at some columns, by name, as a formula reads and writes them: a list, if one a node."""
 
-    def __init__(self, context: Any, builder: Any, table_type: Any, table: Any, column: Any) -> None:
-        array = context.make_array(table_type)(context, builder, table)
-        self._builder, self._data = builder, array.data
-        self._stride, self._column = cgutils.unpack_tuple(builder, array.shape)[1], column
+    def __init__(self, context: Any, builder: Any, kind: Named, table: Any, column: Any) -> None:
+        array = context.make_array(kind.array)(context, builder, builder.extract_value(table, 0))
+        vars(self).update(
+            _places=kind.table.places,
+            _builder=builder,
+            _data=array.data,
+            _stride=cgutils.unpack_tuple(builder, array.shape)[1],
+            _column=column,
+        )
 
-    def _place(self, row: int) -> Any:
+    def _at(self, row: int) -> Any:
         index = self._builder.add(self._builder.mul(self._stride, _INTEGER(row)), self._column)
         return self._builder.bitcast(
             self._builder.gep(self._data, [index]), ir.VectorType(_DOUBLE, WIDTH).as_pointer()
         )
 
-    def __getitem__(self, row: int) -> Lane:
-        value = self._builder.load(self._place(row))
+    def _load(self, row: int) -> Lane:
+        value = self._builder.load(self._at(row))
         value.align = 8
         return Lane(self._builder, value)
 
-    def __setitem__(self, row: int, lane: Lane) -> None:
-        self._builder.store(lane.value, self._place(row)).align = 8
+    def __getattr__(self, name: str) -> Any:
+        first, count = self._places[name]
+        return [self._load(first + k) for k in range(count)] if count else self._load(first)
+
+    def __setattr__(self, name: str, value: Lane | list[Lane]) -> None:
+        first, _ = self._places[name]
+        for k, lane in enumerate([value] if isinstance(value, Lane) else value):
+            self._builder.store(lane.value, self._at(first + k)).align = 8
 
 
 class Numbers:
-    """Entries of an array of two dimensions, the same in every lane."""
+    """Numbers that are the same in every lane, by name: the first column of a table, or all, if one row a node."""
 
-    def __init__(self, context: Any, builder: Any, array_type: Any, array: Any) -> None:
-        made = context.make_array(array_type)(context, builder, array)
-        self._builder, self._data = builder, made.data
+    def __init__(self, context: Any, builder: Any, kind: Named, table: Any) -> None:
+        made = context.make_array(kind.array)(context, builder, builder.extract_value(table, 0))
+        self._places, self._builder, self._data = kind.table.places, builder, made.data
         self._stride = cgutils.unpack_tuple(builder, made.shape)[1]
 
-    def __getitem__(self, place: tuple[int, int]) -> Lane:
+    def __getattr__(self, name: str) -> Any:
+        first, count = self._places[name]
+        return [[self._load(first + k, j) for j in range(count)] for k in range(count)] or self._load(first, 0)
+
+    def _load(self, row: int, column: int) -> Lane:
         builder, kind = self._builder, ir.VectorType(_DOUBLE, WIDTH)
-        index = builder.add(builder.mul(self._stride, _INTEGER(place[0])), _INTEGER(place[1]))
+        index = builder.add(builder.mul(self._stride, _INTEGER(row)), _INTEGER(column))
         undefined = ir.Constant(kind, ir.Undefined)
         one = builder.insert_element(undefined, builder.load(builder.gep(self._data, [index])), ir.IntType(32)(0))
         zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
         return Lane(builder, builder.shuffle_vector(one, undefined, zeros))
 
 
-def on_rows(formula: Callable[[Rows, Any], Lane | None]) -> Any:
+def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
     """A formula on rows of a table, for kernels.
 
-    ``f(table, column, given)`` works on `WIDTH` columns from this one on. What is given is an array of numbers, or an
+    ``f(table, column, given)`` works on `WIDTH` columns from this one on. What is given is a table of numbers, or an
     empty named tuple: the formula then gets its class, and can emit code for it alone. If the formula gives a
     condition, this returns the number in which bit k says whether that holds in column k, `ALL` if in all of them.
     """
@@ -206,10 +223,9 @@ def on_rows(formula: Callable[[Rows, Any], Lane | None]) -> Any:
     def apply(typing_context, table, column, given):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             kind = signature.args[2]
-            is_array = isinstance(kind, types.Array)
             condition = formula(
                 Rows(context, builder, signature.args[0], *arguments[:2]),
-                Numbers(context, builder, kind, arguments[2]) if is_array else kind.instance_class,
+                Numbers(context, builder, kind, arguments[2]) if isinstance(kind, Named) else kind.instance_class,
             )
             if condition is None:
                 return _INTEGER(0)

@@ -11,7 +11,7 @@ from stickslip.sim.numerics.roots import roots
 
 
 @inner
-def stray(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
+def enclose(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
     """How far the event functions of n blocks can stray in h from their tangents, by the sizes of their terms."""
     for i in range(n):
         reach[i] = 0.0
@@ -25,11 +25,16 @@ def stray(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped
 
 
 @inner
-def is_quiet(mode, zeros, side, w, half_slope, pull, pull_slope, h, v, drag, static, closed, reach):  # type: ignore[no-untyped-def]
-    """Whether a block's event functions, which stray by at most `reach` from their tangents, have no root within h.
+def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
+    """The fast exclusion check: whether a block's event functions have no root within h.
 
-    `pull` is (K z)_i. It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    `face` is its mode, zeros and side (see `Expansion`), `motion` w, half its slope, (K z)_i and its slope, `bounds`
+    v, R v, static friction and the closed side; they stray by at most `reach` from their tangents. It takes numbers,
+    not the law: what is not inlined is passed field by field, for each block.
     """
+    mode, zeros, side = face
+    w, half_slope, pull, pull_slope = motion
+    v, drag, static, closed = bounds
     if mode != 0:
         gap = mode * (w - v)
         return zeros == 0 and min(gap, gap + mode * 2.0 * half_slope * h) > reach
@@ -38,11 +43,14 @@ def is_quiet(mode, zeros, side, w, half_slope, pull, pull_slope, h, v, drag, sta
 
 
 @inner
-def root(law, i, series, forces, at, mode, zeros, side, order, h, poly, found):  # type: ignore[no-untyped-def]
-    """Time to the first root of block i's event functions within h, and whether there is one; see `is_quiet` first.
+def root(law, i, series, forces, at, face, horizon, room):  # type: ignore[no-untyped-def]
+    """Time to the first root of block i's event functions within h, and whether there is one; see `excluded` first.
 
-    Its series are the columns `at`.
+    Its series are the columns `at`; `face` is its mode, zeros and side, `horizon` the order and h, `room` to work in.
     """
+    mode, zeros, side = face
+    order, h = horizon
+    poly, found = room
     v, static, closed, is_found = law.belt_speed[i], law.static[i], law.closed[i], False
     if mode != 0:
         degree = order - 1 - zeros

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.coulomb.events import is_quiet, root, stray
+from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
 from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, PASSED_ON, UNDECIDED, decide, expand
 from stickslip.sim.engines.coulomb.windows import CRAWL, CUTS, DECAY, EXPOSURE, REACH, record, stalls
@@ -97,18 +97,16 @@ def _winner(due):  # type: ignore[no-untyped-def]
 def _open(law, expansion, search, nearby, order, h):  # type: ignore[no-untyped-def]
     """Begin a window: all series are about its start, and every block's next event within h is found."""
     series, forces, mode, due = expansion.series, expansion.forces, expansion.mode, nearby.due
-    zeros, side, reach, poly, found = expansion.zeros, expansion.side, search.reach, search.poly, search.found
+    zeros, side, reach, room = expansion.zeros, expansion.side, search.reach, (search.poly, search.found)
     damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     n, size = len(mode), len(due) // 2
-    stray(series, forces, expansion.slips, order, h, reach, n)
+    enclose(series, forces, expansion.slips, order, h, reach, n)
     for i in range(n):
         due[size + i] = _NEVER
-        if is_quiet(
-            mode[i], zeros[i], side[i], series[1, i], series[2, i], forces[0, i], forces[1, i], h, v[i],
-            damping[i] * v[i], static[i], closed[i], reach[i],
-        ):  # fmt: skip
+        face, motion = (mode[i], zeros[i], side[i]), (series[1, i], series[2, i], forces[0, i], forces[1, i])
+        if excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
             continue
-        time, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], order, h, poly, found)
+        time, is_found = root(law, i, series, forces, i, face, (order, h), room)
         due[size + i] = time if is_found else _NEVER
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
@@ -244,7 +242,7 @@ def _is_alone(law, nearby, h, count, z_max):  # type: ignore[no-untyped-def]
 def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # type: ignore[no-untyped-def]
     """Take over the series of the members, and find the next event of each."""
     series, forces, mode, reach = nearby.series, nearby.forces, nearby.mode, nearby.reach
-    poly, found = search.poly, search.found
+    room = search.poly, search.found
     damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
     for a in range(count):
         i = nearby.members[a]
@@ -255,11 +253,9 @@ def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # t
             expansion.forces[k, i] = forces[k, a]
         nearby.origin[i] = s
         due = _NEVER
-        if not is_quiet(
-            mode[a], zeros, 0, series[1, a], series[2, a], forces[0, a], forces[1, a], h, v[i],
-            damping[i] * v[i], static[i], closed[i], reach[a],
-        ):  # fmt: skip
-            time, is_found = root(law, i, series, forces, a, mode[a], zeros, 0, order, h, poly, found)
+        face, motion = (mode[a], zeros, 0), (series[1, a], series[2, a], forces[0, a], forces[1, a])
+        if not excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[a]):
+            time, is_found = root(law, i, series, forces, a, face, (order, h), room)
             due = s + time if is_found else _NEVER
         _schedule(nearby.due, i, due)
 
@@ -303,7 +299,7 @@ def _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, spa
             tail = k * abs(series[k, a]) * left ** (k - 1)
             if tail > allowed:
                 left *= (allowed / tail) ** (1.0 / (k - 1))
-    stray(series, forces, nearby.slips, order, left, nearby.reach, count)
+    enclose(series, forces, nearby.slips, order, left, nearby.reach, count)
     is_carried = _is_alone(law, nearby, left, count, z_max)
     for a in range(count):
         place[members[a]] = -1

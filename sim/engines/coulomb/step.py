@@ -24,7 +24,7 @@ are there: `stickslip.sim.engines.coulomb.overdamped`.
 from __future__ import annotations
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.coulomb.events import is_quiet, root, stray
+from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import SPAN, correct, expand, shift
@@ -40,18 +40,16 @@ _WORTH = 0.1
 @inner
 def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-def]
     """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
-    series, forces, mode, poly, found = expansion.series, expansion.forces, expansion.mode, search.poly, search.found
+    series, forces, mode, room = expansion.series, expansion.forces, expansion.mode, (search.poly, search.found)
     zeros, side, reach = expansion.zeros, expansion.side, search.reach
     damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
-    stray(series, forces, expansion.slips, order, h, reach, len(mode))
+    enclose(series, forces, expansion.slips, order, h, reach, len(mode))
     block = -1
     for i in range(len(mode)):
-        if is_quiet(
-            mode[i], zeros[i], side[i], series[1, i], series[2, i], forces[0, i], forces[1, i], h, v[i],
-            damping[i] * v[i], static[i], closed[i], reach[i],
-        ):  # fmt: skip
+        face, motion = (mode[i], zeros[i], side[i]), (series[1, i], series[2, i], forces[0, i], forces[1, i])
+        if excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
             continue
-        h, is_found = root(law, i, series, forces, i, mode[i], zeros[i], side[i], order, h, poly, found)
+        h, is_found = root(law, i, series, forces, i, face, (order, h), room)
         block = i if is_found else block
     return h, block
 

@@ -23,7 +23,7 @@ class Peaked(NamedTuple):
 
 
 class Steady(NamedTuple):
-    """As `Peaked`, with a side that may be closed: `open_sign` with a shape that does not fall."""
+    """As `Peaked`, with a side that may be closed: `open_sign` with a shape that is constant."""
 
 
 class Rational(NamedTuple):
@@ -61,21 +61,21 @@ def _exponential(y: Lane) -> tuple[Lane, Lane]:
     return value, -value
 
 
-#: How friction falls with y = steepness |w - v|, and its derivative; a law that is not here does not.
+#: How friction weakens with y = steepness |w - v|, and its derivative; a law that is not here does not.
 SHAPES: dict[Law, Callable[[Lane], tuple[Lane, Lane]]] = {Rational: _rational, Exponential: _exponential}
 
 
-def open_sign(law: Law, x: Lane, c: Lane, far: Lane, fall: Lane, closed: Lane) -> tuple[Lane, Lane]:
+def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: Lane) -> tuple[Lane, Lane]:
     """s(tanh x) (f + (1 - f) S(b |x|)), and its derivative; on a side that is closed, its tangent at x = 0.
 
-    f is `far`, b is `fall`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows with
-    the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
+    f is `far`, b is `weakening`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows
+    with the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
     """
     value, slope = peaked_sign(x, c)
     if law in SHAPES:
-        shape, falls = SHAPES[law](absolute(x) * fall)
+        shape, slope_of_shape = SHAPES[law](absolute(x) * weakening)
         rest = 1.0 - far
-        slope = slope * (far + rest * shape) + absolute(value) * (rest * fall * falls)
+        slope = slope * (far + rest * shape) + absolute(value) * (rest * weakening * slope_of_shape)
         value = value * (far + rest * shape)
     is_closed = x * closed > 0.0
     return where(is_closed, (c + 1.0) * x, value), where(is_closed, c + 1.0, slope)

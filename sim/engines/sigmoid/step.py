@@ -1,4 +1,11 @@
-"""Steps of the sigmoid engine: how its macro steps are solved, controlled and put together; see `collocation.py`."""
+"""Macro steps of the sigmoid engine: predict, solve, test, complete.
+
+All blocks share a macro step with the nodes of the Radau IIA method of five stages, at which F, all that couples
+them, is predicted. Each block by itself is solved with it (`substeps.py`); its z at the nodes gives a new F, by one
+product of K with all nodes at once, and that is iterated until F has converged. A. Logg, SIAM J. Sci. Comput. 24
+(2003) 1879-1902, doi:10.1137/S1064827501389722, calls such methods multi-adaptive; the iteration is waveform
+relaxation.
+"""
 
 from __future__ import annotations
 
@@ -6,314 +13,49 @@ import numpy as np
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.forcing import value_at
-from stickslip.sim.engines.sigmoid.collocation import (
-    AT_PEAK,
-    BELT,
-    CLOSED,
-    DAMPING,
-    DONE,
-    ERROR,
-    FALL,
-    FAR,
-    FINE,
-    FLAGGED,
-    FORCE0,
-    FRICTION,
-    HIDDEN,
-    KEPT_F,
-    KEPT_U,
-    LENGTH,
-    MEAN_U,
-    MOMENT,
-    MOMENT_U,
-    MOVED,
-    N_ROWS,
-    NEAR_PEAK,
-    PASSED,
-    PEAK,
-    PRODUCT,
-    REACH,
-    SIZE,
-    SPEED_BEFORE,
-    START,
-    STATIC,
-    STEEP,
-    STEP_H,
-    SUSPECT,
-    TAIL,
-    TAKEN,
-    TOLERANCE,
-    U0,
-    U_MACRO,
-    Z0,
-    Z_BEFORE,
-    Z_MACRO,
-    F,
-    G,
-    H,
-    U,
-    Z,
-    finish,
-    force,
-    force_changed,
-    gather,
-    gather_u,
-    newton,
-    predict,
-    prepare,
-    probe,
-    view,
-)
-from stickslip.sim.engines.sigmoid.layer import (
-    PASSES,
-    PIECE_AT,
-    PIECE_H,
-    PIECE_NEXT,
-    PIECE_U,
-    PIECE_Z,
-    note_stills,
-    sample,
-    step_events,
-)
-from stickslip.sim.engines.watch import too_far
+from stickslip.sim.engines.sigmoid import control as limits
+from stickslip.sim.engines.sigmoid.collocation import force, force_changed, predict
+from stickslip.sim.engines.sigmoid.control import Found, grow, next_step, shrink, single_limit
+from stickslip.sim.engines.sigmoid.events import PASSES, Span, note_all_stuck, sample, step_events, until
+from stickslip.sim.engines.sigmoid.layout import blocks, shared
+from stickslip.sim.engines.sigmoid.substeps import keep_substeps, probe_blocks, solve_blocks
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import copy, largest
-from stickslip.sim.numerics.lanes import ALL, WIDTH
+from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import products
-from stickslip.sim.numerics.radau import NODES, PROJECT, STAGES, TO_POWERS
+from stickslip.sim.numerics.radau import NODES, STAGES, TO_POWERS
 from stickslip.sim.numerics.roots import horner
 
-#: The most sweeps over F, Newton's iterations of a macro step in the first sweep, and of a step of a block's own.
-_SWEEPS, _NEWTON, _NEWTON_OWN = 8, 5, 8
-#: Of tolerance: what the leading coefficient of F may change w by in a step, and what the iteration over F may leave,
-#: as (_SWEPT / boost)^2 of the boost below. What it leaves has one sign, that of what a prediction errs by: on
-#: a cycle of stick and slip it adds up step by step, and the steps for tight tolerances are many.
-_TAIL, _SWEPT = 3.0, 3.0
-#: The share of that for a first sweep to be the last: what a prediction errs by has one sign, step by step.
-_AT_ONCE = 0.1
-#: The share of tolerance that K in float32 may cost in w.
-_ROUGH_SHARE = 0.05
-#: A block's own steps have the tolerance BOOST tol^POWER: superconvergence makes the error at their end far less
-#: than that of the polynomial.
-BOOST, POWER = 3.0, 0.85
-#: A step changes by these factors at most. A prediction is good for little more than its own length: _GROW_FAST is
-#: for steps far below what is allowed.
-_SAFETY, _SHRINK, _GROW, _GROW_FAST, _GROW_OWN = 0.9, 0.2, 1.25, 2.0, 5.0
-_FAR_BELOW = 1e-2
-# behind the common clocks: the next step to try, the one whose polynomials are kept, what a sweep leaves of a change,
-# and whether F has jumped since the last step
-STEP, _KEPT, _SLOW, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
-#: Rows that a block keeps in steps of its own.
-_OF_BLOCK = (
-    U0, Z0, DAMPING, STEEP, FRICTION, BELT, TOLERANCE, REACH, HIDDEN, PEAK, FINE, FAR, FALL, CLOSED, PASSED, AT_PEAK,
-    STATIC,
-)  # fmt: skip
 _products, _single_products = products(STAGES), products(STAGES, single=True)
 
 
-@inner
-def _begin(table, n, macro, kept, numbers):  # type: ignore[no-untyped-def]
-    """Begin a macro step at the end of the one that is kept."""
+@inner(inlined=True)
+def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
+    """Begin a macro step at the end of the one that is kept: F and u at the nodes, and who takes substeps anyway."""
+    block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
     for k in range(STAGES):
-        x = 1.0 + NODES[k] * macro / kept
+        x = 1.0 + NODES[k] * h / clock[limits.KEPT_STEP]
         for j in range(STAGES):
-            numbers[k, j] = horner(TO_POWERS[:, j], STAGES - 1, x)
-    numbers[STAGES, STEP_H] = macro
-    numbers[STAGES, SIZE] = largest(table[Z0, :n])
+            common.weights[k, j] = horner(TO_POWERS[:, j], STAGES - 1, x)
+    common.h[0] = h
+    common.size[0] = largest(block.z0[:n])
     for first in range(0, n, WIDTH):
-        predict(table, first, numbers)
+        predict(block, first, common)
+    for k in range(len(work.forcing)):
+        value_at(model.forcing, clock[loop.TIME] + NODES[k] * h, work.forcing[k])
+    copy(work.next_h, work.next_h_before)
+    for i in range(n):  # what a step that leaves a layer errs by, no layer takes back
+        work.is_split[i] = clock[limits.JUMPED] > 0.0 and abs(block.u0[i]) * block.steep[i] < block.reach[i]
+        work.begins[i] = -1
 
 
 @inner
-def _flag(first, n, well, flags, listed, n_listed):  # type: ignore[no-untyped-def]
-    """Flag and list those of `WIDTH` blocks that are not well; returns how many are listed."""
-    for lane in range(min(WIDTH, n - first)):
-        if flags[first + lane] or not (well >> lane) & 1:
-            flags[first + lane] = True
-            listed[n_listed] = first + lane
-            n_listed += 1
-    return n_listed
-
-
-@inner
-def _together(table, n, flags, listed, iterations, law):  # type: ignore[no-untyped-def]
-    """All blocks in one step; those for which that does not do are flagged, and listed. Returns how many."""
-    n_listed, some = np.int64(0), False
-    for i in range(n):
-        table[DONE, i] = 1.0 if flags[i] else 0.0
-        some = some or flags[i]
-    for first in range(0, n, WIDTH):
-        for _ in range(iterations):
-            if newton(table, first, law) == ALL:
-                break
-        well = finish(table, first, law)
-        if some or well != ALL:
-            n_listed = _flag(first, n, well, flags, listed, n_listed)
-    return n_listed
-
-
-@inner
-def _strayed(table, n, flags, listed, n_listed, law):  # type: ignore[no-untyped-def]
-    """Flag and list those whose one step does not do off the nodes; returns how many are listed."""
-    for first in range(0, n, WIDTH):
-        well = probe(table, first, law)
-        if well != ALL:
-            for lane in range(min(WIDTH, n - first)):
-                if not flags[first + lane] and not (well >> lane) & 1:
-                    flags[first + lane] = True
-                    listed[n_listed] = first + lane
-                    n_listed += 1
-    return n_listed
-
-
-@inner
-def _fine(own, lane):  # type: ignore[no-untyped-def]
-    """What part of its tolerance a step may err by."""
-    return own[FINE, lane] if abs(own[U0, lane]) < NEAR_PEAK * own[PEAK, lane] else 1.0
-
-
-@inner
-def _factor(own, lane):  # type: ignore[no-untyped-def]
-    """By how much the next step may be longer."""
-    if own[DONE, lane] < 0.5:
-        return 0.25
-    allowed = own[TOLERANCE, lane] * _fine(own, lane)
-    return min(max(_SAFETY * (allowed / max(own[ERROR, lane], 1e-300)) ** (1.0 / STAGES), 0.1), _GROW_OWN)
-
-
-@inner
-def _project(own, of, since, lane, table, to, i):  # type: ignore[no-untyped-def]
-    """At the nodes of the macro step, the polynomial next to what a lane has the moments of in the mean square."""
-    for k in range(STAGES):
-        value = own[since, lane]
-        for p in range(STAGES):
-            value += PROJECT[k, p] * own[of + p, lane]
-        table[to + k, i] = value
-
-
-@inner(counts=True)
-def _apart(  # type: ignore[no-untyped-def]
-    table, own, listed, n_listed, macro, with_u, next_h, ends, pieces, piece_block, begins, old, numbers, law
-):
-    """The listed blocks in steps of their own, side by side. Returns how many pieces, or -1 - i if i cannot.
-
-    A block takes the steps of the sweep before, `old` from `begins`, from where they led, as long as they will do.
-    """
-    n_pieces = np.int64(0)
-    block, again, last = np.full(WIDTH, -1), np.full(WIDTH, -1), np.full(WIDTH, -1)
-    waiting, active = 0, 0
-    for lane in range(WIDTH):
-        for row in range(N_ROWS):
-            own[row, lane] = 0.0
-        own[H, lane] = 1.0
-        own[STEEP, lane] = 1.0
-    while True:
-        for lane in range(WIDTH):
-            if block[lane] < 0 and waiting < n_listed:
-                i = listed[waiting]
-                waiting += 1
-                active += 1
-                block[lane], again[lane], last[lane] = i, begins[i], -1
-                for row in _OF_BLOCK:
-                    own[row, lane] = table[row, i]
-                for p in range(STAGES):
-                    value = 0.0
-                    for k in range(STAGES):
-                        value += TO_POWERS[p, k] * table[F + k, i]
-                    own[G + p, lane] = value
-                    own[MOMENT + p, lane] = 0.0
-                    own[MOMENT_U + p, lane] = 0.0
-                own[START, lane] = 0.0
-                own[Z_MACRO, lane], own[U_MACRO, lane] = table[Z0, i], table[U0, i]
-                own[LENGTH, lane] = min(next_h[i] / macro, 1.0)
-        if active == 0:
-            return n_pieces
-        for lane in range(WIDTH):
-            own[DONE, lane] = 1.0 if block[lane] < 0 else 0.0
-            if block[lane] >= 0:
-                rest = 1.0 - own[START, lane]
-                length = own[LENGTH, lane]
-                if again[lane] >= 0:
-                    length = old[again[lane], PIECE_H]
-                elif length > 0.97 * rest:
-                    length = rest
-                elif length > 0.5 * rest:
-                    length = 0.5 * rest
-                own[LENGTH, lane] = length
-                own[H, lane] = length * macro
-        prepare(own, 0, law)
-        for lane in range(WIDTH):
-            if again[lane] >= 0:
-                for k in range(STAGES):
-                    own[U + k, lane] = old[again[lane], PIECE_U + 1 + k]
-        for _ in range(_NEWTON_OWN):
-            if newton(own, 0, law) == ALL:
-                break
-        finish(own, 0, law)
-        probe(own, 0, law)
-        for lane in range(WIDTH):
-            does = block[lane] >= 0 and own[DONE, lane] > 0.5 and own[SUSPECT, lane] < 0.5
-            does = does and own[ERROR, lane] <= own[TOLERANCE, lane] * _fine(own, lane)
-            own[TAKEN, lane] = own[LENGTH, lane] if does else 0.0
-        gather(own, 0, numbers)
-        if with_u:
-            gather_u(own, 0, numbers)
-        for lane in range(WIDTH):
-            i = block[lane]
-            if i < 0:
-                continue
-            length = own[LENGTH, lane]
-            if own[TAKEN, lane] == 0.0:
-                own[LENGTH, lane] = length * min(_factor(own, lane), 0.5)
-                again[lane] = -1
-                if not length > 1e-13:
-                    return -1 - i
-                continue
-            if n_pieces == len(piece_block):
-                return -1 - i
-            piece = pieces[n_pieces]
-            piece_block[n_pieces] = i
-            piece[PIECE_NEXT] = -1.0
-            if last[lane] < 0:
-                begins[i] = n_pieces
-            else:
-                pieces[last[lane], PIECE_NEXT] = n_pieces
-            last[lane] = n_pieces
-            n_pieces += 1
-            if again[lane] >= 0:
-                again[lane] = np.int64(old[again[lane], PIECE_NEXT])
-            start = own[START, lane]
-            piece[PIECE_AT], piece[PIECE_H] = start, length
-            piece[PIECE_Z], piece[PIECE_U] = own[Z0, lane], own[U0, lane]
-            for k in range(STAGES):
-                piece[PIECE_U + 1 + k] = own[U + k, lane]
-            if again[lane] < 0:
-                own[LENGTH, lane] = length * _factor(own, lane)
-            own[U0, lane] = own[U + STAGES - 1, lane]
-            own[Z0, lane] = own[Z + STAGES - 1, lane]
-            own[START, lane] = start + length
-            if own[START, lane] >= 1.0 - 1e-12:
-                ends[0, i], ends[1, i] = own[U0, lane], own[Z0, lane]
-                next_h[i] = own[LENGTH, lane] * macro
-                _project(own, MOMENT, Z_MACRO, lane, table, Z, i)
-                if with_u:
-                    _project(own, MOMENT_U, U_MACRO, lane, table, MEAN_U, i)
-                block[lane], again[lane] = -1, -1
-                active -= 1
-                own[H, lane] = 1.0
-                own[STEEP, lane] = 1.0
-                own[FRICTION, lane] = 0.0
-                for k in range(STAGES):
-                    own[G + k, lane] = 0.0
-
-
-@inner(counts=True)
 def _times(matrix, x, y):  # type: ignore[no-untyped-def]
-    """y_k = K x_k at all nodes, K in panels or, when these are none, by sparse rows (indptr, indices, data)."""
-    dense, _, indptr, indices, data = matrix
-    if len(dense) > 0:
-        _products(dense, x, y)
+    """y_k = K x_k at all nodes, K in panels or, when these are none, by sparse rows."""
+    if len(matrix.panels) > 0:
+        _products(matrix.panels, x, y)
         return
+    indptr, indices, data = matrix.indptr, matrix.indices, matrix.data
     for i in range(len(indptr) - 1):
         a, b, c, d, e = 0.0, 0.0, 0.0, 0.0, 0.0
         for place in range(indptr[i], indptr[i + 1]):
@@ -326,227 +68,194 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
         y[0, i], y[1, i], y[2, i], y[3, i], y[4, i] = a, b, c, d, e
 
 
-@inner(counts=True)
-def _couple(table, n, matrices, flags, is_first, rough, work, pushes, law):  # type: ignore[no-untyped-def]
-    """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
-    matrix, cross, with_cross = matrices
-    product, single, single_product = work
-    changed = False
-    if not is_first and len(matrix[1]) > 0 and not with_cross:
-        for k in range(Z, Z + STAGES):
-            for i in range(n):
-                table[PRODUCT + k - Z, i] = table[k, i] - table[Z_BEFORE + k - Z, i]
-        most = 0.0
-        for k in range(PRODUCT, PRODUCT + STAGES):
-            most = max(most, largest(table[k, :n]))
-        changed = most < rough
-        if changed:
-            for k in range(STAGES):
-                for i in range(n):
-                    single[k, i] = np.float32(table[PRODUCT + k, i])
-            _single_products(matrix[1], single, single_product)
-            for k in range(STAGES):
-                for i in range(n):
-                    table[PRODUCT + k, i] = single_product[k, i]
-    if not changed:
-        _times(matrix, table[Z : Z + STAGES], table[PRODUCT : PRODUCT + STAGES])
-    if with_cross:
-        for k in range(STAGES):
-            for i in range(n):
-                table[MEAN_U + k, i] = table[MEAN_U + k, i] if flags[i] else table[U + k, i]
-        _times(cross, table[MEAN_U : MEAN_U + STAGES], product)
-        for k in range(STAGES):
-            for i in range(n):
-                table[PRODUCT + k, i] += product[k, i]
-    if not changed:
-        for k in range(len(pushes)):
-            for i in range(n):
-                table[PRODUCT + k, i] -= pushes[k, i]
+@inner
+def _product_of_change(model, work, limit):  # type: ignore[no-untyped-def]
+    """K times the change of z, in single precision; False, and nothing, if the change is not below the limit."""
+    block, single, single_product = blocks(work.table), work.single, work.single_product
+    n, product = len(work.is_split), block.product
     for k in range(STAGES):
         for i in range(n):
-            table[Z_BEFORE + k, i] = table[Z + k, i]
-    for first in range(0, n, WIDTH):
-        if changed:
-            force_changed(table, first, law)
-        else:
-            force(table, first, law)
-    return largest(table[MOVED, :n]), largest(table[TAIL, :n])
+            product[k, i] = block.z[k, i] - block.z_before[k, i]
+    most = 0.0
+    for k in range(STAGES):
+        most = max(most, largest(product[k, :n]))
+    if not most < limit:
+        return False
+    for k in range(STAGES):
+        for i in range(n):
+            single[k, i] = np.float32(product[k, i])
+    _single_products(model.stiffness.single_panels, single, single_product)
+    for k in range(STAGES):
+        for i in range(n):
+            product[k, i] = single_product[k, i]
+    return True
 
 
 @inner
-def _worst(table, n):  # type: ignore[no-untyped-def]
+def _add_cross(model, work):  # type: ignore[no-untyped-def]
+    """Add N times u, of a block that took substeps its L2 projection, to the product."""
+    block, product, n = blocks(work.table), work.product, len(work.is_split)
+    for k in range(STAGES):
+        for i in range(n):
+            block.mean_u[k, i] = block.mean_u[k, i] if work.is_split[i] else block.u[k, i]
+    _times(model.cross, block.mean_u, product)
+    for k in range(STAGES):
+        for i in range(n):
+            block.product[k, i] += product[k, i]
+
+
+@inner
+def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
+    """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
+    block, n = blocks(work.table), len(work.is_split)
+    may_add = not is_first and len(model.stiffness.single_panels) > 0 and not model.has_cross
+    is_change = may_add and _product_of_change(model, work, limit)
+    if not is_change:
+        _times(model.stiffness, block.z, block.product)
+    if model.has_cross:
+        _add_cross(model, work)
+    if not is_change:
+        for k in range(len(work.forcing)):
+            for i in range(n):
+                block.product[k, i] -= work.forcing[k, i]
+    for k in range(STAGES):
+        for i in range(n):
+            block.z_before[k, i] = block.z[k, i]
+    for first in range(0, n, WIDTH):
+        if is_change:
+            force_changed(block, first, model.law)
+        else:
+            force(block, first, model.law)
+    return largest(block.moved[:n]), largest(block.tail[:n])
+
+
+@inner(inlined=True)
+def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
+    """Solve the blocks, and F from them, until F has converged.
+
+    The last iteration needs no product if what it leaves of the last change of F does not count. If the tail is too
+    large the step is given up: iterations hardly change it.
+    """
+    most_left = min(1.0, (limits.ITERATED / control.safety) ** 2)
+    tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
+    n_substeps, n_split, is_last, converged = np.int64(0), np.int64(0), False, False
+    for iteration in range(limits.MOST_ITERATIONS):
+        keep_substeps(work, n_substeps)
+        n_split_before = n_split
+        n_split, n_substeps = solve_blocks(model, work, h, is_last)
+        if n_substeps < 0:
+            break
+        if is_last and n_split == n_split_before:
+            converged = True
+            break
+        moved, tail = _couple(model, work, iteration == 0, single_limit(control, h))
+        counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
+        moved, tail = moved * control.safety, tail * control.safety
+        if not tail < limits.TAIL:
+            break
+        now = min(moved / last, limits.SLOWEST) if iteration > 0 else contraction
+        enough = most_left * (1.0 - now) * (limits.AT_ONCE if iteration == 0 else 1.0)
+        if moved < enough and probe_blocks(model.law, work, n_split) == n_split:
+            converged = True
+            break
+        is_last = iteration > 0 and moved * now < enough
+        last, contraction = moved, now
+    return Found(converged, tail, contraction, n_substeps)  # type: ignore[arg-type]
+
+
+@inner
+def _reject(work, clock, counters, found, h):  # type: ignore[no-untyped-def]
+    """Shorten the step, note which block was to blame, and take back what it changed."""
+    counters[loop.N_REJECTED] += 1
+    counters[loop.LAST_BLOCK] = _worst(work) if found.n_substeps >= 0 else -1 - found.n_substeps
+    shrink(clock, h, found.tail)
+    copy(work.next_h_before, work.next_h)
+
+
+@inner
+def _worst(work):  # type: ignore[no-untyped-def]
     """The block whose F is least known."""
-    worst, most = 0, 0.0
-    for i in range(n):
-        here = max(table[MOVED, i], table[TAIL, i])
+    block, worst, most = blocks(work.table), 0, 0.0
+    for i in range(len(work.is_split)):
+        here = max(block.moved[i], block.tail[i])
         if not here <= most and most == most:  # what is not a number is worst
             worst, most = i, here
     return worst
 
 
-@inner(counts=True)
-def _sweep(  # type: ignore[no-untyped-def]
-    table, own, n, matrices, macro, boost, rough, slow, flags, listed, next_h, before, ends, pieces, piece_block,
-    begins, old, work, pushes, numbers, law, counters,
-):  # fmt: skip
-    """Sweep over the blocks until F stays. Returns whether it does, the tail of F, `slow`, and how many pieces.
-
-    `slow` is what a sweep leaves of a change, as seen before. The last sweep needs no product if what it leaves of
-    the last change of F does not count. If the tail is too large the step is given up: sweeps hardly change it.
-    """
-    swept_below = min(1.0, (_SWEPT / boost) ** 2)
-    tail, n_pieces, n_listed, last, is_last = 0.0, np.int64(0), np.int64(0), np.inf, False
-    for i in range(n):
-        begins[i] = -1
-    for sweep in range(_SWEEPS):
-        for k in range(n_pieces):
-            copy(pieces[k], old[k])
-        n_before = n_listed
-        n_listed = _together(table, n, flags, listed, _NEWTON, law)
-        if is_last:
-            n_listed = _strayed(table, n, flags, listed, n_listed, law)
-        for k in range(n_listed):
-            next_h[listed[k]] = before[listed[k]]
-        n_pieces = _apart(
-            table, own, listed, n_listed, macro, matrices[2], next_h, ends, pieces, piece_block, begins, old, numbers,
-            law,
-        )  # fmt: skip
-        if n_pieces < 0:
-            break
-        if is_last and n_listed == n_before:
-            return True, tail, slow, n_pieces
-        moved, tail = _couple(table, n, matrices, flags, sweep == 0, rough, work, pushes, law)
-        counters[loop.N_PRODUCTS] += STAGES * (2 if matrices[2] else 1)
-        moved, tail = moved * boost, tail * boost
-        if not tail < _TAIL:
-            break
-        now = min(moved / last, 0.9) if sweep > 0 else slow
-        enough = swept_below * (1.0 - now) * (_AT_ONCE if sweep == 0 else 1.0)
-        if moved < enough and _strayed(table, n, flags, listed, n_listed, law) == n_listed:
-            return True, tail, slow, n_pieces
-        is_last = sweep > 0 and moved * now < enough
-        last, slow = moved, now
-    return False, tail, slow, n_pieces
-
-
 @inner
-def _accept(table, n, flags, macro, next_h, ends, z, w):  # type: ignore[no-untyped-def]
+def _accept(work, state, h):  # type: ignore[no-untyped-def]
     """Go to the end of a macro step."""
-    for i in range(n):
-        table[SPEED_BEFORE, i] = abs(table[U0, i] + table[BELT, i])
-        table[FLAGGED, i] = 1.0 if flags[i] else 0.0
-        if flags[i]:
-            table[U0, i], table[Z0, i] = ends[0, i], ends[1, i]
+    block = blocks(work.table)
+    for i in range(len(work.is_split)):
+        block.speed_before[i] = abs(block.u0[i] + block.belt[i])
+        block.was_split[i] = 1.0 if work.is_split[i] else 0.0
+        if work.is_split[i]:
+            block.u0[i], block.z0[i] = work.end_u[i], work.end_z[i]
         else:
-            table[U0, i], table[Z0, i] = table[U + STAGES - 1, i], table[Z + STAGES - 1, i]
-            next_h[i] = max(next_h[i], macro)
-        z[i], w[i] = table[Z0, i], table[U0, i] + table[BELT, i]
-    copy(table[F + STAGES - 1], table[FORCE0])
+            block.u0[i], block.z0[i] = block.u[STAGES - 1, i], block.z[STAGES - 1, i]
+            work.next_h[i] = max(work.next_h[i], h)
+        state.z[i], state.w[i] = block.z0[i], block.u0[i] + block.belt[i]
+    copy(block.f[STAGES - 1], block.force0)
     for k in range(STAGES):
-        copy(table[F + k], table[KEPT_F + k])
-        copy(table[U + k], table[KEPT_U + k])
+        copy(block.f[k], block.kept_f[k])
+        copy(block.u[k], block.kept_u[k])
 
 
 @inner
-def _first_instant(events, first, n_recorded, instant):  # type: ignore[no-untyped-def]
-    """Of events from the first on, keep those up to an instant; returns how many are recorded then."""
-    at, block, to, _ = events
-    n_kept = first
-    for k in range(first, n_recorded):
-        if at[k] <= instant:
-            at[n_kept], block[n_kept], to[n_kept] = at[k], block[k], to[k]
-            n_kept += 1
-    return n_kept
+def _all_slip(mode):  # type: ignore[no-untyped-def]
+    """Whether all blocks slip to one side."""
+    same = mode[0] != 0
+    for i in range(len(mode)):
+        same = same and mode[i] == mode[0]
+    return same
 
 
-@kernel(counts=True)
-def advance(  # type: ignore[no-untyped-def]
-    table, own, numbers, law, matrices, rough_rate, work, definitions, flags, listed, next_h, pieces, piece_block,
-    begins, old, z, w, clock, counters, samples, t_end, instant, longest, outside, pushes, atol, boost, events, bound,
-    watch,
-):  # fmt: skip
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
-
-    With an `instant` >= 0, one step to see what happens by then, and the state stays as it is.
-    """
-    n = len(z)
-    mode = definitions[3][0]
-    ends, before, mode_before = np.empty((2, n)), np.empty(n), np.empty(n, dtype=np.int8)
-    n_recorded = np.int64(0)
-    grown = True
-    n_left = loop.STEPS_A_SLICE
+@kernel
+def advance(model, work, control, state, events, bound, watch):  # type: ignore[no-untyped-def]
+    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+    clock, counters, mode = state.clock, state.counters, work.modes[0]
+    most_events = PASSES * (len(mode) + len(work.substeps.block)) * len(model.bands)
+    n_recorded, n_left, may_grow = np.int64(0), loop.STEPS_A_SLICE, True
     while n_left > 0:
         n_left -= 1
         t = clock[loop.TIME]
-        remaining = t_end - t
-        if remaining <= 0.0:  # a run of no length may want its samples
-            sample(table, n, flags, pieces, piece_block, np.int64(0), (t, 1.0, t), samples, counters)
+        if control.t_end - t <= 0.0:  # a run of no length may want its samples
+            counters[loop.N_SAMPLED] = sample(work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
             return loop.DONE, n_recorded
-        if n_recorded + PASSES * (n + len(piece_block)) * len(definitions[0]) > len(events[0]):
+        if n_recorded + most_events > len(events.t):
             return loop.BUFFER_FULL, n_recorded
-        if mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
-            same = True
-            for i in range(n):
-                same = same and mode[i] == mode[0]
-            if same:
-                later = too_far(watch, z, w, mode[0])
-                if later == 0.0:
-                    return loop.ALL_SLIP, n_recorded
-                clock[loop.CHECK + (mode[0] > 0)] = t + later
-                if n_recorded > 0:
-                    return loop.PAUSED, n_recorded
-                n_left, grown = loop.STEPS_A_SLICE, True  # as a slice begins: it is the same who answered
-        macro = min(clock[STEP], longest)
-        if macro >= 0.999 * remaining:
-            macro = remaining
-        elif macro > 0.5 * remaining:
-            macro = 0.5 * remaining
-        _begin(table, n, macro, clock[_KEPT], numbers)
-        for k in range(len(pushes)):
-            value_at(outside, t + NODES[k] * macro, pushes[k])
-        copy(next_h, before)
-        for i in range(n):  # what a step that leaves a layer errs by, no layer takes back
-            flags[i] = clock[JUMPED] > 0.0 and abs(table[U0, i]) * table[STEEP, i] < table[REACH, i]
-        rough = _ROUGH_SHARE * atol / (max(1.0, macro) * macro * rough_rate)
-        swept, tail, slow, n_pieces = _sweep(
-            table, own, n, matrices, macro, boost, rough, clock[_SLOW], flags, listed, next_h, before, ends, pieces,
-            piece_block, begins, old, work, pushes, numbers, law, counters,
-        )  # fmt: skip
-        if not swept:
-            counters[loop.N_REJECTED] += 1
-            counters[loop.LAST_BLOCK] = _worst(table, n) if n_pieces >= 0 else -1 - n_pieces
-            factor = max(_SAFETY * (_TAIL / tail) ** (1.0 / 3.0), _SHRINK) if tail > _TAIL else 0.5
-            clock[STEP], clock[_SLOW] = macro * factor, 0.0
-            grown = False
-            if clock[STEP] <= 1e-14 * max(min(1.0, t_end), t):
+        if loop.is_check_due(clock, mode) and _all_slip(mode):
+            if loop.may_collapse(state, mode, watch):
+                return loop.ALL_SLIP, n_recorded
+            if n_recorded > 0:
+                return loop.PAUSED, n_recorded
+            n_left, may_grow = (
+                loop.STEPS_A_SLICE,
+                True,
+            )  # as a slice begins: the result does not depend on the slicing
+        h = next_step(control, clock)
+        _predict_step(model, work, clock, h)
+        found = _solve_waveform(model, work, control, clock, counters, h)
+        if not found.converged:
+            _reject(work, clock, counters, found, h)
+            may_grow = False
+            if clock[limits.STEP] <= limits.SHORTEST * max(min(1.0, control.t_end), t):
                 return loop.STALLED, n_recorded
-            copy(before, next_h)
             continue
         counters[loop.N_STEPS] += 1
-        t_next = t_end if macro == remaining else t + macro
-        span = t, macro, t_next
-        for first in range(0, n, WIDTH):
-            view(table, first, numbers)
-        copy(mode, mode_before)
-        first_event = n_recorded
-        n_recorded = step_events(
-            table, n, flags, pieces, piece_block, n_pieces, definitions, span, events, n_recorded
-        )
-        if instant >= 0.0:
-            n_recorded = _first_instant(events, first_event, n_recorded, instant)
-        note_stills(
-            table, n, flags, pieces, piece_block, n_pieces, span, mode_before, first_event, n_recorded, events,
-            counters,
-        )  # fmt: skip
-        if instant >= 0.0:
+        span = Span(t, h, control.t_end if h == control.t_end - t else t + h)
+        first_event, n_recorded = n_recorded, step_events(model, work, found.n_substeps, span, events, n_recorded)
+        if control.instant >= 0.0:
+            n_recorded = until(control.instant, first_event, n_recorded, events)
+        note_all_stuck(work, found.n_substeps, span, first_event, n_recorded, events, counters)
+        if control.instant >= 0.0:
             return loop.DONE, n_recorded
-        sample(table, n, flags, pieces, piece_block, n_pieces, span, samples, counters)
-        _accept(table, n, flags, macro, next_h, ends, z, w)
-        factor = _SAFETY * (_TAIL / max(tail, 1e-300)) ** (1.0 / STAGES)
-        most = _GROW_FAST if tail < _FAR_BELOW * _TAIL else _GROW
-        clock[loop.TIME], clock[_KEPT], clock[_SLOW], clock[JUMPED] = t_next, macro, slow, 0.0
-        clock[STEP] = macro * min(max(factor, _SHRINK), most if grown else 1.0)
-        grown = True
-        if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
+        n_sampled = sample(work, found.n_substeps, span, state.samples, counters[loop.N_SAMPLED])
+        counters[loop.N_SAMPLED] = n_sampled
+        _accept(work, state, h)
+        grow(clock, h, found, may_grow)
+        clock[loop.TIME], may_grow = span.end, True
+        if not (largest(state.z) <= bound and largest(state.w) <= bound):  # a maximum of floats may lose a NaN
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

@@ -1,0 +1,330 @@
+"""Who sticks under the smoothed law, and when that changes: events and samples on a macro step.
+
+`stickslip.sim.engines.sigmoid.settings` says what the definitions of sticking are. u = w - v and F are polynomials of
+degree five on a macro step, u of a block that takes substeps on each of these.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from stickslip.sim.engines import loop
+from stickslip.sim.engines.sigmoid.collocation import view
+from stickslip.sim.engines.sigmoid.friction import sign_of_number
+from stickslip.sim.engines.sigmoid.layout import blocks
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import copy, room
+from stickslip.sim.numerics.lanes import WIDTH
+from stickslip.sim.numerics.radau import ALL_NODES, ALL_TO_POWERS, BARYCENTRIC, NODES, STAGES, TO_BERNSTEIN, WEIGHTS
+from stickslip.sim.numerics.roots import horner, insert, insert_roots, refine
+
+#: Places on the bounds of a band that a block can pass in a step: eleven polynomials of degree five, and the start.
+PASSES = 11 * STAGES + 1
+_MARKS, _NODES = PASSES + 1, STAGES + 1
+
+
+class Span(NamedTuple):
+    """A step, or a substep, in time from the start of the piece."""
+
+    start: float
+    length: float
+    end: float  #: that of the macro step, to the last bit
+
+
+class Hold(NamedTuple):
+    """What holds a block, by one definition of sticking."""
+
+    band: float  #: it sticks below this |u|
+    by_force: bool  #: and below static friction
+    static: float
+    closed: float  #: the side to which it does not slip; 0: none
+
+
+class Motion(NamedTuple):
+    """u and F of a block on a step, by values at the start and the nodes."""
+
+    u: Floats
+    force: Floats
+
+
+@inner
+def mode_of(mode, gap, force, hold, kinetic, peak):  # type: ignore[no-untyped-def]
+    """Mode of a block under the smoothed law, from its mode before, w - v and F.
+
+    `peak` is the w - v at which the law has its peak: a block that slips beyond it is not held while F, above kinetic
+    friction, drives it on.
+    """
+    if kinetic > 0.0 and abs(gap) < hold.band and (not hold.by_force or abs(force) < hold.static):
+        is_driven = mode != 0 and abs(gap) > peak and -force * math.copysign(1.0, gap) > kinetic
+        if not (hold.by_force and is_driven):
+            return 0
+    return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
+
+
+@inner
+def _hull(values, bernstein):  # type: ignore[no-untyped-def]
+    """Coefficients of Bernstein's polynomials from values at the start and the nodes; their bounds."""
+    low, high = values[0], values[0]
+    bernstein[0] = values[0]
+    for j in range(1, STAGES + 1):
+        coefficient = 0.0
+        for k in range(STAGES + 1):
+            coefficient += TO_BERNSTEIN[j, k] * values[k]
+        bernstein[j] = coefficient
+        low, high = min(low, coefficient), max(high, coefficient)
+    return low, high
+
+
+@inner
+def _powers(values, poly):  # type: ignore[no-untyped-def]
+    """Coefficients of powers from values at the start and the nodes."""
+    for p in range(STAGES + 1):
+        poly[p] = 0.0
+        for k in range(STAGES + 1):
+            poly[p] += ALL_TO_POWERS[p, k] * values[k]
+
+
+@inner
+def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-untyped-def]
+    """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
+    above, below, changes = False, False, 0
+    for j in range(STAGES + 1):
+        above, below = above or bernstein[j] >= bound, below or bernstein[j] <= bound
+        changes += j > 0 and (bernstein[j] > bound) != (bernstein[j - 1] > bound)
+    if not (above and below):
+        return n_marks
+    at_start = poly[0]
+    poly[0] -= bound
+    if changes == 1 and bernstein[0] != bound and bernstein[STAGES] != bound:
+        n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound), marks, n_marks)
+    else:
+        n_marks = insert_roots(poly, STAGES, marks, n_marks, found)
+    poly[0] = at_start
+    return n_marks
+
+
+@inner
+def _at(values, x):  # type: ignore[no-untyped-def]
+    """Value at x of the polynomial with these values at the start and the nodes: Neville's scheme, barycentric."""
+    above, below = 0.0, 0.0
+    for k in range(STAGES + 1):
+        if x == ALL_NODES[k]:
+            return values[k]
+        weight = BARYCENTRIC[k] / (x - ALL_NODES[k])
+        above += weight * values[k]
+        below += weight
+    return above / below
+
+
+@inner
+def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
+    """w - v and F, without what they are beyond the belt's speed or push to on a side that is closed."""
+    if closed < 0.0:
+        return max(gap, 0.0), min(force, 0.0)
+    if closed > 0.0:
+        return min(gap, 0.0), max(force, 0.0)
+    return gap, force
+
+
+@inner
+def _keeps(hold, gaps, forces, mode):  # type: ignore[no-untyped-def]
+    """Whether u and F between these bounds keep to the mode."""
+    low, low_force = _to_open(hold.closed, gaps[0], forces[0])
+    high, high_force = _to_open(hold.closed, gaps[1], forces[1])
+    band, static = hold.band, hold.static
+    if mode == 0:
+        is_within = not hold.by_force or (low_force > -static and high_force < static)
+        return low > -band and high < band and is_within
+    if (low >= band) if mode > 0 else (high <= -band):
+        return True
+    slides = hold.by_force and (low_force >= static or high_force <= -static)
+    return slides and (low > 0.0 if mode > 0 else high < 0.0)
+
+
+@inner
+def _all_marks(hold, mu, peak, bears, scratch):  # type: ignore[no-untyped-def]
+    """Places where u or F pass a bound that may change the mode, in rising order; returns how many."""
+    of_u, of_force, poly_u, poly_force, marks, found = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
+    )  # fmt: skip
+    n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
+    if mu > 0.0:
+        for sign in (-1.0, 1.0):
+            n_marks = _marks(poly_u, of_u, sign * hold.band, marks, n_marks, found)
+            n_marks = _marks(poly_force, of_force, sign * bears, marks, n_marks, found)
+            if hold.by_force:
+                n_marks = _marks(poly_force, of_force, sign * hold.static, marks, n_marks, found)
+                if peak < hold.band:
+                    n_marks = _marks(poly_u, of_u, sign * peak, marks, n_marks, found)
+                    n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, found)
+    return n_marks
+
+
+@inner
+def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the changes of mode of block i by definition d on a step or substep; returns how many are recorded.
+
+    Only a force above what friction and damping bear at the edge of the band drives a block out of it: what seems to
+    leave it with less, and no farther than a step may err by, is an overshoot of the polynomial.
+    """
+    block, scratch = blocks(work.table), room(6, _MARKS)
+    poly_u, poly_force, marks = scratch[2], scratch[3], scratch[4]
+    mode = np.int64(work.modes[d, i])
+    hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+    mu, peak, band = block.friction[i], block.peak[i], hold.band
+    gaps, forces = _hull(motion.u, scratch[0]), _hull(motion.force, scratch[1])
+    if _keeps(hold, gaps, forces, mode):
+        return n_recorded
+    _powers(motion.u, poly_u)
+    _powers(motion.force, poly_force)
+    bears = model.borne[d, i] * sign_of_number(band * block.steep[i], block.hidden[i]) + block.damping[i] * band
+    n_marks = _all_marks(hold, mu, peak, bears, scratch)
+    for k in range(n_marks + 1):
+        left = marks[k - 1] if k > 0 else 0.0
+        right = marks[k] if k < n_marks else 1.0
+        if right <= left:
+            continue
+        middle = 0.5 * (left + right)
+        gap, pull = _to_open(hold.closed, horner(poly_u, STAGES, middle), horner(poly_force, STAGES, middle))
+        new = mode_of(mode, gap, pull, hold, mu, peak)
+        is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not hold.by_force or abs(pull) < hold.static)
+        if new != mode and not (is_borne and abs(gap) < band + block.tolerance[i]):
+            events.t[n_recorded] = min(span.start + span.length * left, span.end)  # rounding may pass the piece's end
+            events.block[n_recorded] = d * len(work.is_split) + i
+            events.mode[n_recorded] = new
+            mode = new
+            n_recorded += 1
+    work.modes[d, i] = mode
+    return n_recorded
+
+
+@inner
+def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record all changes of mode on a macro step, by every definition of sticking; returns how many are recorded.
+
+    Of definition d blocks are labelled i + d n.
+    """
+    block, n, substeps = blocks(work.table), len(work.is_split), work.substeps
+    nodes = room(4, _NODES)
+    u, force, of_substep, bernstein = nodes[0], nodes[1], nodes[2], nodes[3]
+    for first in range(0, n, WIDTH):
+        view(block, first, model.law)
+    copy(work.modes[0], work.modes_before)
+    for d in range(len(model.bands)):
+        for i in range(n):
+            hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+            gaps, forces = (block.low[i], block.high[i]), (block.low_force[i], block.high_force[i])
+            if work.is_split[i] or _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
+                continue
+            u[0], force[0] = block.u0[i], block.force0[i]
+            for k in range(STAGES):
+                u[k + 1], force[k + 1] = block.u[k, i], block.f[k, i]
+            n_recorded = _on_step(model, work, d, i, Motion(u, force), span, events, n_recorded)
+        last = -1
+        for k in range(n_substeps):
+            i, start, length = substeps.block[k], substeps.start[k], substeps.length[k]
+            hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+            gaps, forces = _hull(substeps.u[k], bernstein), (block.low_force[i], block.high_force[i])
+            if _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
+                continue
+            if i != last:
+                last = i
+                force[0] = block.force0[i]
+                for j in range(STAGES):
+                    force[j + 1] = block.f[j, i]
+            for j in range(STAGES + 1):
+                of_substep[j] = _at(force, start + length * ALL_NODES[j])
+            part = Span(span.start + span.length * start, span.length * length, span.end)
+            n_recorded = _on_step(model, work, d, i, Motion(substeps.u[k], of_substep), part, events, n_recorded)
+    return n_recorded
+
+
+@inner
+def until(instant, first, n_recorded, events):  # type: ignore[no-untyped-def]
+    """Of events from the first on, keep those up to an instant; returns how many are recorded then."""
+    n_kept = first
+    for k in range(first, n_recorded):
+        if events.t[k] <= instant:
+            events.t[n_kept], events.block[n_kept], events.mode[n_kept] = events.t[k], events.block[k], events.mode[k]
+            n_kept += 1
+    return n_kept
+
+
+@inner
+def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
+    """Of the events from the first on, the one that is next to k by time; -1: none. The first is next to -1."""
+    t, best = events.t, -1
+    for j in range(first, n_recorded):
+        is_later = k < 0 or t[j] > t[k] or (t[j] == t[k] and j > k)
+        if is_later and (best < 0 or t[j] < t[best]):
+            best = j
+    return best
+
+
+@inner
+def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):  # type: ignore[no-untyped-def]
+    """Keep where the blocks are when all come to stick, or one leaves, among the events of a macro step from `first`.
+
+    The modes before it become those after it.
+    """
+    mode, n, count = work.modes_before, len(work.is_split), 0
+    for i in range(n):
+        count += mode[i] == 0
+    if counters[loop.N_STEPS] == 1:
+        loop.note_still(count == n, span.start, blocks(work.table).z0[:n], events, counters)
+    most = count
+    for k in range(first, n_recorded):
+        most += events.block[k] < n and events.mode[k] == 0
+    if n_recorded == first or most < n:
+        return
+    k = _next(events, first, n_recorded, -1)
+    while k >= 0:
+        i, t = events.block[k], events.t[k]
+        if i < n:
+            count += (events.mode[k] == 0) - (mode[i] == 0)
+            mode[i] = events.mode[k]
+        k = _next(events, first, n_recorded, k)
+        is_last = k < 0 or events.t[k] > t
+        if is_last and (count == n) != (counters[loop.IS_STILL] == 1):
+            work.there.t[0] = t
+            sample(work, n_substeps, span, work.there, 0)
+            loop.note_still(count == n, t, work.there.z[0], events, counters)
+
+
+@inner
+def sample(work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
+    """Keep the state at all sample times of a macro step, from the one numbered m on; returns which is next."""
+    block, substeps = blocks(work.table), work.substeps
+    weights = room(1, _NODES)[0]
+    while m < len(samples.t) and samples.t[m] <= span.end:
+        x = min((samples.t[m] - span.start) / span.length, 1.0)
+        for k in range(STAGES + 1):
+            weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, x)
+        for i in range(len(work.is_split)):
+            z, u = weights[0] * block.z0[i], weights[0] * block.u0[i]
+            for k in range(STAGES):
+                z += weights[k + 1] * block.z[k, i]
+                u += weights[k + 1] * block.u[k, i]
+            if not work.is_split[i]:
+                samples.z[m, i], samples.w[m, i] = z, block.belt[i] + u
+        for place in range(n_substeps):
+            i, of_u, length = substeps.block[place], substeps.u[place], substeps.length[place]
+            inside = (x - substeps.start[place]) / length
+            if not 0.0 <= inside <= 1.0 + 1e-9:
+                continue
+            for k in range(STAGES + 1):
+                weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, inside)
+            z, u = substeps.z[place], weights[0] * of_u[0]
+            for k in range(STAGES):
+                u += weights[k + 1] * of_u[k + 1]
+                moved = NODES[k] * block.belt[i]
+                for j in range(STAGES):
+                    moved += WEIGHTS[k, j] * of_u[j + 1]
+                z += weights[k + 1] * moved * length * span.length
+            samples.z[m, i], samples.w[m, i] = z, block.belt[i] + u
+        m += 1
+    return m

@@ -1,0 +1,225 @@
+"""What the kernels work on: the numbers of each block by name, what a run keeps constant, and what changes.
+
+Shapes are for n blocks, p = n rounded up to whole vectors, m definitions of sticking; a step has five nodes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines.forcing import Outside
+from stickslip.sim.engines.loop import Room
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.lanes import WIDTH
+from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
+from stickslip.sim.numerics.radau import STAGES
+from stickslip.sim.numerics.tables import Nodes, Row, Table, named
+
+
+class Blocks(Table, nodes=STAGES):
+    """What formulas read and write of each block, by columns, on the step that it is taking; u = w - v."""
+
+    # of the step
+    h: Row  #: its length
+    u0: Row  #: u at its start
+    z0: Row  #: z at its start
+    # of the block
+    damping: Row  #: R
+    steep: Row  #: 1 / delta
+    friction: Row  #: kinetic friction of a block that begins to slip
+    belt: Row  #: v
+    drag: Row  #: what belts give F by damping
+    # of the step
+    tolerance: Row  #: what it may err by
+    reach: Row  #: of the block: |u| / delta up to which friction differs from kinetic by what counts
+    done: Row  #: 1 if Newton's method has converged, or is not to be used
+    error: Row
+    allowed: Row  #: what `error` may be: the tolerance, and less of it near a peak of friction
+    suspect: Row  #: 1 if u may have gone through the layer unseen
+    low: Row  #: bounds of u on a macro step
+    high: Row
+    low_force: Row  #: bounds of F
+    high_force: Row
+    force0: Row  #: F at the start
+    speed_before: Row  #: |w| a step before
+    was_split: Row  #: 1 if the block took substeps in the last macro step
+    moved: Row  #: what the last change of F may change w by, over tolerance
+    tail: Row  #: what the leading coefficient of F may change w by, over tolerance
+    # of a substep: where it starts, and its length, as shares of the macro step
+    start: Row
+    length: Row
+    # of the block
+    peak: Row  #: the u at which friction has its peak; infinite if it has none
+    hidden: Row  #: c of the law
+    static: Row  #: static friction, that of the peak
+    fine: Row  #: the share of tolerance that a step near the peak may err by
+    far: Row  #: friction of a slip without bound, over `friction`
+    weakening: Row  #: how steeply friction weakens, over 1 / delta
+    closed: Row  #: the side to which the block does not slip; 0: none
+    # of a substep: its length if it is accepted, else 0
+    taken: Row
+    # of the block
+    passed: Row  #: the weight of the error of a step that jumped the layer
+    at_peak: Row  #: what a step may err by at the peak, over its u
+    row_sum: Row  #: of |K|
+    # of the step
+    noise: Row  #: F is known to no more than this
+    z_macro: Row  #: z at the start of the macro step
+    u_macro: Row
+    # at the nodes
+    f: Nodes
+    u: Nodes
+    z: Nodes
+    kept_f: Nodes  #: of the last macro step, as the next
+    kept_u: Nodes
+    z_before: Nodes  #: of the last iteration
+    product: Nodes  #: of K with z, or with its change
+    mean_u: Nodes  #: the L2 projection of u
+    # by powers of the place in the macro step
+    g: Nodes  #: F
+    moment: Nodes  #: the integrals of z - z(0)
+    moment_u: Nodes
+
+
+#: Rows that a block takes with it into substeps.
+OF_BLOCK = tuple(
+    Blocks.places[name][0]
+    for name in (
+        "u0", "z0", "damping", "steep", "friction", "belt", "tolerance", "reach", "hidden", "peak", "fine", "far",
+        "weakening", "closed", "passed", "at_peak", "static",
+    )
+)  # fmt: skip
+
+
+class Shared(Table, nodes=STAGES):
+    """Numbers that formulas read, the same for all blocks: the first of a row, or square."""
+
+    weights: Nodes  #: by which values at the nodes of the last step predict those of this one
+    h: Row  #: the macro step
+    atol: Row  #: inside
+    rtol: Row
+    safety: Row  #: the safety factor
+    size: Row  #: the largest |z| at the start
+
+
+#: For kernels: tables by these names.
+blocks, shared = named(Blocks), named(Shared)
+
+
+class Matrix(NamedTuple):
+    """A matrix to be multiplied with: in panels if it is dense, else its rows."""
+
+    panels: Floats  #: shape (panels, n, height), as the next
+    single_panels: NDArray[np.float32]
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    data: Floats
+
+
+class Model(NamedTuple):
+    """What is constant in a run, beside what `Blocks` has of each block."""
+
+    law: NamedTuple  #: kernels are compiled for it
+    stiffness: Matrix  #: K
+    cross: Matrix  #: N
+    has_cross: bool
+    forcing: Outside | None
+    bands: Floats  #: shape (m, n): by each definition a block sticks below this |u|
+    borne: Floats  #: shape (m, n): kinetic friction there
+    by_force: NDArray[np.bool_]  #: shape (m,): and below static friction
+
+
+class Substeps(NamedTuple):
+    """Substeps of the present macro step, in the order in which they were taken."""
+
+    block: NDArray[np.int64]
+    after: NDArray[np.int64]  #: the next of the same block; -1: none
+    start: Floats  #: as a share of the macro step
+    length: Floats
+    z: Floats  #: at the start
+    u: Floats  #: at the start and the nodes, shape (..., 6)
+
+
+class Repeated(NamedTuple):
+    """Those of the last iteration, as `Substeps` has them."""
+
+    after: NDArray[np.int64]
+    length: Floats
+    u: Floats
+
+
+class Lanes(NamedTuple):
+    """Blocks that take substeps side by side, one a lane."""
+
+    table: Floats  #: see `Blocks`
+    block: NDArray[np.int64]  #: -1: the lane is free
+    again: NDArray[np.int64]  #: the substep of the last iteration to be taken again; -1: none
+    last: NDArray[np.int64]  #: the last substep; -1: none
+
+
+class Workspace(NamedTuple):
+    """What changes in a run, beside its state, and room to work in."""
+
+    table: Floats  #: see `Blocks`, shape (rows, p)
+    shared: Floats  #: see `Shared`
+    lanes: Lanes
+    product: Floats  #: of N with u at the nodes, shape (5, p)
+    single: NDArray[np.float32]  #: shape (5, p), as the next
+    single_product: NDArray[np.float32]
+    forcing: Floats  #: at the nodes, shape (5, n), or (0, n) if there is none
+    modes: NDArray[np.int8]  #: by each definition of sticking, shape (m, n)
+    modes_before: NDArray[np.int8]  #: by the first, shape (n,)
+    is_split: NDArray[np.bool_]  #: whether a block takes substeps, shape (n,)
+    split: NDArray[np.int64]  #: those that do
+    next_h: Floats  #: a block's next substep, shape (n,)
+    next_h_before: Floats  #: at the start of the macro step
+    end_u: Floats  #: u and z at the end of a block's last substep, shape (n,)
+    end_z: Floats
+    begins: NDArray[np.int64]  #: a block's first substep; -1: none, shape (n,)
+    substeps: Substeps
+    repeated: Repeated
+    there: Room  #: the state at an instant at which all blocks come to stick, or one leaves
+
+    @classmethod
+    def of(cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int) -> Workspace:
+        """A workspace for a table and the modes at the start, with room for so many substeps."""
+        n, wide = modes.shape[1], -(-modes.shape[1] // SINGLE_HEIGHT) * SINGLE_HEIGHT
+        return cls(
+            table=table,
+            shared=np.zeros((Shared.n_rows, STAGES)),
+            lanes=Lanes(np.empty((Blocks.n_rows, WIDTH)), *np.empty((3, WIDTH), np.int64)),
+            product=np.zeros((STAGES, table.shape[1])),
+            single=np.zeros((STAGES, wide), np.float32),
+            single_product=np.zeros((STAGES, wide), np.float32),
+            forcing=np.zeros((STAGES if has_forcing else 0, n)),
+            modes=modes,
+            modes_before=modes[0].copy(),
+            is_split=np.zeros(n, np.bool_),
+            split=np.empty(n, np.int64),
+            next_h=np.empty(n),
+            next_h_before=np.empty(n),
+            end_u=np.empty(n),
+            end_z=np.empty(n),
+            begins=np.empty(n, np.int64),
+            substeps=Substeps(
+                np.empty(most, np.int64),
+                np.empty(most, np.int64),
+                np.empty(most),
+                np.empty(most),
+                np.empty(most),
+                np.empty((most, STAGES + 1)),
+            ),
+            repeated=Repeated(np.empty(most, np.int64), np.empty(most), np.empty((most, STAGES + 1))),
+            there=Room(np.empty(1), np.empty((1, n)), np.empty((1, n))),
+        )
+
+
+def blank_tables(several: int, n: int) -> Floats:
+    """Tables of n blocks, shape (several, rows, p); columns that are no block have numbers that are harmless."""
+    tables = np.zeros((several, Blocks.n_rows, -(-n // HEIGHT) * HEIGHT))
+    block = Blocks(tables)
+    block.steep = block.h = block.done = block.tolerance = 1.0
+    return tables

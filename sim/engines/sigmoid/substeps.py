@@ -1,0 +1,255 @@
+"""How one block is solved on a macro step, its F given: in the step itself, or in substeps of its own.
+
+`step.py` asks for `solve_blocks` and `probe_blocks`, and takes from them u and z at the nodes, which blocks took
+substeps, and where those led. The formulas are those of `collocation.py`, on blocks side by side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stickslip.sim.engines.sigmoid import control
+from stickslip.sim.engines.sigmoid.collocation import finish, gather, gather_u, newton, prepare, probe
+from stickslip.sim.engines.sigmoid.layout import OF_BLOCK, blocks
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import copy
+from stickslip.sim.numerics.lanes import ALL, WIDTH
+from stickslip.sim.numerics.radau import PROJECT, STAGES, TO_POWERS
+
+
+@inner
+def _split(work, first, accepted, n_split, anew):  # type: ignore[no-untyped-def]
+    """List those of `WIDTH` blocks that are not accepted, and if `anew` those listed before; returns how many are."""
+    is_split = work.is_split
+    for lane in range(min(WIDTH, len(is_split) - first)):
+        i = first + lane
+        if (anew and is_split[i]) or not (is_split[i] or (accepted >> lane) & 1):
+            is_split[i] = True
+            work.split[n_split] = i
+            n_split += 1
+    return n_split
+
+
+@inner(inlined=True)
+def _in_one_step(law, work):  # type: ignore[no-untyped-def]
+    """All blocks in one step; returns how many are listed for substeps, those marked before among them."""
+    block, n = blocks(work.table), len(work.is_split)
+    n_split, some = np.int64(0), False
+    for i in range(n):
+        block.done[i] = 1.0 if work.is_split[i] else 0.0
+        some = some or work.is_split[i]
+    for first in range(0, n, WIDTH):
+        for _ in range(control.MOST_NEWTON):
+            if newton(block, first, law) == ALL:
+                break
+        accepted = finish(block, first, law)
+        if some or accepted != ALL:
+            n_split = _split(work, first, accepted, n_split, True)
+    return n_split
+
+
+@inner
+def probe_blocks(law, work, n_split):  # type: ignore[no-untyped-def]
+    """List too the blocks whose one step does not do off the nodes; returns how many are listed."""
+    block = blocks(work.table)
+    for first in range(0, len(work.is_split), WIDTH):
+        accepted = probe(block, first, law)
+        if accepted != ALL:
+            n_split = _split(work, first, accepted, n_split, False)
+    return n_split
+
+
+@inner(inlined=True)
+def solve_blocks(model, work, h, is_last):  # type: ignore[no-untyped-def]
+    """Solve every block on a macro step, F at the nodes given.
+
+    Returns how many blocks took substeps, and how many substeps, or -1 - i if block i cannot be solved. In the last
+    iteration all is tested off the nodes.
+    """
+    n_split = _in_one_step(model.law, work)
+    if is_last:
+        n_split = probe_blocks(model.law, work, n_split)
+    for k in range(n_split):
+        work.next_h[work.split[k]] = work.next_h_before[work.split[k]]
+    return n_split, _substep(model, work, n_split, h)
+
+
+@inner
+def keep_substeps(work, n_substeps):  # type: ignore[no-untyped-def]
+    """Keep the substeps of an iteration for the next."""
+    taken, kept = work.substeps, work.repeated
+    for k in range(n_substeps):
+        kept.after[k], kept.length[k] = taken.after[k], taken.length[k]
+        copy(taken.u[k], kept.u[k])
+
+
+@inner
+def _clear(lanes):  # type: ignore[no-untyped-def]
+    """Free all lanes, with numbers in them that are harmless."""
+    table, own = lanes.table, blocks(lanes.table)
+    for lane in range(WIDTH):
+        for row in range(len(table)):
+            table[row, lane] = 0.0
+        own.h[lane] = 1.0
+        own.steep[lane] = 1.0
+        lanes.block[lane], lanes.again[lane], lanes.last[lane] = -1, -1, -1
+
+
+@inner
+def _enter(work, i, lane, h):  # type: ignore[no-untyped-def]
+    """Put block i into a lane, at the start of the macro step."""
+    lanes, block, own = work.lanes, blocks(work.table), blocks(work.lanes.table)
+    lanes.block[lane], lanes.again[lane], lanes.last[lane] = i, work.begins[i], -1
+    for row in OF_BLOCK:
+        lanes.table[row, lane] = work.table[row, i]
+    for p in range(STAGES):
+        value = 0.0
+        for k in range(STAGES):
+            value += TO_POWERS[p, k] * block.f[k, i]
+        own.g[p, lane] = value
+        own.moment[p, lane] = 0.0
+        own.moment_u[p, lane] = 0.0
+    own.start[lane] = 0.0
+    own.z_macro[lane], own.u_macro[lane] = block.z0[i], block.u0[i]
+    own.length[lane] = min(work.next_h[i] / h, 1.0)
+
+
+@inner
+def _set_lengths(lanes, before, h):  # type: ignore[no-untyped-def]
+    """Lengths of the next substeps: as in the iteration before, or so that no rest is short."""
+    own = blocks(lanes.table)
+    for lane in range(WIDTH):
+        own.done[lane] = 1.0 if lanes.block[lane] < 0 else 0.0
+        if lanes.block[lane] >= 0:
+            rest = 1.0 - own.start[lane]
+            length = own.length[lane]
+            if lanes.again[lane] >= 0:
+                length = before.length[lanes.again[lane]]
+            elif length > control.SUBSTEP_TAKES_ALL * rest:
+                length = rest
+            elif length > 0.5 * rest:
+                length = 0.5 * rest
+            own.length[lane] = length
+            own.h[lane] = length * h
+
+
+@inner
+def _solve(lanes, before, model):  # type: ignore[no-untyped-def]
+    """Take a substep in every lane, from where the one of the iteration before led, and test it."""
+    own = blocks(lanes.table)
+    prepare(own, 0, model.law)
+    for lane in range(WIDTH):
+        if lanes.again[lane] >= 0:
+            for k in range(STAGES):
+                own.u[k, lane] = before.u[lanes.again[lane], 1 + k]
+    for _ in range(control.MOST_NEWTON_OF_SUBSTEP):
+        if newton(own, 0, model.law) == ALL:
+            break
+    finish(own, 0, model.law)
+    probe(own, 0, model.law)
+    for lane in range(WIDTH):
+        accepted = lanes.block[lane] >= 0 and own.done[lane] > 0.5 and own.suspect[lane] < 0.5
+        accepted = accepted and own.error[lane] <= own.allowed[lane]
+        own.taken[lane] = own.length[lane] if accepted else 0.0
+    gather(own, 0, model.law)
+    if model.has_cross:
+        gather_u(own, 0, model.law)
+
+
+@inner
+def _factor(own, lane):  # type: ignore[no-untyped-def]
+    """By how much the next substep may be longer."""
+    if own.done[lane] < 0.5:
+        return control.SHRINK_UNSOLVED
+    factor = control.SAFETY * (own.allowed[lane] / max(own.error[lane], 1e-300)) ** (1.0 / STAGES)
+    return min(max(factor, control.SHRINK_SUBSTEP), control.GROW_SUBSTEP)
+
+
+@inner
+def _move_on(work, lane, place):  # type: ignore[no-untyped-def]
+    """Keep an accepted substep, in this place, and go to its end."""
+    lanes, own, substeps = work.lanes, blocks(work.lanes.table), work.substeps
+    i, last, again = lanes.block[lane], lanes.last[lane], lanes.again[lane]
+    start, length = own.start[lane], own.length[lane]
+    substeps.block[place], substeps.after[place] = i, -1
+    if last < 0:
+        work.begins[i] = place
+    else:
+        substeps.after[last] = place
+    lanes.last[lane] = place
+    substeps.start[place], substeps.length[place] = start, length
+    substeps.z[place], substeps.u[place, 0] = own.z0[lane], own.u0[lane]
+    for k in range(STAGES):
+        substeps.u[place, 1 + k] = own.u[k, lane]
+    if again >= 0:
+        lanes.again[lane] = work.repeated.after[again]
+    if lanes.again[lane] < 0:
+        own.length[lane] = length * _factor(own, lane)
+    own.u0[lane] = own.u[STAGES - 1, lane]
+    own.z0[lane] = own.z[STAGES - 1, lane]
+    own.start[lane] = start + length
+
+
+@inner
+def _project(moments, since, lane, values, i):  # type: ignore[no-untyped-def]
+    """The L2 projection, at the nodes of the macro step, of what a lane has the moments of."""
+    for k in range(STAGES):
+        value = since[lane]
+        for p in range(STAGES):
+            value += PROJECT[k, p] * moments[p, lane]
+        values[k, i] = value
+
+
+@inner
+def _leave(model, work, lane, h):  # type: ignore[no-untyped-def]
+    """Free the lane of a block that is at the end of the macro step, and note what came of it."""
+    lanes, own, block = work.lanes, blocks(work.lanes.table), blocks(work.table)
+    i = lanes.block[lane]
+    work.end_u[i], work.end_z[i] = own.u0[lane], own.z0[lane]
+    work.next_h[i] = own.length[lane] * h
+    _project(own.moment, own.z_macro, lane, block.z, i)
+    if model.has_cross:
+        _project(own.moment_u, own.u_macro, lane, block.mean_u, i)
+    lanes.block[lane], lanes.again[lane] = -1, -1
+    own.h[lane] = 1.0
+    own.steep[lane] = 1.0
+    own.friction[lane] = 0.0
+    for k in range(STAGES):
+        own.g[k, lane] = 0.0
+
+
+@inner
+def _substep(model, work, n_split, h):  # type: ignore[no-untyped-def]
+    """The listed blocks in substeps, side by side. Returns how many substeps, or -1 - i if block i cannot.
+
+    A block takes the substeps of the last iteration again, from where they led, as long as they will do.
+    """
+    lanes, own, before = work.lanes, blocks(work.lanes.table), work.repeated
+    n_substeps, n_entered, n_left = np.int64(0), 0, n_split
+    _clear(lanes)
+    while n_left > 0:
+        for lane in range(WIDTH):
+            if lanes.block[lane] < 0 and n_entered < n_split:
+                _enter(work, work.split[n_entered], lane, h)
+                n_entered += 1
+        _set_lengths(lanes, before, h)
+        _solve(lanes, before, model)
+        for lane in range(WIDTH):
+            i = lanes.block[lane]
+            if i < 0:
+                continue
+            if own.taken[lane] == 0.0:
+                length = own.length[lane]
+                own.length[lane] = length * min(_factor(own, lane), control.HALVE)
+                lanes.again[lane] = -1
+                if not length > control.SHORTEST_SUBSTEP:
+                    return -1 - i
+                continue
+            if n_substeps == len(work.substeps.block):
+                return -1 - i
+            _move_on(work, lane, n_substeps)
+            n_substeps += 1
+            if own.start[lane] >= 1.0 - control.NOTHING_LEFT:
+                _leave(model, work, lane, h)
+                n_left -= 1
+    return n_substeps
