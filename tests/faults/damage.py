@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stickslip.pipeline import Progress, StoreError, parse_scene, query, run_ensemble, status, verify
+from stickslip.pipeline.places.manifest import Commit
 from tests.faults.registry import fault
 from tests.faults.world import World, content
 
@@ -211,8 +212,10 @@ def damaged_record_of_a_killed_run(world: World, count: int) -> int:
         before, earlier = world.copy("before", out), world.copy("earlier", out)
         record = out / "timings.jsonl"
         (_truncate, _flip)[k % 2](world, record)
-        # without the newline at its end the last line is one that a crash cut short
-        os.truncate(earlier / record.name, record.read_bytes().rfind(b"\n") + 1)
+        # a last line without its newline is one that a crash cut short; it counts if all of it is there
+        left = record.read_bytes()
+        end = left.rfind(b"\n") + 1
+        os.truncate(earlier / record.name, end if Commit.parse(left[end:]) is None else len(left))
         (whole, cut), (told,) = _asked(world, [before, earlier]), _asked(world, [out])
         for answer, *right in zip(told, whole, cut, strict=True):
             is_refusal = answer.startswith(f"refused: {record}: ") and "rerun" in answer
