@@ -130,8 +130,8 @@ def test_the_error_follows_the_tolerance():
     """Against Radau IIA at 1e-11, over new systems: N weaker than R, as strong, and stronger; r_i equal or not.
 
     One error over its tolerance says little: it ranges from 0.003 to 100, as terms cancel or an event is near. Over
-    twelve systems and five tolerances errors are as small as asked for in the geometric mean, within a factor, and fall
-    at least as fast as the tolerance; that they may fall faster, as the iteration is the tighter, is no fault.
+    twelve systems and five tolerances errors are in the geometric mean as small as asked for, but a factor, and fall
+    at least as fast as the tolerance. That they may fall faster is no fault.
     """
     seed = int(np.random.SeedSequence().entropy) % 2**32
     print("seed", seed)
