@@ -169,7 +169,7 @@ class Engine(ABC):
         Whether it runs systems with forces from outside, and belts of several or changing speeds. Masses are divided
         out before.
     takes_weakening : bool
-        Whether it runs systems whose friction falls with the speed of slip, or that bar one side to it.
+        Whether it runs systems whose friction weakens with the speed of slip, or that bar one side to it.
     """
 
     name: ClassVar[str]

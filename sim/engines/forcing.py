@@ -32,7 +32,7 @@ _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
 _APART = 100.0
 
 
-class Outside(NamedTuple):
+class Forcing(NamedTuple):
     """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m), in place."""
 
     poly: Floats  #: shape (3, n)
@@ -44,11 +44,11 @@ class Outside(NamedTuple):
 
 
 @inner
-def begin(outside, s):  # type: ignore[no-untyped-def]
+def begin(forcing, s):  # type: ignore[no-untyped-def]
     """Prepare the coefficients about the time s."""
-    if outside is None:
+    if forcing is None:
         return
-    amplitude, frequency, phase, waves = outside.amplitude, outside.frequency, outside.phase, outside.waves
+    amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
     m = len(amplitude)
     for j in range(m):
         for i in range(amplitude.shape[1]):
@@ -58,15 +58,15 @@ def begin(outside, s):  # type: ignore[no-untyped-def]
 
 
 @inner
-def take_off(outside, s, k, forces):  # type: ignore[no-untyped-def]
+def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
     """Take the k-th coefficient of g about s off the k-th of K z, both shape (n,); k counts up from 0 after `begin`.
 
     Returns the largest coefficient.
     """
-    if outside is None:
+    if forcing is None:
         return 0.0
-    poly, waves, noise = outside.poly, outside.waves, outside.noise[k]
-    frequency, phase = outside.frequency, outside.phase
+    poly, waves, noise = forcing.poly, forcing.waves, forcing.noise[k]
+    frequency, phase = forcing.frequency, forcing.phase
     m, most = len(frequency), 0.0
     for i in range(len(forces)):
         value, size = 0.0, 0.0
@@ -89,11 +89,11 @@ def take_off(outside, s, k, forces):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_change(outside, s, h):  # type: ignore[no-untyped-def]
+def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
     """Bounds what g changes by from s to s + h."""
-    if outside is None:
+    if forcing is None:
         return 0.0
-    poly, amplitude, frequency, most = outside.poly, outside.amplitude, outside.frequency, 0.0
+    poly, amplitude, frequency, most = forcing.poly, forcing.amplitude, forcing.frequency, 0.0
     for i in range(poly.shape[1]):
         change = abs(poly[1, i] + 2.0 * s * poly[2, i]) * h + abs(poly[2, i]) * h * h
         for j in range(len(amplitude)):
@@ -103,11 +103,11 @@ def may_change(outside, s, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def value_at(outside, s, values):  # type: ignore[no-untyped-def]
+def value_at(forcing, s, values):  # type: ignore[no-untyped-def]
     """g at the time s, shape (n,)."""
-    if outside is None:
+    if forcing is None:
         return
-    poly, amplitude, frequency, phase = outside.poly, outside.amplitude, outside.frequency, outside.phase
+    poly, amplitude, frequency, phase = forcing.poly, forcing.amplitude, forcing.frequency, forcing.phase
     for i in range(len(values)):
         value = poly[0, i] + s * (poly[1, i] + s * poly[2, i])
         for j in range(len(amplitude)):
@@ -121,8 +121,8 @@ class Drive:
     Attributes
     ----------
     belt_speed : float64, shape (n,)
-        v of the present piece, as `outside` kept in place.
-    outside : Outside or None
+        v of the present piece, as `forcing` kept in place.
+    forcing : Forcing or None
         None if there is no force from outside, and no belt changes its speed.
     start, end, length : float
         Of the present piece.
@@ -141,7 +141,7 @@ class Drive:
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
         self._gains, self._is_carried = np.zeros(n), False
         self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
-        self.outside: Any = None
+        self.forcing: Any = None
         self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
             self._next = iter([(t_end, True)])
@@ -154,7 +154,7 @@ class Drive:
             for name in ("amplitude", "frequency")
         )
         m = len(self._waves)
-        self.outside = Outside(
+        self.forcing = Forcing(
             np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
         )
         self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in self._waves), default=0.0)
@@ -166,8 +166,8 @@ class Drive:
 
     def value(self) -> Floats:
         """g at the start of the present piece, shape (n,)."""
-        outside = self.outside
-        return outside.poly[0] + (outside.amplitude * np.cos(outside.phase)).sum(axis=0)
+        forcing = self.forcing
+        return forcing.poly[0] + (forcing.amplitude * np.cos(forcing.phase)).sum(axis=0)
 
     def go_on(self, z: Floats, w: Floats) -> None:
         """To the next piece, from a state at the end of this one, which is put into its frame in place."""
@@ -186,13 +186,13 @@ class Drive:
         s = np.expand_dims(t - self.start, -1)
         return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
 
-    def place_stills(self, stills: Floats) -> None:
+    def place_all_stuck(self, all_stuck: Floats) -> None:
         """Put sums of z, the second row, at the times of the first, both of the present piece, into the user's."""
-        if not stills.size:
+        if not all_stuck.size:
             return
         if self._is_carried:
-            stills[1] += 0.5 * stills[0] ** 2 * self._gains.sum()
-        stills[0] = _times(self.start, self.end, stills[0])
+            all_stuck[1] += 0.5 * all_stuck[0] ** 2 * self._gains.sum()
+        all_stuck[0] = _times(self.start, self.end, all_stuck[0])
 
     def time(self, s: float) -> float:
         """The time at s of the present piece."""
@@ -216,7 +216,7 @@ class Drive:
 
     def _enter(self, t: float) -> None:
         """The next piece, which begins at a time."""
-        system, outside = self._system, self.outside
+        system, forcing = self._system, self.forcing
         self.start = t
         self.end, self.is_last = next(self._next)
         self.length = self.end - t
@@ -224,22 +224,22 @@ class Drive:
             self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
             self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
         turn = 0.0
-        if outside is not None:
-            outside.poly[:] = 0.0
+        if forcing is not None:
+            forcing.poly[:] = 0.0
             for term in self._bends:
-                outside.poly[0] += term.at(t)
-                outside.poly[1] += term.slope_at(t)
-            for phase, wave in zip(outside.phase, self._waves, strict=True):
+                forcing.poly[0] += term.at(t)
+                forcing.poly[1] += term.slope_at(t)
+            for phase, wave in zip(forcing.phase, self._waves, strict=True):
                 phase[:] = wave.phase_at(t)
             if self._moves:
                 gains = self._gains = system.belt_speed.slope_at(t)
                 self._is_carried = bool(gains.any())
                 self.belt_speed[:] = system.belt_speed.at(t)
                 cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
-                outside.poly[0] -= gains
-                outside.poly[1] -= system.damping * gains + cross
-                outside.poly[2] -= 0.5 * (system.stiffness @ gains)
-            change = float((np.abs(outside.poly[1]) + 2.0 * self.length * np.abs(outside.poly[2])).max())
+                forcing.poly[0] -= gains
+                forcing.poly[1] -= system.damping * gains + cross
+                forcing.poly[2] -= 0.5 * (system.stiffness @ gains)
+            change = float((np.abs(forcing.poly[1]) + 2.0 * self.length * np.abs(forcing.poly[2])).max())
             if change > 0.0:
                 speed = system.fastest_belt
                 turn = min(math.sqrt(change / speed) if speed > 0.0 else math.inf, 1.0 / max(self.length, 1e-300))

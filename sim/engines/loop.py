@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive, Outside
+from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.engines.watch import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -30,15 +30,15 @@ DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
 STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
-N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_STILL, N_STILLS, N_COUNTERS = range(9)
+N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_ALL_STUCK, N_ALL_STUCK, N_COUNTERS = range(9)
 #: Clocks that every engine keeps, float64, from the start of the present piece: the time, and after when a collapse
 #: may be certified next, with all blocks slipping left and (the next clock) right. An engine may keep more behind
 #: them. After, not at: a run that was just asked takes a step before it is asked again, or would be asked for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
 
-class Fall(NamedTuple):
-    """How friction falls with the speed of slip: exp(-x) or 1 / (1 + x), x = steepness |w - v|."""
+class SpeedWeakening(NamedTuple):
+    """How friction weakens with the speed of slip: exp(-x) or 1 / (1 + x), x = steepness |w - v|."""
 
     far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
     steepness: float
@@ -62,17 +62,17 @@ class Law(NamedTuple):
     friction: Floats  #: kinetic, of a block that begins to slip
     static: Floats
     closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
-    fall: Fall | None
+    weakening: SpeedWeakening | None
     belt_speed: Floats
-    outside: Outside | None
+    forcing: Forcing | None
 
     @classmethod
     def of(cls, system: System, pairs: Pairs, drive: Drive) -> Law:
         near, far = system.slip_friction
-        fall, weakening = None, system.weakening
+        weakens, weakening = None, system.weakening
         if weakening is not None:
             share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            fall = Fall(share, weakening.steepness, registered(_IS_EXPONENTIAL, weakening, "coulomb"))
+            weakens = SpeedWeakening(share, weakening.steepness, registered(_IS_EXPONENTIAL, weakening, "coulomb"))
         return cls(
             system.columns,
             pairs,
@@ -81,9 +81,9 @@ class Law(NamedTuple):
             near,
             system.static,
             system.closed,
-            fall,
+            weakens,
             drive.belt_speed,
-            drive.outside,
+            drive.forcing,
         )
 
 
@@ -93,21 +93,21 @@ class Events(NamedTuple):
     t: Floats  #: from the start of the piece
     block: NDArray[np.int32]
     mode: NDArray[np.int8]
-    stills: Floats
+    all_stuck: Floats
 
     @classmethod
     def blank(cls, capacity: int) -> Events:
-        """Room for so many; each of them, and the start, can make a still."""
-        t, stills = np.empty(capacity), np.empty((2, capacity + 1))
-        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), stills)
+        """Room for so many; each of them, and the start, can make one."""
+        t, all_stuck = np.empty(capacity), np.empty((2, capacity + 1))
+        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), all_stuck)
 
     def part(self, first: int, last: int) -> Events:
-        """The room for some of the events, and that for all stills."""
-        return Events(self.t[first:last], self.block[first:last], self.mode[first:last], self.stills)
+        """The room for some of the events, and that for all all_stuck."""
+        return Events(self.t[first:last], self.block[first:last], self.mode[first:last], self.all_stuck)
 
-    def first(self, n: int, n_stills: int) -> Events:
-        """The first ones; the stills in an array of their own."""
-        return self.part(0, n)._replace(stills=self.stills[:, :n_stills].copy())
+    def first(self, n: int, n_all_stuck: int) -> Events:
+        """The first ones; the all_stuck in an array of their own."""
+        return self.part(0, n)._replace(all_stuck=self.all_stuck[:, :n_all_stuck].copy())
 
     @classmethod
     def joined(cls, parts: list[Events]) -> Events:
@@ -159,79 +159,116 @@ def may_collapse(state, mode, watch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def note_still(is_still, t, z, events, counters):  # type: ignore[no-untyped-def]
+def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-untyped-def]
     """Keep where the blocks are if now, and not before, all of them stick, or the other way round."""
-    if (1 if is_still else 0) != counters[IS_STILL]:
-        counters[IS_STILL] = 1 if is_still else 0
+    if (1 if is_all_stuck else 0) != counters[IS_ALL_STUCK]:
+        counters[IS_ALL_STUCK] = 1 if is_all_stuck else 0
         total = 0.0
         for i in range(len(z)):
             total += z[i]
-        _, _, _, stills = events
-        stills[0, counters[N_STILLS]], stills[1, counters[N_STILLS]] = t, total
-        counters[N_STILLS] += 1
+        _, _, _, all_stuck = events
+        all_stuck[0, counters[N_ALL_STUCK]], all_stuck[1, counters[N_ALL_STUCK]] = t, total
+        counters[N_ALL_STUCK] += 1
 
 
-def complete(
-    task: Task,
-    state: State,
-    drive: Drive,
-    advance: Callable[[Events, float], tuple[int, int]],
-    collapse: certificates.Collapse,
-    stalled: str,
-    events_a_step: int,
-    initial_modes: NDArray[np.int8],
-    thresholds: tuple[float, ...] = (),
-    shortest: Floats | None = None,
-    touch: float = 0.0,
-    go_on: Callable[[], None] = lambda: None,
-) -> Run:
-    """Call `advance` until the run ends, gather its events, and say how it ended.
+class Plan(NamedTuple):
+    """What an engine tells of itself to `complete`."""
+
+    advance: Callable[[Events, float], tuple[int, int]]
+    """Runs a slice, writing events into the room that it is given, until the state passes a bound."""
+    stalled: str  #: what to say, after the time and the block, when the engine cannot go on
+    events_a_step: int  #: the most events that a step can record
+    initial_modes: NDArray[np.int8]
+    """Shape (1 + m, n): the first row by the engine's own definition of sticking, the others by each of `thresholds`.
+    Events by definition d carry block + d n."""
+    thresholds: tuple[float, ...] = ()
+    shortest: Floats | None = None
+    """Shape (n,): how long a change of each block's mode must last to be an event, where nothing drives the blocks
+    but belts of constant speeds: see `without_returns`."""
+    touch: float = 0.0  #: the same, in units of the time that a block takes to turn round
+    go_on: Callable[[], None] = lambda: None
+    """Prepares the engine for the next piece, `state` and `drive` being there already."""
+
+
+class _Recorded:
+    """The events of a run so far, and how many of them come from each piece."""
+
+    def __init__(self, plan: Plan, state: State, drive: Drive) -> None:
+        self._plan, self._counters, self._drive = plan, state.counters, drive
+        self._capacity = max(2 * plan.events_a_step, 4096)  # of a slice
+        self._full: list[Events] = []
+        self.of_piece = [0]
+        self._begin()
+
+    def _begin(self) -> None:
+        self._events, self._n, self._n_all_stuck = Events.blank(2 * self._capacity), 0, 0
+        self._counters[N_ALL_STUCK] = 0
+
+    def slice(self, bound: float) -> int:
+        """Run a slice, and take up its events; returns why it ended."""
+        if self._n > self._capacity:
+            self._full.append(self._events.first(self._n, self._n_all_stuck))
+            self._begin()
+        status, n_recorded = self._plan.advance(self._events.part(self._n, self._n + self._capacity), bound)
+        self._n += n_recorded
+        self.of_piece[-1] += n_recorded
+        self._drive.place_all_stuck(self._events.all_stuck[:, self._n_all_stuck : self._counters[N_ALL_STUCK]])
+        self._n_all_stuck = int(self._counters[N_ALL_STUCK])
+        return status
+
+    def all(self) -> Events:
+        """All of them."""
+        return Events.joined([*self._full, self._events.first(self._n, self._n_all_stuck)])
+
+
+class _Divergence:
+    """Whether a run diverges, asked when its state passes a bound."""
+
+    def __init__(self, task: Task, drive: Drive, z: Floats, w: Floats) -> None:
+        self._task, self._drive = task, drive
+        self.bound, self._beyond = certificates.escape_bounds(task.system, z, w)
+
+    def reason(self, t: float, z: Floats, w: Floats) -> str:
+        """Why it does; "" if it cannot be said yet: then the bound is further out."""
+        system, stop_early = self._task.system, self._task.stop_early
+        z_there, w_there = self._drive.of_user(t, z, w)
+        speed = float(np.abs(w_there).max())
+        size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
+        is_past_doubt = stop_early and speed > self._beyond and not system.changes
+        if not np.isfinite((size, speed)).all():
+            raise IntegrationError(
+                f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
+            )
+        if stop_early and (why := certificates.escape(system, z_there, w_there)):
+            return why
+        if size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
+            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._beyond
+            return certificates.divergence_reason(z_there, w_there, t, min(size, passed))
+        self.bound = 2.0 * size
+        return ""
+
+
+def complete(task: Task, state: State, drive: Drive, collapse: certificates.Collapse, plan: Plan) -> Run:
+    """Run slices of an engine until the run ends, gather its events, and say how it ended.
 
     Parameters
     ----------
     task : Task
     state : State
-        What `advance` works on.
+        What the engine works on.
     drive : Drive
         To the end of whose piece it goes on.
-    advance : callable
-        Runs a slice, writing events into the room that it is given, until the state passes a bound.
     collapse : Collapse
         Asked for a certificate when the clocks say so.
-    stalled : str
-        What to say, after the time and the block, when the engine cannot go on.
-    events_a_step : int
-        The most events that a step can record.
-    initial_modes : int8, shape (1 + m, n)
-        The first row by the engine's own definition of sticking, the others by each of `thresholds`. Events by
-        definition d carry block + d n.
-    shortest : ndarray, shape (n,), optional
-        How long a change of each block's mode must last to be an event, where nothing drives the blocks but belts of
-        constant speeds: see `without_returns`.
-    touch : float
-        The same, in units of the time that a block takes to turn round.
-    go_on : callable
-        Prepares the engine for the next piece, `state` and `drive` being there already.
+    plan : Plan
     """
-    system, (z, w, mode, clock, counters, _) = task.system, state
-    capacity = max(2 * events_a_step, 4096)  # of a slice
-    events, n_events, n_stills = Events.blank(2 * capacity), 0, 0
-    full: list[Events] = []
-    bound, diverged_beyond = certificates.escape_bounds(system, z, w)
+    z, w, mode, clock, counters, _ = state
+    recorded, divergence = _Recorded(plan, state, drive), _Divergence(task, drive, z, w)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
-    of_piece = [0]  # events
     _hand_over(drive, task, state)
     while True:
-        if n_events > capacity:
-            full.append(events.first(n_events, n_stills))
-            events, n_events, n_stills = Events.blank(2 * capacity), 0, 0
-            counters[N_STILLS] = 0
-        status, n_recorded = advance(events.part(n_events, n_events + capacity), bound)
-        n_events += n_recorded
-        of_piece[-1] += n_recorded
-        drive.place_stills(events.stills[:, n_stills : counters[N_STILLS]])
-        n_stills = int(counters[N_STILLS])
+        status = recorded.slice(divergence.bound)
         s = float(clock[TIME])
         t = drive.time(s)
         if status == DONE:
@@ -240,9 +277,9 @@ def complete(
             n_placed = _to_user(drive, task, state, n_placed)
             drive.go_on(z, w)
             clock[TIME] = 0.0
-            of_piece.append(0)
+            recorded.of_piece.append(0)
             _hand_over(drive, task, state)
-            go_on()
+            plan.go_on()
             counters[N_STALLED] = 0
         if status == ALL_SLIP:
             certificate = collapse.certify(z, w)
@@ -254,46 +291,15 @@ def complete(
                 break
             clock[CHECK + int(mode[0] > 0)] = s + certificate.ask_again_after
         elif status == DIVERGED:
-            z_there, w_there = drive.of_user(t, z, w)
-            speed = float(np.abs(w_there).max())
-            size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
-            is_past_doubt = task.stop_early and speed > diverged_beyond and not system.changes
-            if not np.isfinite((size, speed)).all():
-                raise IntegrationError(
-                    f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
-                )
-            if task.stop_early and (reason := certificates.escape(system, z_there, w_there)):
-                outcome = "diverged"
+            if why := divergence.reason(t, z, w):
+                outcome, reason = "diverged", why
                 break
-            elif size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
-                outcome = "diverged"
-                passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else diverged_beyond
-                reason = certificates.divergence_reason(z_there, w_there, t, min(size, passed))
-                break
-            else:
-                bound = 2.0 * size
         elif status == STALLED:
-            raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {stalled}")
+            raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {plan.stalled}")
     z, w = drive.of_user(t, z, w)
     _to_user(drive, task, state, n_placed)
-    event_s, event_block, event_mode, stills = Events.joined([*full, events.first(n_events, n_stills)])
-    event_t = drive.times(of_piece, event_s)
-    order = np.lexsort((event_block, event_t))  # stable: instants that round to one time keep each block's order
-    event_t, event_block, event_mode = event_t[order], event_block[order], event_mode[order]
-    series = []
-    for d, modes in enumerate(initial_modes):
-        of = event_block // system.n == d if thresholds else slice(None)
-        series.append(
-            EventSeries(event_t[of], event_block[of] - d * system.n, event_mode[of], modes, task.t_start, t)
-        )
-    event_s = event_s[order]
-    # else no two are that close, whose ever they are
-    if shortest is not None and (event_s[1:] - event_s[:-1] <= shortest.max()).any():
-        lasting, turns = shortest[event_block], drive.turns(of_piece)[order]
-        if turns.any():  # in less time than the block's own motion takes
-            lasting /= np.hypot(1.0, turns * lasting / touch)
-        piece = np.arange(len(of_piece)).repeat(of_piece)[order]
-        series[0] = without_returns(series[0], piece, event_s, lasting)
+    events = recorded.all()
+    series = _series(events, recorded.of_piece, task, drive, plan, t)
     counts = counters.tolist()
     return Run(
         z=z,
@@ -305,9 +311,30 @@ def complete(
         stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(series[0])),
         t_collapse=t_collapse,
         samples=task.samples.first(counts[N_SAMPLED]),
-        stills=Stills(*stills),
-        by_threshold=dict(zip(thresholds, series[1:], strict=True)),
+        stills=Stills(*events.all_stuck),
+        by_threshold=dict(zip(plan.thresholds, series[1:], strict=True)),
     )
+
+
+def _series(
+    events: Events, of_piece: list[int], task: Task, drive: Drive, plan: Plan, t_end: float
+) -> list[EventSeries]:
+    """The events by each definition of sticking, those of the first without touches that cannot be told."""
+    n, t = task.system.n, drive.times(of_piece, events.t)
+    order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
+    t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
+    series = []
+    for d, modes in enumerate(plan.initial_modes):
+        of = block // n == d if plan.thresholds else slice(None)
+        series.append(EventSeries(t[of], block[of] - d * n, mode[of], modes, task.t_start, t_end))
+    # else no two are that close, whose ever they are
+    if plan.shortest is not None and (s[1:] - s[:-1] <= plan.shortest.max()).any():
+        lasting, turns = plan.shortest[block], drive.turns(of_piece)[order]
+        if turns.any():  # in less time than the block's own motion takes
+            lasting /= np.hypot(1.0, turns * lasting / plan.touch)
+        piece = np.arange(len(of_piece)).repeat(of_piece)[order]
+        series[0] = without_returns(series[0], piece, s, lasting)
+    return series
 
 
 def _hand_over(drive: Drive, task: Task, state: State) -> None:

@@ -22,7 +22,7 @@ HEIGHT, SINGLE_HEIGHT = 8, 16
 PAIR_HEIGHT, SINGLE_PAIR_HEIGHT = 16, 32
 #: What rounding K and a vector to float32, and adding the products up in it, may do to (K x)_i, relative to
 #: sum_j |K_ij| max |x|: three roundings, and a margin for those of the sum.
-ROUGH = 8 * float(np.finfo(np.float32).eps)
+SINGLE_ERROR = 8 * float(np.finfo(np.float32).eps)
 _SINGLE_MAX = float(np.finfo(np.float32).max)
 
 

@@ -37,14 +37,14 @@ class Pairs(NamedTuple):
         none = np.empty((len(matrices), 0, 0))
         dense = np.array(matrices) if is_dense else none
         double = panels(dense, PAIR_HEIGHT, np.float64)
-        is_rough = [is_dense and n >= _SMALL and _fits_single(sums) for sums in row_sums]
-        single = panels(dense if any(is_rough) else none, SINGLE_PAIR_HEIGHT, np.float32)
+        is_single = [is_dense and n >= _SMALL and _fits_single(sums) for sums in row_sums]
+        single = panels(dense if any(is_single) else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
         room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
         # without rows of panels there are none
         return [
-            cls(double[k], product, single[k] if is_rough[k] else single[k, :0], *room) for k in range(len(matrices))
+            cls(double[k], product, single[k] if is_single[k] else single[k, :0], *room) for k in range(len(matrices))
         ]
 
 
@@ -126,8 +126,8 @@ def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def two_rough_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
-    """As `two_products`, in float32, relative to the size of each vector: right to `ROUGH` of it and the row sums."""
+def two_single_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
+    """As `two_products`, in single precision, scaled to each vector, right to `SINGLE_ERROR` of it and row sums."""
     single, product = pairs.single, pairs.single_product
     for k in range(2):
         scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0

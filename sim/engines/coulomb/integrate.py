@@ -76,40 +76,36 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
     law, v = Law.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction
-    if law.fall is not None:
-        rate += law.fall.steepness * float((near - far).max())
+    if law.weakening is not None:
+        rate += law.weakening.steepness * float((near - far).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
     if not system.back_slip:
         _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
         mode[mode * system.closed > 0] = 0
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
-    expansion, search = Expansion.blank(mode, law.fall is not None), Search.of(mode)
+    expansion, search = Expansion.blank(mode, law.weakening is not None), Search.of(mode)
     if task.modes is not None:
         expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
-    slow = Slow.of(system, drive.fastest) if law.fall is None else None
+    slow = Slow.of(system, drive.fastest) if law.weakening is None else None
     _warn_of_short_steps(task, rate if slow is None else slow.rate)
-    is_local = len(law.columns.dense) == 0 and law.outside is None and law.fall is None and slow is None
+    is_local = len(law.columns.dense) == 0 and law.forcing is None and law.weakening is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
-        goal = Goal(drive.length, drive.is_last, tol, rate)
+        goal = Goal(drive.length, drive.is_last, tol, rate, bound)
         if is_local:
-            found = sparse.advance(law, goal, state, expansion, search, room, events, bound, collapse.watch, pull)
+            found = sparse.advance(law, goal, state, expansion, search, room, events, collapse.watch)
         else:
-            found = step.advance(law, goal, state, expansion, search, slow, events, bound, collapse.watch)
+            found = step.advance(law, goal, state, expansion, search, slow, events, collapse.watch)
         if task.modes is not None:
             _require_modes(task, task.modes, search.initial_mode, tol)
         return found
 
     if is_local:
-        room, pull = sparse.Nearby.of(system.n), float(system.row_sums.max())
-    return loop.complete(
-        task,
-        state,
-        drive,
+        room = sparse.Nearby.of(system.n, float(system.row_sums.max()))
+    plan = loop.Plan(
         advance,
-        collapse,
         stalled=f"more than {STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
@@ -117,6 +113,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         shortest=shortest,
         touch=_TOUCH * math.sqrt(tol),
     )
+    return loop.complete(task, state, drive, collapse, plan)
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

@@ -5,9 +5,9 @@ motion as slow as G. In the coefficients of series that is
 
     w_k = (G_k - (k + 1) w_{k+1}) / R,    G = -(K z) - mu sigma, and a force from outside.
 
-Where R is far above all other rates, a few sweeps of this recurrence settle, w_{k+1} being that of the sweep before:
+Where R is far above all other rates, this recurrence settles in a few iterations, w_{k+1} being that of the last:
 each brings a factor of those rates over R. A block is taken to move so once what it is off is below the tolerance.
-Until then, when a block leaves the belt, and where sweeps do not settle, the step is that of `taylor.expand`. A block
+Until then, when a block leaves the belt, and where they do not settle, the step is that of `taylor.expand`. A block
 with a transient counts as one that is not heavily damped: those far above it move slowly all the same.
 """
 
@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, ORDER_MIN, SPAN
 from stickslip.sim.engines.forcing import begin, may_change, take_off
@@ -30,9 +31,9 @@ from stickslip.sim.systems.system import System
 
 #: A block is heavily damped if R is this many times all rates without it: below, short steps cost no more.
 _HEAVY = 100.0
-#: Series have settled when a sweep changes w by this share of what it may err by.
+#: Series have settled when an iteration changes w by this share of what it may err by.
 _SETTLED = 0.01
-_SWEEPS = 15
+_ITERATIONS = 15
 #: A step whose series do not end by the highest order is made this much shorter, so many times.
 _SHORTER, _SHORTER_MAX = 0.6, 4
 #: After a failure so many steps of `expand` come first: those left, and what it will be the next time, up to a most.
@@ -86,18 +87,18 @@ _pace = inner(_pace_of)
 
 
 @inner
-def _sweep(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
-    """The series of all blocks anew, from what heavily damped ones have of the sweep before.
+def _iterate(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+    """The series of all blocks anew, from what heavily damped ones have of the iteration before.
 
     Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
     """
-    damping, friction, mode, outside = law.damping, law.friction, expansion.mode, law.outside
+    damping, friction, mode, forcing = law.damping, law.friction, expansion.mode, law.forcing
     series, forces, slips = expansion.series, expansion.forces, expansion.slips
-    begin(outside, t)
+    begin(forcing, t)
     n_small, change, power = 0, 0.0, 1.0
     for k in range(ORDER_MAX - 1):
         one_product(law.columns, series[k], forces[k], law.pairs.columns)
-        pushed = take_off(outside, t, k, forces[k])
+        pushed = take_off(forcing, t, k, forces[k])
         for i in range(len(mode)):
             pull = -slips[i] * (forces[k, i] + (friction[i] * mode[i] if k == 0 else 0.0))
             if slips[i] == 0.0 or damping[i] < least:
@@ -123,7 +124,7 @@ def _stays(law, expansion, moves, order):  # type: ignore[no-untyped-def]
     for k in range(1, order - 1):
         c_max = largest(series[k])
         for i in range(len(zeros)):
-            noise = ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i))
+            noise = ROUNDING * (law.row_sums[i] * c_max + known(law.forcing, k, i))
             if zeros[i] == IDENTICALLY_ZERO and abs(forces[k, i]) > noise:
                 return False
             if not moves[i] and series[k + 1, i] != 0.0:
@@ -141,9 +142,10 @@ def _passed(series, mode, v):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _settled(law, expansion, slow, least, rate, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+def _settled(slow, law, expansion, goal, state, target, pace):  # type: ignore[no-untyped-def]
     """As `follow`, with the number of products, order 0 if they do not settle, -1 if blocks were found to decay."""
     series, mode, moves, v = expansion.series, expansion.mode, slow.moves, law.belt_speed
+    z, w, t, tol, (least, rate) = state.z, state.w, state.clock[loop.TIME], goal.tol, pace
     n, n_products, n_shorter = len(z), 0, 0
     h = min(target, SPAN / rate) if rate > 0.0 else target
     for k in range(2, ORDER_MAX + 1):
@@ -153,9 +155,9 @@ def _settled(law, expansion, slow, least, rate, z, w, t, target, tol):  # type: 
     copy(w, series[1])
     allowed = tol * max(largest(w), largest(v))
     # if nothing moves yet
-    allowed = max(allowed, tol * h * may_change(law.outside, t, h) / (1.0 + h * largest(law.damping)))
-    for _ in range(_SWEEPS):
-        order, change = _sweep(law, expansion, slow, least, t, h, rate, allowed)
+    allowed = max(allowed, tol * h * may_change(law.forcing, t, h) / (1.0 + h * largest(law.damping)))
+    for _ in range(_ITERATIONS):
+        order, change = _iterate(law, expansion, slow, least, t, h, rate, allowed)
         n_products += order if order > 0 else ORDER_MAX - 1
         allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
         is_transient = False
@@ -177,20 +179,21 @@ def _settled(law, expansion, slow, least, rate, z, w, t, target, tol):  # type: 
 
 
 @inner
-def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyped-def]
+def follow(slow, law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
     if slow is None:
         return 0, 0.0, 0.0, 0
-    v, mode, touching, outside = law.belt_speed, expansion.mode, expansion.touching, law.outside
+    v, mode, touching, forcing = law.belt_speed, expansion.mode, expansion.touching, law.forcing
     forces, zeros, patience = expansion.forces, expansion.zeros, slow.patience
+    z, w, t = state.z, state.w, state.clock[loop.TIME]
     n, n_products = len(z), 1
     failed = 0, 0.0, 0.0
     for i in range(n):
         if touching[i] or mode[i] == 0:
             w[i] = v[i]
     one_product(law.columns, z, forces[0], law.pairs.columns)
-    begin(outside, t)
-    take_off(outside, t, 0, forces[0])
+    begin(forcing, t)
+    take_off(forcing, t, 0, forces[0])
     settle(law, largest(z), expansion)
     is_free, moves = True, slow.moves
     for i in range(n):
@@ -208,8 +211,8 @@ def follow(slow, law, expansion, z, w, t, target, tol):  # type: ignore[no-untyp
         patience[_LEFT] = max(patience[_LEFT] - 1, 0)
         return (*failed, n_products)
     while slow.most >= least:
-        order, h, allowed, n_swept = _settled(law, expansion, slow, least, rate, z, w, t, target, tol)
-        n_products += n_swept
+        order, h, allowed, n_more = _settled(slow, law, expansion, goal, state, target, (least, rate))
+        n_products += n_more
         if order > 0:
             patience[_NEXT] = 1
             return order, h, allowed, n_products

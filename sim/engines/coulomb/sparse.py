@@ -1,10 +1,10 @@
 """The exact engine's steps where K is sparse: an event concerns the blocks near it, and no others.
 
 Every block keeps a series about an instant of its own in the window, and the time of its own next event; the first of
-all is the winner of a tournament. An event changes the block's own series from the second order on, those tied to it
-from the fourth, those one tie further from the sixth: after so many ties that the rest is far below the tolerance, or
-at blocks that stick, it ends. So an event costs what its surroundings cost, however many blocks there are, and a
-window holds as many events as fall into it.
+all is the winner of a tournament tree. An event changes the block's own series from the second order on, those tied
+to it from the fourth, those one tie further from the sixth: after so many ties that the rest is far below the
+tolerance, or at blocks that stick, it ends. So an event costs what its surroundings cost, however many blocks there
+are, and a window holds as many events as fall into it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,18 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, PASSED_ON, UNDECIDED, decide, expand
-from stickslip.sim.engines.coulomb.windows import CRAWL, CUTS, DECAY, EXPOSURE, REACH, record, stalls
-from stickslip.sim.engines.watch import too_far
+from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, PASSED_ON, UNDECIDED, Window, decide, expand
+from stickslip.sim.engines.coulomb.windows import (
+    CRAWL,
+    CUTS,
+    DECAY,
+    EXPOSURE,
+    REACH,
+    evaluate,
+    record,
+    sample,
+    stalls,
+)
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -38,8 +47,9 @@ _NEVER = math.inf
 class Nearby(NamedTuple):
     """What is kept of n blocks through a window, and room for an event and the blocks near it."""
 
+    pull: float  #: the largest row sum of |K|
     origin: Floats  #: the instant about which a block's series is, from the start of the window
-    due: Floats  #: a tournament: block i's next event at place size + i, the earlier of 2 k and 2 k + 1 at place k
+    due: Floats  #: a tournament tree: block i's next event at size + i, the earlier of 2 k and 2 k + 1 at k
     place: NDArray[np.int64]  #: of a block among the members; -1 if it is none
     members: NDArray[np.int64]  #: the blocks near the event, its own first
     series: Floats  #: of the members, about the event
@@ -53,10 +63,11 @@ class Nearby(NamedTuple):
     ends: NDArray[np.int64]  #: how many members are at most k ties away from the event
 
     @classmethod
-    def of(cls, n: int) -> Nearby:
+    def of(cls, n: int, pull: float) -> Nearby:
         """Room for n blocks."""
         size, most = 1 << (n - 1).bit_length(), min(n, max(_FEW, n // _SHARE))
         return cls(
+            pull=pull,
             origin=np.zeros(n),
             due=np.full(2 * size, _NEVER),
             place=np.full(n, -1),
@@ -113,34 +124,6 @@ def _open(law, expansion, search, nearby, order, h):  # type: ignore[no-untyped-
 
 
 @inner
-def _evaluate(expansion, nearby, order, s, z, w):  # type: ignore[no-untyped-def]
-    """z and w at an instant of the window."""
-    series, origin = expansion.series, nearby.origin
-    n = len(z)
-    copy(series[order], z)
-    for i in range(n):
-        w[i] = order * series[order, i]
-    for k in range(order - 1, 0, -1):
-        for i in range(n):
-            step = s - origin[i]
-            z[i] = z[i] * step + series[k, i]
-            w[i] = w[i] * step + k * series[k, i]
-    for i in range(n):
-        z[i] = z[i] * (s - origin[i]) + series[0, i]
-
-
-@inner
-def _sample(expansion, nearby, order, t, t_next, state):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times up to t_next, t being the start of the window."""
-    samples = state.samples
-    k = state.counters[loop.N_SAMPLED]
-    while k < len(samples.t) and samples.t[k] <= t_next:
-        _evaluate(expansion, nearby, order, samples.t[k] - t, samples.z[k], samples.w[k])
-        k += 1
-    state.counters[loop.N_SAMPLED] = k
-
-
-@inner
 def _bring(law, expansion, nearby, order, s, first, last):  # type: ignore[no-untyped-def]
     """Move the series of the members in these places to an instant of the window."""
     series, forces, step = nearby.series, nearby.forces, nearby.step
@@ -165,12 +148,13 @@ def _bring(law, expansion, nearby, order, s, first, last):  # type: ignore[no-un
 
 
 @inner
-def _gather(law, expansion, nearby, order, jump, pull, left, allowed):  # type: ignore[no-untyped-def]
+def _gather(law, expansion, nearby, window, jump, left):  # type: ignore[no-untyped-def]
     """List the blocks to which an event is carried over, behind its own, and cut the window to what they allow.
 
-    `jump` bounds by what the event changes its block's w' in what is left of the window, `pull` is the largest row
-    sum of K. Returns how many ties away the last are, and what is left.
+    `jump` bounds by what the event changes its block's w' in what is left of the window. Returns how many ties away
+    the last are, and what is left.
     """
+    order, allowed = window.order, window.allowed
     columns, members, place, ends = law.columns, nearby.members, nearby.place, nearby.ends
     first, count, ties = 0, 1, 0
     ends[0] = count
@@ -193,7 +177,7 @@ def _gather(law, expansion, nearby, order, jump, pull, left, allowed):  # type: 
         first = ends[ties]
         ties += 1
         ends[ties] = count
-        share *= pull * left * left / ((2 * ties + 1) * (2 * ties + 2))
+        share *= nearby.pull * left * left / ((2 * ties + 1) * (2 * ties + 2))
     return ties, left
 
 
@@ -239,8 +223,9 @@ def _is_alone(law, nearby, h, count, z_max):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # type: ignore[no-untyped-def]
-    """Take over the series of the members, and find the next event of each."""
+def _put_back(law, expansion, search, nearby, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
+    """Take over the series of the members, and find the next event of each in a span from s, of length h."""
+    s, h = span
     series, forces, mode, reach = nearby.series, nearby.forces, nearby.mode, nearby.reach
     room = search.poly, search.found
     damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
@@ -261,11 +246,13 @@ def _put_back(law, expansion, search, nearby, order, s, h, count, n_zeros):  # t
 
 
 @inner
-def _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, span, allowed, z_max):  # type: ignore[no-untyped-def]
-    """Carry the series over an event of one block at the instant s, if nothing else happens near it then.
+def _carry(law, goal, expansion, search, nearby, window, block, span):  # type: ignore[no-untyped-def]
+    """Carry the series over an event of one block at the start of a span, if nothing else happens near it then.
 
-    Returns until when the window holds; less than s if a new expansion is to decide (then nothing has changed).
+    Returns until when the window holds, at most to the end of the span; less than its start if a new expansion is to
+    decide (then nothing has changed).
     """
+    (s, end), order, allowed = span, window.order, window.allowed
     members, place, series, forces = nearby.members, nearby.place, nearby.series, nearby.forces
     left = end - s
     members[0] = block
@@ -273,7 +260,7 @@ def _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, spa
     was_stuck = nearby.mode[0] == 0
     friction, static = law.friction[block], law.static[block]
     force = law.damping[block] * law.belt_speed[block] + forces[0, 0]
-    new = decide(law, block, was_stuck, force, forces[1, 0], z_max, span, allowed, goal.rate)
+    new = decide(law, block, was_stuck, force, forces[1, 0], window, goal.rate)
     if new == UNDECIDED or left <= 0.0:
         return -1.0
     start = 0.0
@@ -288,7 +275,7 @@ def _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, spa
     nearby.mode[0] = new
     nearby.slips[0] = 1.0 if new != 0 else 0.0
     place[block] = 0
-    ties, left = _gather(law, expansion, nearby, order, _GROWTH * jump, pull, left, allowed)
+    ties, left = _gather(law, expansion, nearby, window, _GROWTH * jump, left)
     count = nearby.ends[ties]
     for k in range(ties + 1, len(nearby.ends)):
         nearby.ends[k] = count
@@ -300,20 +287,22 @@ def _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, spa
             if tail > allowed:
                 left *= (allowed / tail) ** (1.0 / (k - 1))
     enclose(series, forces, nearby.slips, order, left, nearby.reach, count)
-    is_carried = _is_alone(law, nearby, left, count, z_max)
+    is_carried = _is_alone(law, nearby, left, count, window.z_max)
     for a in range(count):
         place[members[a]] = -1
     if not is_carried:
         return -1.0
     expansion.mode[block] = new
     expansion.slips[block] = nearby.slips[0]
-    _put_back(law, expansion, search, nearby, order, s, left, count, 2 if was_stuck and static == friction else 1)
+    n_zeros = 2 if was_stuck and static == friction else 1
+    _put_back(law, expansion, search, nearby, order, (s, left), count, n_zeros)
     return s + left
 
 
 @inner
-def _close(law, expansion, search, nearby, order, s, h, z, w, block):  # type: ignore[no-untyped-def]
-    """The state at an instant at which a window of length h ends, and who is to be decided there."""
+def _close(law, state, expansion, search, origin, window, s, block):  # type: ignore[no-untyped-def]
+    """The state at an instant at which a window ends, and who is to be decided there."""
+    z, w, order, h = state.z, state.w, window.order, window.span
     series, near, v = expansion.series, search.near, law.belt_speed
     n = len(z)
     for i in range(n):
@@ -323,7 +312,7 @@ def _close(law, expansion, search, nearby, order, s, h, z, w, block):  # type: i
         for i in range(n):
             near[i] += power * abs(k * series[k, i])
         power *= h
-    _evaluate(expansion, nearby, order, s, z, w)
+    evaluate(series, origin, order, s, z, w)
     for i in range(n):
         mode = expansion.mode[i]
         expansion.touching[i] = mode != 0 and mode * (w[i] - v[i]) <= ROUNDING * near[i]
@@ -332,7 +321,7 @@ def _close(law, expansion, search, nearby, order, s, h, z, w, block):  # type: i
 
 
 @kernel
-def advance(law, goal, state, expansion, search, nearby, events, bound, watch, pull):  # type: ignore[no-untyped-def]
+def advance(law, goal, state, expansion, search, nearby, events, watch):  # type: ignore[no-untyped-def]
     """Windows until the end, or until Python has something to do; goes on where it stopped when called again."""
     t_end, rate = goal.t_end, goal.rate
     z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
@@ -349,7 +338,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
         target = min(target, _SPAN / rate) if rate > 0.0 else target
-        order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
+        order, h, allowed, n_products = expand(law, expansion, goal, state, target)
         counters[loop.N_PRODUCTS] += n_products
         nearby.origin[:] = 0.0
         if counters[loop.N_STEPS] == 0:
@@ -357,21 +346,18 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             copy(mode, search.known_mode)
         before = n_recorded
         n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
-        loop.note_still(same and mode[0] == 0, t, z, events, counters)
+        loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
-            _sample(expansion, nearby, order, t, t, state)  # of a run that has no length
+            sample(expansion.series, nearby.origin, order, t, t, state)  # of a run that has no length
             return loop.DONE, n_recorded
-        if same and mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
-            later = too_far(watch, z, w, mode[0])
-            if later == 0.0:
-                return loop.ALL_SLIP, n_recorded
-            clock[loop.CHECK + (mode[0] > 0)] = t + later
+        if same and loop.is_check_due(clock, mode) and loop.may_collapse(state, mode, watch):
+            return loop.ALL_SLIP, n_recorded
 
         _open(law, expansion, search, nearby, order, h)
         n_slip = 0
         for i in range(n):
             n_slip += abs(mode[i])
-        z_max = largest(z) + h * allowed / goal.tol
+        window = Window(order, h, allowed, largest(z) + h * allowed / goal.tol)
         s, end, block = 0.0, h, -1
         while True:
             counters[loop.N_STEPS] += 1
@@ -379,7 +365,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             moved = min(due[1], end) - s
             s = min(due[1], end)
             now = t_end if s == remaining else min(t + s, t_end)
-            _sample(expansion, nearby, order, t, now, state)
+            sample(expansion.series, nearby.origin, order, t, now, state)
             clock[loop.TIME] = now
             # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
             unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
@@ -396,7 +382,7 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             _schedule(due, block, _NEVER)
             if n_slip == 0 or due[1] <= s + instant:  # nothing is expanded yet, or others are due too
                 break
-            held = _carry(law, goal, pull, expansion, search, nearby, block, order, s, end, h, allowed, z_max)
+            held = _carry(law, goal, expansion, search, nearby, window, block, (s, end))
             if held < s:
                 break
             end = min(end, held)
@@ -409,9 +395,11 @@ def advance(law, goal, state, expansion, search, nearby, events, bound, watch, p
             is_asked = n_slip == n and now > min(clock[loop.CHECK], clock[loop.CHECK + 1])
             if n_slip == 0 or is_asked or n_recorded + n > len(events.t) or counters[loop.N_STEPS] >= n_last:
                 break
-        _close(law, expansion, search, nearby, order, s, h, z, w, block)
+        _close(law, state, expansion, search, nearby.origin, window, s, block)
         clock[EXPOSURE] = DECAY * (clock[EXPOSURE] + min(s, target))
         clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if s < target else 0.0))
-        if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
+        if not (
+            largest(z) <= goal.bound and largest(w) <= goal.bound
+        ):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

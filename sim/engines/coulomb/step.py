@@ -28,8 +28,17 @@ from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import SPAN, correct, expand, shift
-from stickslip.sim.engines.coulomb.windows import CRAWL, CUTS, DECAY, EXPOSURE, REACH, record, stalls
-from stickslip.sim.engines.watch import too_far
+from stickslip.sim.engines.coulomb.windows import (
+    CRAWL,
+    CUTS,
+    DECAY,
+    EXPOSURE,
+    REACH,
+    evaluate,
+    record,
+    sample,
+    stalls,
+)
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 
@@ -55,32 +64,6 @@ def _first_event(law, expansion, search, order, h):  # type: ignore[no-untyped-d
 
 
 @inner
-def _evaluate(series, order, step, z, w):  # type: ignore[no-untyped-def]
-    """z and w after a step."""
-    n = len(z)
-    copy(series[order], z)
-    for i in range(n):
-        w[i] = order * series[order, i]
-    for k in range(order - 1, 0, -1):
-        for i in range(n):
-            z[i] = z[i] * step + series[k, i]
-            w[i] = w[i] * step + k * series[k, i]
-    for i in range(n):
-        z[i] = z[i] * step + series[0, i]
-
-
-@inner
-def _sample(series, order, t, t_next, state):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times up to t_next, from the series about t."""
-    samples = state.samples
-    k = state.counters[loop.N_SAMPLED]
-    while k < len(samples.t) and samples.t[k] <= t_next:
-        _evaluate(series, order, samples.t[k] - t, samples.z[k], samples.w[k])
-        k += 1
-    state.counters[loop.N_SAMPLED] = k
-
-
-@inner
 def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ignore[no-untyped-def]
     """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
@@ -93,7 +76,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = law.damping[i] * v[i] + expansion.forces[0, i]
-            noise = known(law.outside, 0, i)
+            noise = known(law.forcing, 0, i)
             slack = force_rounding(law.damping[i] * v[i], law.row_sums[i] * z_max, law.static[i], noise)
             concerned = concerned or push(law.closed[i], force) >= law.static[i] - slack
         count += concerned
@@ -103,7 +86,7 @@ def _on_the_edge(law, expansion, near, z_max, w, block, has_forces):  # type: ig
 
 
 @kernel
-def advance(law, goal, state, expansion, search, slow, events, bound, watch):  # type: ignore[no-untyped-def]
+def advance(law, goal, state, expansion, search, slow, events, watch):  # type: ignore[no-untyped-def]
     """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
 
     A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
@@ -127,32 +110,30 @@ def advance(law, goal, state, expansion, search, slow, events, bound, watch):  #
             return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         if not is_open:
             target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
-            order, h, allowed, n_products = follow(slow, law, expansion, z, w, t, target, goal.tol)
+            order, h, allowed, n_products = follow(slow, law, expansion, goal, state, target)
             counters[loop.N_PRODUCTS] += n_products
             is_slow = order > 0
             if not is_slow:
                 target = min(target, SPAN / rate) if rate > 0.0 else target
-                order, h, allowed, n_products = expand(law, expansion, z, w, t, target, remaining, goal.tol, rate)
+                order, h, allowed, n_products = expand(law, expansion, goal, state, target)
                 counters[loop.N_PRODUCTS] += n_products
             span = h
-            is_open, is_cut = True, law.fall is not None and h < target
+            is_open, is_cut = True, law.weakening is not None and h < target
         if counters[loop.N_STEPS] == 0:
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
         n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
-        loop.note_still(same and mode[0] == 0, t, z, events, counters)
+        loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
-            _sample(series, order, t, t, state)  # of a run that has no length
+            sample(series, None, order, t, t, state)  # of a run that has no length
             return loop.DONE, n_recorded
-        if same and mode[0] != 0 and t > clock[loop.CHECK + (mode[0] > 0)]:
-            later = too_far(watch, z, w, mode[0])
-            if later == 0.0:
+        if same and loop.is_check_due(clock, mode):
+            if loop.may_collapse(state, mode, watch):
                 return loop.ALL_SLIP, n_recorded
-            clock[loop.CHECK + (mode[0] > 0)] = t + later
             if n_recorded > 0:
                 return loop.PAUSED, n_recorded
-            n_left, is_open = loop.STEPS_A_SLICE, False  # as a slice begins: it is the same who answered
+            n_left, is_open = loop.STEPS_A_SLICE, False  # as a slice begins: no result depends on the slicing
             continue
 
         step, block = _first_event(law, expansion, search, order, h)
@@ -164,9 +145,9 @@ def advance(law, goal, state, expansion, search, slow, events, bound, watch):  #
         for i in range(n):
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next = t_end if step == remaining else min(t + step, t_end)
-        _sample(series, order, t, t_next, state)
+        sample(series, None, order, t, t_next, state)
         left = h - step
-        is_inside = block >= 0 and left > 0.0 and law.fall is None and not is_slow  # else it ends the window
+        is_inside = block >= 0 and left > 0.0 and law.weakening is None and not is_slow  # else it ends the window
         if is_inside:
             shift(series, order, step)
             shift(expansion.forces, order - 2, step)
@@ -179,7 +160,7 @@ def advance(law, goal, state, expansion, search, slow, events, bound, watch):  #
             is_cut = is_cut or h < left
             is_open = h > _WORTH * clock[EXPOSURE] / clock[CUTS]
         else:
-            _evaluate(series, order, step, z, w)
+            evaluate(series, None, order, step, z, w)
             _on_the_edge(law, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0
@@ -192,6 +173,8 @@ def advance(law, goal, state, expansion, search, slow, events, bound, watch):  #
         unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
         if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(min(1.0, t_end), t), unseen)):
             return loop.STALLED, n_recorded
-        if not (largest(z) <= bound and largest(w) <= bound):  # in a maximum one that is not a number may be lost
+        if not (
+            largest(z) <= goal.bound and largest(w) <= goal.bound
+        ):  # in a maximum one that is not a number may be lost
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

@@ -17,20 +17,20 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 
 @inner
-def known(outside, k, i):  # type: ignore[no-untyped-def]
+def known(forcing, k, i):  # type: ignore[no-untyped-def]
     """The size of what the k-th coefficient of forces from outside on block i is summed up from."""
-    if outside is None:
+    if forcing is None:
         return 0.0
-    return outside.noise[k, i]
+    return forcing.noise[k, i]
 
 
 @inner
-def force_rounding(drag, pull, most, outside):  # type: ignore[no-untyped-def]
+def force_rounding(drag, pull, most, forcing):  # type: ignore[no-untyped-def]
     """What rounding may do to |F| - m of a block, from the sizes of its terms.
 
     It takes numbers, not the law: what is not inlined is passed field by field, for each block.
     """
-    return ROUNDING * (abs(drag) + pull + most + outside)
+    return ROUNDING * (abs(drag) + pull + most + forcing)
 
 
 @inner
@@ -52,7 +52,7 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
         if touching[i] or mode[i] == 0:
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
-            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.outside, 0, i))
+            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.forcing, 0, i))
             drive = push(closed[i], force)
             if (leaves[i] != 0 and drive > law.friction[i]) or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
@@ -82,7 +82,7 @@ def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.outside, k, i)):
+            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.forcing, k, i)):
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1

@@ -24,13 +24,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
-from stickslip.sim.numerics.panels import ROUGH
-from stickslip.sim.numerics.products import two_products, two_rough_products
+from stickslip.sim.numerics.panels import SINGLE_ERROR
+from stickslip.sim.numerics.products import two_products, two_single_products
 
 #: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
 #: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
@@ -41,7 +42,7 @@ ORDER_MIN = 4
 #: far below the tolerance.
 PASSED_ON = 0.002
 
-#: The share of the tolerance that products in float32 may leave out. What is smaller than _TINY would leave float32.
+#: The share of the tolerance that products in single precision may leave out. Below _TINY is beyond its range.
 _ROUNDED_OFF = 0.05
 _TINY = 1e-200
 #: A coefficient of this size is not used, nor those behind it: they would leave float64.
@@ -50,6 +51,15 @@ _HUGE = 1e250
 #: An event is decided by a series if the force is this many times its error away from another decision.
 _DOUBT = 10.0
 UNDECIDED = 2  #: what is no mode
+
+
+class Window(NamedTuple):
+    """What is known of the series of a window."""
+
+    order: int
+    span: float  #: its length, over which an error `allowed` of w becomes one of z
+    allowed: float
+    z_max: float  #: bounds |z|
 
 
 class Expansion(NamedTuple):
@@ -70,7 +80,7 @@ class Expansion(NamedTuple):
     shape: Floats  #: S_k by rows; empty if friction does not fall with speed
 
     @classmethod
-    def blank(cls, mode: NDArray[np.int8], falls: bool) -> Expansion:
+    def blank(cls, mode: NDArray[np.int8], weakens: bool) -> Expansion:
         """No series yet; blocks of mode 0 are to be decided."""
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
@@ -79,107 +89,107 @@ class Expansion(NamedTuple):
         slips, column, last = np.zeros((3, n))
         rows = column, last, np.zeros(ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
-        shape = np.full((ORDER_MAX + 1, n if falls else 0), np.nan)
+        shape = np.full((ORDER_MAX + 1, n if weakens else 0), np.nan)
         return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
 
 
 @inner
-def _is_lost(fall, law, expansion, i):  # type: ignore[no-untyped-def]
+def _is_lost(weakening, law, expansion, i):  # type: ignore[no-untyped-def]
     """Whether what a block's friction may fall by is lost in the rounding of its other forces.
 
     Such a block passes its belt in so short a time that friction, as a series in time, leaves float64.
     """
     force = law.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
-    return law.friction[i] * (1.0 - fall.far[i]) <= ROUNDING * abs(force)
+    return law.friction[i] * (1.0 - weakening.far[i]) <= ROUNDING * abs(force)
 
 
 @inner
-def _shape(fall, law, expansion, k):  # type: ignore[no-untyped-def]
+def _shape(weakening, law, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
     series, shape, mode = expansion.series, expansion.shape, expansion.mode
     n = len(mode)
     if k == 0:
         for i in range(n):
-            x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
-            shape[0, i] = math.exp(-x) if fall.is_exponential else 1.0 / (1.0 + x)
-            if _is_lost(fall, law, expansion, i):
+            x = weakening.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+            shape[0, i] = math.exp(-x) if weakening.is_exponential else 1.0 / (1.0 + x)
+            if _is_lost(weakening, law, expansion, i):
                 shape[0, i] = 0.0  # and with it all others
         return
     shape[k] = 0.0
     for j in range(1, k + 1):
-        weight = j * (j + 1.0) / k if fall.is_exponential else j + 1.0
+        weight = j * (j + 1.0) / k if weakening.is_exponential else j + 1.0
         for i in range(n):
             shape[k, i] += weight * series[j + 1, i] * shape[k - j, i]
     for i in range(n):
-        shape[k, i] *= -fall.steepness * mode[i] * (1.0 if fall.is_exponential else shape[0, i])
+        shape[k, i] *= -weakening.steepness * mode[i] * (1.0 if weakening.is_exponential else shape[0, i])
 
 
 @inner
-def _resist(fall, law, expansion, k):  # type: ignore[no-untyped-def]
+def _resist(weakening, law, expansion, k):  # type: ignore[no-untyped-def]
     """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
-    if fall is None:
+    if weakening is None:
         return
     series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
-    _shape(fall, law, expansion, k)
+    _shape(weakening, law, expansion, k)
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        falls = law.friction[i] * (1.0 - fall.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
-        series[k + 2, i] += slips[i] * factor * falls * mode[i]
+        less = law.friction[i] * (1.0 - weakening.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
+        series[k + 2, i] += slips[i] * factor * less * mode[i]
 
 
 @inner
-def _known_within(fall, expansion):  # type: ignore[no-untyped-def]
+def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
     """How far the series of 1 / (1 + a p) may be of use: half of where a p with the slope that it has is -1."""
     time = np.inf
-    if fall is None:
+    if weakening is None:
         return time
     for i in range(len(expansion.mode)):
-        rise = abs(2.0 * fall.steepness * expansion.series[2, i] * expansion.shape[0, i])
+        rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * expansion.shape[0, i])
         if rise * time > 0.5:
             time = 0.5 / rise
     return time
 
 
 @inner
-def _falls_off(fall, law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+def _weakens_less(weakening, law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
     """Whether terms of exp(-x) beyond an order are on their way down, or too small to matter, up to h.
 
     Where x is large the first terms are far below any tolerance, and yet x may fall by more than the order.
     """
-    if fall is None or not fall.is_exponential:
+    if weakening is None or not weakening.is_exponential:
         return True
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
-        drop = law.friction[i] * (1.0 - fall.far[i]) * h
-        if mode[i] == 0 or drop == 0.0 or _is_lost(fall, law, expansion, i):
+        drop = law.friction[i] * (1.0 - weakening.far[i]) * h
+        if mode[i] == 0 or drop == 0.0 or _is_lost(weakening, law, expansion, i):
             continue
-        change, power = 0.0, fall.steepness
+        change, power = 0.0, weakening.steepness
         for k in range(1, order):
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
-        x = fall.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
+        x = weakening.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
         if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > PASSED_ON * allowed:
             return False
     return True
 
 
 @inner
-def _may_be_rough(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
-    """Whether products of K with c_k and c_{k+1}, of these sizes, may err by what float32 does to them.
+def _may_be_single(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether products of K with c_k and c_{k+1}, of these sizes, may be in single precision.
 
     An error e of K c_k, relative to the row sums of K, is one of h^k e in F, and of h^(k + 1) e in w; F is wanted to
     what w, off by `allowed`, makes of it.
     """
     if len(law.pairs.single_panels) == 0:
         return False
-    power = ROUGH * h**k * max(1.0 / h, largest(law.row_sums) * h)
+    power = SINGLE_ERROR * h**k * max(1.0 / h, largest(law.row_sums) * h)
     low, high = sizes[0], h * sizes[1]
     fits = (low == 0.0 or low > _TINY) and (high == 0.0 or high > _TINY)
     return fits and power * max(low, high) <= _ROUNDED_OFF * allowed
 
 
 @inner
-def expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+def expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
@@ -187,7 +197,7 @@ def expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: igno
     """
     n_products = 0
     while True:
-        order, h, allowed, n_more = _expand(law, expansion, z, w, t, target, remaining, tol, rate)
+        order, h, allowed, n_more = _expand(law, expansion, goal, state, target)
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
@@ -195,11 +205,12 @@ def expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: igno
 
 
 @inner
-def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ignore[no-untyped-def]
+def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
     damping, friction, v = law.damping, law.friction, law.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     touching, sizes = expansion.touching, expansion.sizes
+    z, w, t, tol, rate = state.z, state.w, state.clock[loop.TIME], goal.tol, goal.rate
     n = len(z)
     for i in range(n):
         if touching[i] or mode[i] == 0:
@@ -207,34 +218,34 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
     copy(z, series[0])
     copy(w, series[1])
     two_products(law.columns, law.pairs, series[:2], forces[:2])
-    outside, fall, pushed, pushed_next = law.outside, law.fall, 0.0, 0.0
-    begin(outside, t)
+    forcing, weakening, pushed, pushed_next = law.forcing, law.weakening, 0.0, 0.0
+    begin(forcing, t)
     for k in range(2):
-        pushed_next = take_off(outside, t, k, forces[k])
+        pushed_next = take_off(forcing, t, k, forces[k])
     w_max = largest(w)
     n_undecided = settle(law, largest(z), expansion)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    _resist(fall, law, expansion, 0)
-    target = min(target, _known_within(fall, expansion))
+    _resist(weakening, law, expansion, 0)
+    target = min(target, _known_within(weakening, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
     allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
-    allowed = max(allowed, tol * target * may_change(outside, t, target))
+    allowed = max(allowed, tol * target * may_change(forcing, t, target))
 
     n_small = 0
     last = 0.0
     sizes[1] = largest(series[2])
-    is_rough = False
+    is_single = False
     for k in range(1, ORDER_MAX - 1):
         if k % 2 == 0:
-            if n_undecided == 0 and _may_be_rough(law, k, sizes, target, allowed):
-                is_rough = True
-                two_rough_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
+            if n_undecided == 0 and _may_be_single(law, k, sizes, target, allowed):
+                is_single = True
+                two_single_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
             else:
                 two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
-            pushed = take_off(outside, t, k, forces[k])
-            pushed_next = take_off(outside, t, k + 1, forces[k + 1])
+            pushed = take_off(forcing, t, k, forces[k])
+            pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
             pushed = pushed_next
         if n_undecided > 0:
@@ -249,7 +260,7 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        _resist(fall, law, expansion, k)
+        _resist(weakening, law, expansion, k)
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
@@ -262,13 +273,13 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         # the last term's share of w decides; two in a row, since one can vanish by chance
         if size == 0.0 and last == 0.0 and order >= ORDER_MIN:
             # a polynomial: exact however far
-            is_exact = not is_rough and (fall is None or largest(slips) == 0.0)
-            return order, remaining if is_exact else target, allowed, n_products
+            is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
+            return order, goal.t_end - t if is_exact else target, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
             is_enough = n_small >= 2 and n_undecided == 0 and order >= max(ORDER_MIN, rate * target)
-            if is_enough and _falls_off(fall, law, expansion, order, target, allowed):
+            if is_enough and _weakens_less(weakening, law, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -279,7 +290,7 @@ def _expand(law, expansion, z, w, t, target, remaining, tol, rate):  # type: ign
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _falls_off(fall, law, expansion, order, h, allowed):
+    while h > 0.0 and not _weakens_less(weakening, law, expansion, order, h, allowed):
         h *= 0.7
     return order, h, allowed, n_products
 
@@ -295,14 +306,12 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
-def decide(law, i, was_stuck, force, slope, z_max, span, allowed, rate):  # type: ignore[no-untyped-def]
-    """Mode of block i after its event, from F and its slope; UNDECIDED if that is beyond the accuracy of the series.
-
-    `span` is the length of the window, over which an error `allowed` of w becomes one of z, and z_max bounds |z|.
-    """
+def decide(law, i, was_stuck, force, slope, window, rate):  # type: ignore[no-untyped-def]
+    """Mode of block i after its event, from F and its slope; UNDECIDED if the series are not accurate enough."""
+    span, allowed, z_max = window.span, window.allowed, window.z_max
     most, row_sum = law.static[i], law.row_sums[i]
-    rate_error = row_sum * allowed if law.outside is None else max(row_sum, rate * rate) * allowed
-    drag, noise = law.damping[i] * law.belt_speed[i], known(law.outside, 0, i)
+    rate_error = row_sum * allowed if law.forcing is None else max(row_sum, rate * rate) * allowed
+    drag, noise = law.damping[i] * law.belt_speed[i], known(law.forcing, 0, i)
     doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
     new = -1 if force > 0.0 else 1
     if was_stuck:
@@ -335,7 +344,7 @@ def correct(law, expansion, block, order, span, h, allowed, rate):  # type: igno
     mu, most = law.friction[i], law.static[i]
     was_stuck = mode[i] == 0
     force = damping[i] * v[i] + forces[0, i]
-    new = decide(law, i, was_stuck, force, forces[1, i], largest(series[0]), span, allowed, rate)
+    new = decide(law, i, was_stuck, force, forces[1, i], Window(order, span, allowed, largest(series[0])), rate)
     if new == UNDECIDED:
         return 0.0
 

@@ -11,6 +11,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb.taylor import ORDER_MAX
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import copy
 
 #: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
 REACH = 1.2
@@ -33,6 +34,7 @@ class Goal(NamedTuple):
     is_last: bool
     tol: float
     rate: float
+    bound: float  #: of |z_i| and |w_i|: beyond it Python decides whether the run diverges
 
 
 class Search(NamedTuple):
@@ -50,6 +52,41 @@ class Search(NamedTuple):
         n = len(mode)
         reach, near = np.zeros((2, n))
         return cls(mode.copy(), mode.copy(), reach, near, np.zeros(ORDER_MAX + 1), np.zeros(1))
+
+
+@inner
+def _since(origin, s, i):  # type: ignore[no-untyped-def]
+    """From the instant about which block i's series is, to s; without an origin s is counted from there."""
+    if origin is None:
+        return s
+    return s - origin[i]
+
+
+@inner
+def evaluate(series, origin, order, s, z, w):  # type: ignore[no-untyped-def]
+    """z and w at an instant; each block's series is about its `origin`, if there is one."""
+    n = len(z)
+    copy(series[order], z)
+    for i in range(n):
+        w[i] = order * series[order, i]
+    for k in range(order - 1, 0, -1):
+        for i in range(n):
+            step = _since(origin, s, i)
+            z[i] = z[i] * step + series[k, i]
+            w[i] = w[i] * step + k * series[k, i]
+    for i in range(n):
+        z[i] = z[i] * _since(origin, s, i) + series[0, i]
+
+
+@inner
+def sample(series, origin, order, t, t_next, state):  # type: ignore[no-untyped-def]
+    """Keep the state at all sample times up to t_next, s being counted from t."""
+    samples = state.samples
+    k = state.counters[loop.N_SAMPLED]
+    while k < len(samples.t) and samples.t[k] <= t_next:
+        evaluate(series, origin, order, samples.t[k] - t, samples.z[k], samples.w[k])
+        k += 1
+    state.counters[loop.N_SAMPLED] = k
 
 
 @inner

@@ -10,10 +10,10 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.moreau.step import (
     BEYOND,
     DONE,
-    IS_STILL,
+    IS_ALL_STUCK,
+    N_ALL_STUCK,
     N_COUNTERS,
     SAMPLED,
-    STILLS,
     advance,
     whole_steps,
 )
@@ -39,24 +39,24 @@ def integrate(task: Task, longest: float) -> Run:
     samples.z[:n_first], samples.w[:n_first], counters[SAMPLED] = z, w, n_first
     capacity = max(2 * n, 4096)
     at, block, to = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty(capacity, np.int8)
-    stills = np.empty((2, capacity))
+    all_stuck = np.empty((2, capacity))
     if not mode.any():
-        stills[:, 0] = 0, z.sum()
-        counters[[IS_STILL, STILLS]] = 1
+        all_stuck[:, 0] = 0, z.sum()
+        counters[[IS_ALL_STUCK, N_ALL_STUCK]] = 1
     parts = []
     is_within = True
     while counters[DONE] < n_steps and is_within:
         recorded, is_within = advance(
             law, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
-            (at, block, to, stills), counters,
+            (at, block, to, all_stuck), counters,
         )  # fmt: skip
-        n_stills = counters[STILLS]
-        kept = (at[:recorded], block[:recorded], to[:recorded], stills[:, :n_stills])
+        n_all_stuck = counters[N_ALL_STUCK]
+        kept = (at[:recorded], block[:recorded], to[:recorded], all_stuck[:, :n_all_stuck])
         parts.append(tuple(one.copy() for one in kept))
-        counters[STILLS] = 0
+        counters[N_ALL_STUCK] = 0
     if not np.isfinite(z).all() or not np.isfinite(w).all():
         raise IntegrationError(f"the state is not finite after t = {task.t_start + counters[DONE] * h:g}")
-    no_events = at[:0], block[:0], to[:0], stills[:, : counters[STILLS]]
+    no_events = at[:0], block[:0], to[:0], all_stuck[:, : counters[N_ALL_STUCK]]
     steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(no_events, *parts, strict=True))
     is_first = steps == 0  # what leaves at once does not stick
     initial_mode[blocks[is_first]] = modes[is_first]

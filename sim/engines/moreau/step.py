@@ -12,7 +12,7 @@ from stickslip.sim.numerics.products import one_product
 
 #: |z| or |w| beyond which a run is not followed: far from any state of a scene, and from overflow.
 BEYOND = 1e12
-DONE, STILLS, SAMPLED, IS_STILL, N_COUNTERS = range(5)
+DONE, N_ALL_STUCK, SAMPLED, IS_ALL_STUCK, N_COUNTERS = range(5)
 
 
 def whole_steps(span: float, longest: float) -> int:
@@ -42,11 +42,11 @@ def step_of(law, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
 
 
 @inner(counts=True)
-def _note_still(is_still, step, z, stills, counters):  # type: ignore[no-untyped-def]
+def _note_all_stuck_at(is_all_stuck, step, z, all_stuck, counters):  # type: ignore[no-untyped-def]
     """Keep where the blocks are if from this step on, and not before, all of them stick, or the other way round."""
-    counters[IS_STILL] = is_still
-    stills[0, counters[STILLS]], stills[1, counters[STILLS]] = step, z.sum()
-    counters[STILLS] += 1
+    counters[IS_ALL_STUCK] = is_all_stuck
+    all_stuck[0, counters[N_ALL_STUCK]], all_stuck[1, counters[N_ALL_STUCK]] = step, z.sum()
+    counters[N_ALL_STUCK] += 1
 
 
 @kernel(counts=True)
@@ -55,13 +55,13 @@ def advance(law, state, grid, samples, events, counters):  # type: ignore[no-unt
     z, w, mode = state
     h, n_steps = grid
     times, sampled_z, sampled_w = samples
-    at, block, to, stills = events
+    at, block, to, all_stuck = events
     v, n = law[4], len(z)
     middle, pull, moving = np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
     z_before, w_before = np.empty(n), np.empty(n)
     recorded = 0
     for step in range(counters[DONE], n_steps):
-        if recorded + n > len(at) or counters[STILLS] + 2 > stills.shape[1]:
+        if recorded + n > len(at) or counters[N_ALL_STUCK] + 2 > all_stuck.shape[1]:
             return recorded, True
         z_before[:] = z
         w_before[:] = w
@@ -77,10 +77,10 @@ def advance(law, state, grid, samples, events, counters):  # type: ignore[no-unt
                 at[recorded], block[recorded], to[recorded] = step + (mode[i] != 0), i, new
                 mode[i] = new
                 recorded += 1
-        if counters[IS_STILL] and n_stick < n:
-            _note_still(0, step, z_before, stills, counters)
-        elif n_stick == n and not counters[IS_STILL]:
-            _note_still(1, step + 1, z, stills, counters)
+        if counters[IS_ALL_STUCK] and n_stick < n:
+            _note_all_stuck_at(0, step, z_before, all_stuck, counters)
+        elif n_stick == n and not counters[IS_ALL_STUCK]:
+            _note_all_stuck_at(1, step + 1, z, all_stuck, counters)
         while counters[SAMPLED] < len(times) and (step + 1 == n_steps or times[counters[SAMPLED]] <= (step + 1) * h):
             k = counters[SAMPLED]
             past = min(max(times[k] - step * h, 0.0), h)

@@ -40,8 +40,8 @@ def _friction(block: Any, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
     c = block.hidden
     if law is Peaked:
         return lambda x: peaked_sign(x, c)
-    far, fall, closed = block.far, block.weakening, block.closed
-    return lambda x: open_sign(law, x, c, far, fall, closed)
+    far, weakening, closed = block.far, block.weakening, block.closed
+    return lambda x: open_sign(law, x, c, far, weakening, closed)
 
 
 def _stiff(slope: Lane, law: Law) -> Lane:
@@ -98,11 +98,11 @@ def _newton(block: Any, law: Law) -> Lane:
     finite = total(residual)
     block.u = [where(still, u[k] + residual[k], u[k]) for k in stages]
     x = change * steep
-    outside = nearest * steep - x > control.OUT_OF_LAYER
+    out_of_layer = nearest * steep - x > control.OUT_OF_LAYER
     if law in SHAPES:  # it is bent there too
         bend = x * block.weakening
-        outside = outside & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
-    inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | outside)
+        out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
+    inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)
     rounding = change < (size + absolute(u0) + h * scale) * control.NEWTON_ROUNDING
     solved = (inside | rounding) & (absolute(finite) < 1e300) | (done > 0.5)
     block.done = where(solved, h * 0.0 + 1.0, 0.0)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from stickslip.sim.engines import loop
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.panels import ROUGH
+from stickslip.sim.numerics.panels import SINGLE_ERROR
 from stickslip.sim.numerics.radau import STAGES
 
 # ------------------------------------------------------------------------------------------------- tolerances inside
@@ -177,4 +177,4 @@ def grow(clock, h, found, may_grow):  # type: ignore[no-untyped-def]
 
 def single_rate(pull: float) -> float:
     """What single precision makes K z err by, over a change of z, from the largest row sum of |K|."""
-    return ROUGH * pull
+    return SINGLE_ERROR * pull

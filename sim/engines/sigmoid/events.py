@@ -275,7 +275,7 @@ def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):
     for i in range(n):
         count += mode[i] == 0
     if counters[loop.N_STEPS] == 1:
-        loop.note_still(count == n, span.start, blocks(work.table).z0[:n], events, counters)
+        loop.note_all_stuck_at(count == n, span.start, blocks(work.table).z0[:n], events, counters)
     most = count
     for k in range(first, n_recorded):
         most += events.block[k] < n and events.mode[k] == 0
@@ -289,10 +289,10 @@ def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):
             mode[i] = events.mode[k]
         k = _next(events, first, n_recorded, k)
         is_last = k < 0 or events.t[k] > t
-        if is_last and (count == n) != (counters[loop.IS_STILL] == 1):
+        if is_last and (count == n) != (counters[loop.IS_ALL_STUCK] == 1):
             work.there.t[0] = t
             sample(work, n_substeps, span, work.there, 0)
-            loop.note_still(count == n, t, work.there.z[0], events, counters)
+            loop.note_all_stuck_at(count == n, t, work.there.z[0], events, counters)
 
 
 @inner

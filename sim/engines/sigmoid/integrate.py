@@ -148,10 +148,10 @@ class _Prepared:
         state = loop.State.at_start(task, task.z0.copy(), task.w0.copy(), self.modes[k, 0], step, 1.0, 0.0, 0.0)
         state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * n + 256
-        work = Workspace.of(self.tables[k], self.modes[k], drive.outside is not None, n_substeps)
+        work = Workspace.of(self.tables[k], self.modes[k], drive.forcing is not None, n_substeps)
         work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
-        model = Model(self.layer.law, *self.matrices[k], drive.outside, self.bands[k], self.borne[k], self.by_force)
+        model = Model(self.layer.law, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force)
         collapse = certificates.Collapse(system, self.allowed[k], self.smoothed(system.fastest_belt, self.widest[k]))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
         rate = limits.single_rate(self.pulls[k])
@@ -164,12 +164,8 @@ class _Prepared:
             return found
 
         engine = self.engine
-        return loop.complete(
-            task,
-            state,
-            drive,
+        plan = loop.Plan(
             slice_of_run,
-            collapse,
             stalled=f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
             " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps",
             events_a_step=PASSES * (n + n_substeps) * len(self.by_force),
@@ -177,6 +173,7 @@ class _Prepared:
             thresholds=engine.thresholds,
             go_on=lambda: _go_on(system, drive, state, work, atol),
         )
+        return loop.complete(task, state, drive, collapse, plan)
 
 
 def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
@@ -214,7 +211,7 @@ def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats,
     if cross is not None:
         drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
         pull += cross @ w
-    if drive.outside is not None:
+    if drive.forcing is not None:
         pull -= drive.value()
     return drag, pull
 

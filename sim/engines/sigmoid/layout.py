@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.forcing import Outside
+from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.loop import Room
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
@@ -126,7 +126,7 @@ class Model(NamedTuple):
     stiffness: Matrix  #: K
     cross: Matrix  #: N
     has_cross: bool
-    forcing: Outside | None
+    forcing: Forcing | None
     bands: Floats  #: shape (m, n): by each definition a block sticks below this |u|
     borne: Floats  #: shape (m, n): kinetic friction there
     by_force: NDArray[np.bool_]  #: shape (m,): and below static friction

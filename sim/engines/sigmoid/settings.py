@@ -110,7 +110,7 @@ class Sigmoid(Engine):
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:
-        # what does not depend on tolerances, and steps of order five; in thinner layers more steps of a block's own
+        # what does not depend on tolerances, and steps of order five; in thinner layers more substeps
         rate *= 0.1 + 0.16 * (1e-6 / (settings["rtol"] * settings["atol"]) ** 0.5) ** 0.2
         rate *= max((0.03 / settings["eps"]) ** 0.18, 0.6)
         if settings["ratio"] == "uniform":
