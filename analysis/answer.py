@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -39,24 +39,43 @@ class Answer:
     figures: Mapping[str, Recipe] = field(default_factory=dict)
 
 
-class Question(Protocol):
-    """A module of `analysis.questions`; its template is `report/templates/<its name>.html`.
+def _always(study: Study) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question of a report: what answers it, and when it leads the page.
 
     Attributes
     ----------
-    OF_CASCADES : bool
-        Whether it is of cascades: such questions are asked neither where episodes are recorded, which hold them, nor
-        of one block, which has none.
-    SHARE : float
-        Of the time of a report, as measured on the scenes that ship, where it has something to answer: those that
-        take longest are begun first.
+    answer : callable
+        Of a `Study`, what is found; None where the question does not arise from such data.
+    share : float
+        Of the time of a report, as measured on the scenes that ship, where there is something to answer: the longest
+        are begun first.
+    of_cascades : bool
+        Whether it is about cascades: such questions are not asked where episodes are recorded, which contain
+        them, nor of one block, which has none.
+    rank : int, optional
+        Where the scene names no question, the answered one of the lowest rank leads the page, if `leads` agrees. One
+        without a rank leads only if it is named.
+    leads : callable
+        Of a `Study`, whether it may lead.
+    beside : tuple of str
+        The questions that follow it on the first screen when it leads by its rank.
     """
 
-    OF_CASCADES: bool
-    SHARE: float
+    answer: Callable[[Study], Answer | None]
+    share: float = 0.0
+    of_cascades: bool = False
+    rank: int | None = None
+    leads: Callable[[Study], bool] = _always
+    beside: tuple[str, ...] = ()
 
-    def answer(self, study: Study) -> Answer | None:
-        """What is found; None where the question is not asked of such data."""
+    def is_asked_of(self, study: Study) -> bool:
+        """Whether data of this kind can have an answer."""
+        return not self.of_cascades or (study.data.episodes is None and bool((study.data.members["n"] != 1).any()))
 
 
 S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types: a null, never NaN

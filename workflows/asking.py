@@ -48,7 +48,7 @@ class Asking:
         from stickslip.analysis.questions import QUESTIONS, question
         from stickslip.analysis.report.page import ask, prepare
 
-        to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).SHARE))
+        to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).share))
         found: dict[str, Answered | None] = {}
 
         def next_ones() -> Iterator[str]:

@@ -72,13 +72,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
     with loading() if arguments.is_program else nullcontext():
-        from stickslip.pipeline import load_scene, run_ensemble
+        from stickslip.pipeline import run_ensemble
         from stickslip.pipeline.machine.signals import last_act
         from stickslip.pipeline.places.directory import Directory
         from stickslip.pipeline.places.place import DATA, SCENE
         from stickslip.workflows.progress import Watch, clock
+        from stickslip.workflows.scenes import load
 
-    scene = load_scene(file)
+    scene = load(file)
 
     def how_to_go_on() -> None:
         print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
@@ -118,14 +119,14 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
 
 
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
-    from stickslip.pipeline import load_scene
     from stickslip.pipeline.dataset.writer import Store
     from stickslip.pipeline.running import ends
     from stickslip.pipeline.running.cluster import check_memory
     from stickslip.pipeline.running.estimate import WITHIN, estimate
     from stickslip.workflows.progress import clock
+    from stickslip.workflows.scenes import load
 
-    scene = load_scene(file)
+    scene = load(file)
     scene.check_engines()
     ends.check(scene)
     check_memory(scene, arguments.workers)
@@ -157,9 +158,10 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
 
 def _run_member(file: Path, member_id: str) -> int:
-    from stickslip.pipeline import load_scene, run_member
+    from stickslip.pipeline import run_member
+    from stickslip.workflows.scenes import load
 
-    scene = load_scene(file)
+    scene = load(file)
     try:
         row = run_member(scene, member_id)
     except ValueError as error:

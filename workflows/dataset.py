@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline import Scene, Status, load_scene, query, run_ensemble, status
+from stickslip.pipeline import Scene, Status, query, run_ensemble, status
 from stickslip.pipeline.dataset.opened import dataset_scene, open_dataset
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.progress import Watch
-from stickslip.workflows.scenes import find
+from stickslip.workflows.scenes import find, load, with_known_questions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -105,7 +105,7 @@ def run_scene(
     ValueError, StoreError, AddressError, ScheduleError
         As there.
     """
-    found = scene if isinstance(scene, Scene) else load_scene(find(str(scene)))
+    found = with_known_questions(scene, "scene") if isinstance(scene, Scene) else load(find(str(scene)))
     with nullcontext() if quiet else Watch(out) as watch:
         run_ensemble(found, out, workers, scheduler, watch, retry_failed, accept_version)
     return Dataset(out)

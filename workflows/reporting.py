@@ -19,6 +19,7 @@ from stickslip.pipeline.query import all_events, by_threshold, episodes, members
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
 from stickslip.workflows.fresh import made_from, name_of
+from stickslip.workflows.scenes import with_known_questions
 
 #: Who puts the questions of a dataset: its path, its study, and whom to tell how many are answered.
 Asking = Callable[[str, Study, Callable[[int, int], None]], list[Answered | None]]
@@ -116,6 +117,7 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 
 def _settings(scene: Scene) -> AnalysisSettings:
+    with_known_questions(scene, "scene")
     asked = scene.analysis.model_dump() | {"seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or ()}
     return AnalysisSettings(**asked)
 

@@ -96,7 +96,20 @@ def schema(chart: str | None) -> dict[str, Any]:
     from stickslip.pipeline.scene.toml import json_schema
     from stickslip.workflows.charts import chart as scene_of
 
-    return json_schema(Scene if chart is None else scene_of(chart))
+    if chart is not None:
+        return json_schema(scene_of(chart))
+    found = json_schema(Scene)
+    _name_the_questions(found)
+    return found
+
+
+def _name_the_questions(schema: dict[str, Any]) -> None:
+    """Put into the schema of an ensemble which questions a report answers; pipeline does not know them."""
+    from stickslip.analysis.questions import QUESTIONS
+
+    one, several = schema["$defs"]["AnalysisTable"]["properties"]["question"]["anyOf"]
+    one |= {"enum": list(QUESTIONS)}
+    several["items"] |= {"enum": list(QUESTIONS)}
 
 
 def schema_text(chart: str | None) -> str:

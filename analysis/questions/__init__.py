@@ -1,7 +1,10 @@
 """The questions that a report can answer: one file each, and one template of the same name in `report/templates`."""
 
+from collections.abc import Iterable
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+from stickslip.sim.numerics.arguments import did_you_mean
 
 if TYPE_CHECKING:
     from stickslip.analysis.answer import Question
@@ -15,5 +18,13 @@ QUESTIONS = (
 
 def question(name: str) -> "Question":
     """One of `QUESTIONS`, whose module is loaded when it is asked for."""
-    found: Question = import_module(f"{__name__}.{name}")
+    found: Question = import_module(f"{__name__}.{name}").QUESTION
     return found
+
+
+def refuse_unknown(names: Iterable[str]) -> None:
+    """ValueError if a name is not one of `QUESTIONS`."""
+    for name in names:
+        if name not in QUESTIONS:
+            remedy = did_you_mean(name, QUESTIONS) or "; choose one of these"
+            raise ValueError(f"question: expected one of {', '.join(QUESTIONS)}, got {name!r}{remedy}")

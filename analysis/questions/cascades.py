@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Group, Study, law
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import spans
@@ -18,8 +18,6 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
-
-OF_CASCADES, SHARE = True, 0.05
 
 #: By what share gamma may differ from what chance gives and count as the same, whatever a scene declares of engines.
 GAMMA_MARGIN = 0.01
@@ -239,3 +237,6 @@ def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fi
     size_axis(below, widest)
     top.legend(loc="upper right", fontsize=7)
     below.legend(loc="lower left", fontsize=7)
+
+
+QUESTION = Question(answer, share=0.05, of_cascades=True, rank=5, beside=("exponential", "clustering", "fates"))

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, Row, S, frame
+from stickslip.analysis.answer import Answer, F, Question, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.series.nulls import block_steps
@@ -19,8 +19,6 @@ from stickslip.analysis.stats.compare import UNKNOWN, WITHIN
 from stickslip.analysis.stats.effects import LESS, MORE, Effect, over_null, together
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.style import over_blocks, panel
-
-OF_CASCADES, SHARE = True, 0.23
 
 SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
 BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
@@ -203,3 +201,6 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
             period, ratio, color=colour, marker="os"[k % 2], markersize=3.2, label=label,
             markerfacecolor=(colour, "white")[k % 2],
         )  # fmt: skip
+
+
+QUESTION = Question(answer, share=0.23, of_cascades=True)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
@@ -20,8 +20,6 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
-
-OF_CASCADES, SHARE = True, 0.4
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Rotations of each run at most: gamma of independent blocks is known that much better than of the runs.
@@ -152,3 +150,6 @@ def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     below.set(xlabel=VARIANCE, ylabel=SCALED)
     handles, names = below.get_legend_handles_labels()
     below.figure.legend(handles, names, loc="outside upper center", fontsize=7, ncols=4, columnspacing=1.0)
+
+
+QUESTION = Question(answer, share=0.4, of_cascades=True)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame
 from stickslip.analysis.ensemble import Group, Study
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.series import cascades
@@ -18,8 +18,6 @@ from stickslip.analysis.series.nulls import DRAWS, Sums, block_steps, rotations
 from stickslip.analysis.stats.effects import over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
 from stickslip.analysis.style import CYCLE, GREY, panel
-
-OF_CASCADES, SHARE = True, 0.12
 
 _DEFINITIONS: Mapping[str, str] = {
     "group": S, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I, "gamma": F, "gamma_low": F,
@@ -155,3 +153,6 @@ def by_step(ax: Axes, rows: Sequence[Row], name: str, what: str) -> None:
     ax.minorticks_off()
     ax.set(xlabel="sampling step dt", ylabel=what)
     ax.legend(loc="best", fontsize=7)
+
+
+QUESTION = Question(answer, share=0.12, of_cascades=True)

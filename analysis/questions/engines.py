@@ -14,7 +14,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, B, F, Row, S, frame
+from stickslip.analysis.answer import Answer, B, F, Question, Row, S, frame
 from stickslip.analysis.contrast import (
     SCHEMA,
     Sample,
@@ -29,8 +29,6 @@ from stickslip.analysis.contrast import (
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
-
-OF_CASCADES, SHARE = False, 0.05
 
 LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
@@ -268,3 +266,6 @@ def contrasts(ax: Axes, rows: Sequence[Row]) -> None:
     ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference / margin")
     ax.set_yticks(range(len(rows)), [row["quantity"] for row in rows])
     ax.tick_params(axis="y", length=0)
+
+
+QUESTION = Question(answer, share=0.05)

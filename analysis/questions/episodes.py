@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.contrast import SCHEMA, Sample, Statistic, contrast, judge
 from stickslip.analysis.ensemble import SYSTEM_KEYS, TOLERANCES, Group, Study
 from stickslip.analysis.models.episodes import (
@@ -47,8 +47,6 @@ from stickslip.analysis.stats.families import Fit, maximise, parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
-
-OF_CASCADES, SHARE = False, 0.8
 
 MARGIN = 0.1  # of every statistic, relative, and of Poisson's CV: what some twenty systems can exclude
 POWER, CUT_OFF, EXPONENTIAL, NONE, UNKNOWN = (
@@ -652,3 +650,6 @@ def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
     ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
     ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
     ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
+
+
+QUESTION = Question(answer, share=0.8, rank=2)

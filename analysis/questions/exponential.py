@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import EVENTS, Group, Study
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import Window
@@ -21,8 +21,6 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
-
-OF_CASCADES, SHARE = True, 0.08
 
 MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
 MOST_DRAWN = 2  # groups in the figure
@@ -171,3 +169,6 @@ def over_fit(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
     ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
     size_axis(ax, largest)
     ax.legend(loc="lower left", fontsize=7)
+
+
+QUESTION = Question(answer, share=0.08, of_cascades=True)

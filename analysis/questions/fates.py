@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -44,8 +44,6 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
-
-OF_CASCADES, SHARE = False, 0.01
 
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
@@ -377,3 +375,10 @@ def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     for t, mean in paths:
         ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
     ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))
+
+
+def _most_have_ended(study: Study) -> bool:
+    return bool(study.data.members["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5)
+
+
+QUESTION = Question(answer, share=0.01, rank=3, leads=_most_have_ended, beside=("robustness",))

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import special, stats
 
-from stickslip.analysis.answer import Answer, F, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study, law
 from stickslip.analysis.models import rhythm
 from stickslip.analysis.models.rhythm import (
@@ -31,8 +31,6 @@ from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import over_blocks, panel
-
-OF_CASCADES, SHARE = True, 0.08
 
 CYCLES = 3.0  # of a block: a motion that takes longer is slow
 LAWS = ("period", "quality", "share")  # numbers whose laws are asked for
@@ -346,3 +344,6 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
         )  # fmt: skip
         if all(row["model"] is not None for row in seen):
             ax.plot(period, [row["model"] for row in seen], color=colour)
+
+
+QUESTION = Question(answer, share=0.08, of_cascades=True)

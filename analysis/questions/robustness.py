@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
@@ -25,8 +25,6 @@ from stickslip.analysis.stats.multiplicity import adjusted
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, SMOOTHED, panel
-
-OF_CASCADES, SHARE = False, 0.4
 
 PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
 #: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
@@ -318,3 +316,6 @@ def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> No
     ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
     ax.set_ylabel("mean $n_{stick}$ of the copy")
     ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
+
+
+QUESTION = Question(answer, share=0.4, rank=4, beside=("sensitivity",))

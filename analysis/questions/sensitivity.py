@@ -11,15 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import kaplan_meier, median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
 from stickslip.analysis.series import parting
 from stickslip.analysis.style import CYCLE, GREY, panel
-
-OF_CASCADES, SHARE = False, 0.3
 
 GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
@@ -220,3 +218,6 @@ def distances(ax: Axes, lines: Sequence[Stretch]) -> None:
     ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
     ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
     ax.figure.legend(loc="outside lower center", ncols=1, fontsize=7)
+
+
+QUESTION = Question(answer, share=0.3)

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stickslip.analysis import contrast
-from stickslip.analysis.answer import Answer, F, I, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
@@ -29,8 +29,6 @@ from stickslip.analysis.stats.compare import WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
-
-OF_CASCADES, SHARE = False, 0
 
 RISES, FALLS = "rises", "falls"
 IN_MOTION = "share in motion"
@@ -475,3 +473,6 @@ def heat_map(
     bar = ax.figure.colorbar(image, ax=ax, label=what)
     bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
     bar.outline.set_edgecolor(GREY)
+
+
+QUESTION = Question(answer, share=0, rank=1)

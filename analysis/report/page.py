@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from stickslip.analysis.answer import F, I, Recipe, S, frame, records
 from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES, Data, Study
-from stickslip.analysis.questions import QUESTIONS, question
+from stickslip.analysis.questions import QUESTIONS, question, refuse_unknown
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
@@ -67,11 +67,9 @@ def prepare() -> None:
 
 
 def ask(study: Study, key: str) -> Answered | None:
-    """Put one of `QUESTIONS` to a study; None if it is not asked of such data: one block has no cascades."""
+    """Put one of `QUESTIONS` to a study; None if it does not arise from such data: one block has no cascades."""
     asked = question(key)
-    if asked.OF_CASCADES and (study.data.episodes is not None or (study.data.members["n"] == 1).all()):
-        return None
-    found = asked.answer(study)
+    found = asked.answer(study) if asked.is_asked_of(study) else None
     if found is None:
         return None
     figures = {name: draw(recipe) for name, recipe in found.figures.items()}
@@ -155,6 +153,7 @@ def build(
     ValueError
         If members, series or settings contradict each other, naming the column, member or setting.
     """
+    refuse_unknown(settings.question)
     study = Study(data, settings)
     made = [ask(study, key) for key in QUESTIONS] if answers is None else answers(study)
     found = [one for one in made if one is not None]
@@ -226,18 +225,13 @@ def plain(text: str) -> str:
 
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
-    """What leads where the scene does not say: what its runs differ in, how they ended, or their cascades."""
-    keys = [one.key for one in answered]
-    bases = study.data.members
-    if "sweep" in keys:
-        return ("sweep",)
-    if "episodes" in keys:
-        return ("episodes",)
-    if bases["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5:
-        return ("fates", "robustness")
-    if "robustness" in keys:
-        return ("robustness", "sensitivity")
-    return ("cascades", "exponential", "clustering", "fates")
+    """What leads where the scene does not say: the question of the lowest rank that may, and those beside it."""
+    asked = {one.key: question(one.key) for one in answered}
+    ranked = [(one.rank, key) for key, one in asked.items() if one.rank is not None and one.leads(study)]
+    if not ranked:
+        return ()
+    first = min(ranked)[1]
+    return (first, *asked[first].beside)
 
 
 def group_columns() -> list[tuple[str, str, str | None]]:

@@ -182,21 +182,8 @@ class MarginsTable(StrictTable):
     correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
 
 
-#: What a report can be asked first: the names of `analysis.questions`.
-QuestionName = Literal[
-    "sweep",
-    "episodes",
-    "cascades",
-    "counting",
-    "exponential",
-    "definitions",
-    "rhythm",
-    "clustering",
-    "fates",
-    "engines",
-    "sensitivity",
-    "robustness",
-]
+#: The name of a question, which pipeline cannot know: whoever makes the report refuses what it does not.
+QuestionName = Annotated[str, Field(pattern=r"^[a-z]\w*$")]
 
 
 class AnalysisTable(StrictTable):

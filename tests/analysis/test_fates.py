@@ -334,7 +334,7 @@ def test_a_drift_is_an_alert_even_of_few_cascades(planted):
 
 
 def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
-    shown = [_Shown("robustness", {})]
+    shown = [_Shown("fates", {}), _Shown("robustness", {})]
     for outcomes, leads in (
         ([COLLAPSED] * 6 + [SUSTAINED] * 4, "fates"),
         ([COLLAPSED] * 4 + [SUSTAINED] * 6, "robustness"),

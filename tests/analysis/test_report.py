@@ -7,7 +7,6 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -24,7 +23,6 @@ from stickslip.analysis.report.page import _rank, group_columns
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import Basis
 from stickslip.analysis.stats.estimates import LN2, Estimate, ratio
-from stickslip.pipeline.scene.tables import QuestionName
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -296,9 +294,9 @@ def test_what_users_write_is_escaped(planted, settings):
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", report.html)[0]
 
 
-def test_a_scene_can_ask_every_question():
-    """The pipeline knows no analysis, so that the names stand in both."""
-    assert get_args(QuestionName) == QUESTIONS
+def test_a_question_that_there_is_not_is_refused_by_name(whole, settings):
+    with pytest.raises(ValueError, match=r"question: expected one of sweep, .*, got 'rythm'; did you mean 'rhythm'"):
+        report_of(whole, replace(settings, question=("fates", "rythm")))
 
 
 @pytest.mark.parametrize("key", QUESTIONS)

@@ -364,6 +364,11 @@ def check_bad(content, words, folder, capsys):
     [
         ("matrices = 3", "matrixes = 3", ["bad.toml: run.matrixes", "did you mean 'matrices'"]),
         ("n = 12", "n = 0\ncolour = 1", ["bad.toml: system.n", "greater than or equal to 1"]),
+        (
+            "[analysis]",
+            '[analysis]\nquestion = "rythm"',
+            ["bad.toml: analysis.question: expected one of", "'rhythm'"],
+        ),
     ],
 )
 def test_a_bad_scene_is_refused_in_its_words_and_nothing_is_written(old, new, words, small_scene, tmp_path, capsys):

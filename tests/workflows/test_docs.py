@@ -316,7 +316,7 @@ def test_a_coupling_is_one_line(monkeypatch):
 
 def test_a_question_is_a_file_and_a_template(first):
     study = study_of(str(first / "runs" / "mine"))
-    found = run_python("extending", 3)["answer"](study)
+    found = run_python("extending", 3)["QUESTION"].answer(study)
     words = environment().from_string(blocks(page("extending"), "jinja")[0]).module
     assert len(found.tables["pauses"]) == sum(group.n_runs for group in study.groups) > 0
     assert "The longest pause of a run is" in words.answer(found.facts)

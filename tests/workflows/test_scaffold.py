@@ -13,6 +13,7 @@ import pytest
 
 import stickslip
 from stickslip import analysis, pipeline, sim
+from stickslip.analysis.questions import QUESTIONS
 from stickslip.pipeline import Scene, load_scene
 from stickslip.pipeline.scene.engine_table import TOLERANCES
 from stickslip.pipeline.scene.quantity import LAWS
@@ -134,7 +135,10 @@ def test_what_cannot_be_written(argv, code, words, tmp_path, monkeypatch, capsys
 
 def test_schema_is_printed(capsys):
     assert main(["schema"]) == 0
-    assert json.loads(capsys.readouterr().out) == json_schema(Scene)
+    printed = json.loads(capsys.readouterr().out)
+    named = printed["$defs"]["AnalysisTable"]["properties"]["question"]["anyOf"]
+    assert named[0].pop("enum") == named[1]["items"].pop("enum") == list(QUESTIONS)  # which pipeline does not know
+    assert printed == json_schema(Scene)
     assert main(["schema", "stability"]) == 0
     assert "stiffness" in json.loads(capsys.readouterr().out)["properties"]
 

@@ -23,13 +23,12 @@ from stickslip.pipeline import (
     ScheduleError,
     StoreError,
     interruptible,
-    load_scene,
     run_ensemble,
 )
 from stickslip.pipeline.machine.signals import unbroken
 from stickslip.pipeline.running.cluster import QuietScheduler, local
 from stickslip.workflows.progress import Watch
-from stickslip.workflows.scenes import find
+from stickslip.workflows.scenes import find, load
 
 if TYPE_CHECKING:
     from distributed.deploy import Cluster
@@ -107,7 +106,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run; returns the exit code: 0 done, 1 not done or failed members, 130 or 143 interrupted."""
     arguments = parser().parse_args(argv)
     try:
-        scene = load_scene(find(arguments.scene))
+        scene = load(find(arguments.scene))
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
         with interruptible(), start(arguments) as client:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stickslip.pipeline import Scene
 
 _HERE = Path(__file__).parent
 
@@ -19,6 +23,31 @@ def find(scene: str) -> Path:
     if path.suffix == ".toml" or path.exists():
         return path
     return shipped().get(scene, path)
+
+
+def load(file: Path) -> Scene:
+    """Read a scene file as `stickslip.pipeline.load_scene` does, and look at the questions that it names.
+
+    Raises
+    ------
+    SceneError
+        As there, or if a report cannot answer such a question.
+    """
+    from stickslip.pipeline import load_scene
+
+    return with_known_questions(load_scene(file), str(file))
+
+
+def with_known_questions(scene: Scene, name: str) -> Scene:
+    """The scene itself; SceneError if it names a question that a report cannot answer. `name` is for the message."""
+    from stickslip.analysis.questions import refuse_unknown
+    from stickslip.pipeline.errors import SceneError
+
+    try:
+        refuse_unknown(scene.analysis.question)
+    except ValueError as error:
+        raise SceneError(f"{name}: analysis.{error}") from None
+    return scene
 
 
 def chart_of(file: Path) -> str | None:
