@@ -294,9 +294,9 @@ def test_what_users_write_is_escaped(planted, settings):
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", report.html)[0]
 
 
-def test_a_question_that_there_is_not_is_refused_by_name(whole, settings):
+def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
     with pytest.raises(ValueError, match=r"question: expected one of sweep, .*, got 'rythm'; did you mean 'rhythm'"):
-        report_of(whole, replace(settings, question=("fates", "rythm")))
+        report_of(scarce["two matrices"], replace(settings, question=("fates", "rythm")))
 
 
 @pytest.mark.parametrize("key", QUESTIONS)
