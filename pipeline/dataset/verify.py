@@ -52,7 +52,7 @@ def verify(path: Where) -> list[str]:
                 problem = "not a shard of this scene"
             elif not problem:
                 batch, recording = expected[name]
-                ids = [member.member_id for member in batch.members]
+                ids = list(batch.members.ids())
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"

@@ -13,7 +13,6 @@ from types import TracebackType
 
 from stickslip.pipeline.dataset.opened import planned, stored_scene
 from stickslip.pipeline.dataset.result import Result, program
-from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.pack import Task, grows, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.machine.signals import last_act, unbroken
@@ -141,7 +140,7 @@ class Store:
 
     @cached_property
     def _fresh(self) -> Manifest:
-        return Manifest(scene_hash=self.scene.hash, packing=[list(pack(self.scene, set()))])
+        return Manifest(scene_hash=self.scene.hash, packing=[list(pack(self.scene, None))])
 
     def _check(self) -> Manifest:
         """The manifest found here, or a new one if nothing is here; else a refusal."""
@@ -192,12 +191,11 @@ class Store:
             raise refusal from None
         if stored.hash != manifest.scene_hash or not grows(stored, self.scene):
             raise refusal
-        known = {member.member_id for member in expand(stored)}
         return Manifest(
             scene_hash=self.scene.hash,
             programs=manifest.programs,
             earlier=[*manifest.earlier, self.place.read(SCENE).decode()],
-            packing=[*manifest.packing, list(pack(self.scene, known))],
+            packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
         )
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
-from typing import Any
+from functools import lru_cache
+from itertools import accumulate, product
+from operator import eq
+from typing import Any, overload
 
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
@@ -25,40 +27,184 @@ _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 #: In the order of a member's terms, whatever a scene sweeps.
 _TERMS = (*QUANTITIES, "back_slip")
 
+#: Kinds of members that are remembered: those of one matrix follow on those of another.
+_KINDS = 4096
 
-def expand(scene: Scene) -> tuple[Member, ...]:
+
+def expand(scene: Scene) -> Members:
     """All members of a scene, which keeps them.
 
     Sorted by n, matrix, point of the grid, draw of the start, change (none first), engine (as in the file) and ratio
     draw.
     """
     if scene._members is None:
-        scene._members = tuple(_members(scene))
+        everything = _Ensemble(scene)
+        scene._members = Members(everything, range(len(everything)))
     return scene._members
 
 
-def _members(scene: Scene) -> Iterator[Member]:
-    for n, origin in scene.sources:
-        kinds = list(_kinds(scene, n, origin))
-        for matrix in range(scene.run.matrices):
-            number = matrix if origin is None else origin.matrix(matrix)
-            for before, after, member in kinds:
-                source = member.source._replace(matrix=number)
-                yield replace(member, member_id=f"{before}-m{matrix:03d}-{after}", source=source)
+class Members(Sequence[Member]):
+    """Members of an ensemble, each made when it is asked for; sent to another process, they are made before.
+
+    Slices, and `at`, give further ones of the same ensemble. Ids and costs are had without making a member.
+    """
+
+    def __init__(self, ensemble: _Ensemble | _Made, places: Sequence[int]) -> None:
+        self._ensemble, self._places = ensemble, places
+
+    @staticmethod
+    def of(*members: Member) -> Members:
+        """Members that are made already."""
+        return Members(_Made(members), range(len(members)))
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, k: int) -> Member: ...
+    @overload
+    def __getitem__(self, k: slice) -> Members: ...
+    def __getitem__(self, k: int | slice) -> Member | Members:
+        if isinstance(k, slice):
+            return Members(self._ensemble, self._places[k])
+        return self._ensemble.member(self._places[k])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Members) and len(self) == len(other) and all(map(eq, self, other))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[Callable[..., Members], tuple[Member, ...]]:
+        return Members.of, tuple(self)
+
+    def at(self, which: Sequence[int]) -> Members:
+        """Those at some places among these."""
+        return Members(self._ensemble, [self._places[k] for k in which])
+
+    def ids(self) -> Iterator[str]:
+        """The `member_id` of each."""
+        return map(self._ensemble.member_id, self._places)
+
+    def costs(self) -> Iterator[float]:
+        """The `cost` of each."""
+        return map(self._ensemble.cost, self._places)
+
+    def firsts(self) -> list[Member]:
+        """The first one of each origin of systems and each engine."""
+        firsts = {self._ensemble.kind_of(place): place for place in reversed(self._places)}
+        return [self._ensemble.member(place) for place in firsts.values()]
 
 
-#: What stands in a member's id before its matrix, and after; and the member, but for its id and its matrix.
-_Kind = tuple[str, str, Member]
+class _Made:
+    """Members that are made already, by number, as `_Ensemble` gives its own."""
+
+    def __init__(self, members: tuple[Member, ...]) -> None:
+        self._members = members
+
+    def member(self, k: int) -> Member:
+        return self._members[k]
+
+    def member_id(self, k: int) -> str:
+        return self._members[k].member_id
+
+    def cost(self, k: int) -> float:
+        return self._members[k].cost
+
+    def kind_of(self, k: int) -> Hashable:
+        return self._members[k].source.origin, self._members[k].engine
 
 
-def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> Iterator[_Kind]:
-    """All that is run with each matrix of n blocks, or of a file or function, in order."""
-    before = f"n{n}" if origin is None else f"n{n}-{origin.word}"
-    of_file: dict[str, Any] = {}
-    if isinstance(origin, SystemFile):
-        of_file = {"kappa": origin.scale}
-        of_file |= {name: FILE for name in OF_BLOCKS if name in origin.arrays}
-        of_file |= {"rho": None} if "damping" in origin.arrays else {}
+@dataclass(frozen=True)
+class _Variant:
+    """What is run of a matrix at a point of the grid: a change, an engine, a draw of its ratios."""
+
+    change: Change
+    method: Method
+    sharing: Sharing
+    words: tuple[str, ...]
+
+
+class _Ensemble:
+    """The members of a scene by number: source, matrix, point of the grid, draw of the start, variant."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.sources = scene.sources
+        self.points = [_Point(swept, at) for swept, at in scene.points()]
+        self.draws = [scene.start_draws(point.at) for point in self.points]
+        self.ends = list(accumulate(map(len, self.draws)))
+        self.variants = list(_variants(scene))
+        self.kind = lru_cache(_KINDS)(self._kind)
+        self.cost_of = lru_cache(_KINDS)(self._cost)
+
+    def __len__(self) -> int:
+        return len(self.sources) * self.scene.run.matrices * self.ends[-1] * len(self.variants)
+
+    def _split(self, k: int) -> tuple[int, int, int, int]:
+        """Of a member's number those of its source, matrix, place (a point with a draw of the start) and variant."""
+        rest, variant = divmod(k, len(self.variants))
+        rest, place = divmod(rest, self.ends[-1])
+        return *divmod(rest, self.scene.run.matrices), place, variant
+
+    def member(self, k: int) -> Member:
+        source, matrix, place, variant = self._split(k)
+        kind, origin = self.kind(source, place, variant), self.sources[source][1]
+        number = matrix if origin is None else origin.matrix(matrix)
+        return replace(kind, member_id=self.member_id(k), source=kind.source._replace(matrix=number))
+
+    def member_id(self, k: int) -> str:
+        source, matrix, place, variant = self._split(k)
+        n, origin = self.sources[source]
+        point, draw = self._place(place)
+        drawn = () if draw is None else (f"s{draw}",)
+        ends = self.scene.ends
+        started = () if ends is None or not point.is_at_end else (ends.word,)
+        before = (f"n{n}",) if origin is None else (f"n{n}", origin.word)
+        return "-".join((*before, f"m{matrix:03d}", *point.words, *drawn, *started, *self.variants[variant].words))
+
+    def cost(self, k: int) -> float:
+        source, _, _, variant = self._split(k)
+        return self.cost_of(source, variant)
+
+    def kind_of(self, k: int) -> Hashable:
+        source, _, _, variant = self._split(k)
+        return self.sources[source][1], self.variants[variant].method.engine
+
+    def _place(self, place: int) -> tuple[_Point, int | None]:
+        k = bisect_right(self.ends, place)
+        return self.points[k], self.draws[k][place - self.ends[k] + len(self.draws[k])]
+
+    def _cost(self, source: int, variant: int) -> float:
+        return self.kind(source, 0, variant).cost
+
+    def _kind(self, source: int, place: int, variant: int) -> Member:
+        """A member but for its id and its matrix."""
+        scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
+        point, draw = self._place(place)
+        given = point.at | _of_file(origin)
+        z0, w0, seed = given.pop("z"), given.pop("w"), given.pop("seed")
+        if w0 == BELT and isinstance(given["belt_speed"], float):
+            w0 = given["belt_speed"]
+        parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
+        if not scene.system.back_slip:
+            given["back_slip"] = "barred"
+        terms = tuple((name, given[name]) for name in _TERMS if given.get(name) is not None)
+        begin = Start(z0, w0, draw, scene.ends if point.is_at_end else None)
+        of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
+        kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
+        return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+
+
+def _of_file(origin: SystemFile | SystemFunction | None) -> dict[str, Any]:
+    """What a file says in place of the scene."""
+    if not isinstance(origin, SystemFile):
+        return {}
+    of_file: dict[str, Any] = {"kappa": origin.scale} | {name: FILE for name in OF_BLOCKS if name in origin.arrays}
+    return of_file | ({"rho": None} if "damping" in origin.arrays else {})
+
+
+def _variants(scene: Scene) -> Iterator[_Variant]:
+    """All that is run of a matrix at a point of the grid, in order."""
     changes = [Change()]
     if scene.perturbation is not None:
         table = scene.perturbation
@@ -66,50 +212,24 @@ def _kinds(scene: Scene, n: int, origin: SystemFile | SystemFunction | None) -> 
         changes += [Change(reading, size, draw) for reading, size, draw in moves]
     if scene.twins is not None:
         changes += [Change(twin_size=size) for size in scene.twins.sizes]
-    words = {engine: {draw: _words(engine, draw) for draw in engine.draws} for engine in scene.engines}
-    places = [_Place(swept, at, draw) for swept, at in scene.points() for draw in scene.start_draws(at)]
-    for place, change, engine in product(places, changes, scene.engines):
+    for change, engine in product(changes, scene.engines):
         if change.reading is not None and change.reading not in scene.readings_of(engine):
             continue
         if change.twin_size is not None and not engine.twins:
             continue
-        of_system = place.at | of_file
-        z0, w0, seed = of_system.pop("z"), of_system.pop("w"), of_system.pop("seed")
-        if w0 == BELT and isinstance(of_system["belt_speed"], float):
-            w0 = of_system["belt_speed"]
-        parameters = tuple((name, of_system.pop(name)) for name in scene.system.parameters or ())
-        if not scene.system.back_slip:
-            of_system["back_slip"] = "barred"
-        terms = tuple((name, of_system[name]) for name in _TERMS if of_system.get(name) is not None)
-        begin = Start(z0, w0, place.start_draw, scene.ends if END in (z0, w0) else None)
-        source = Source(n, scene.system.coupling, 0, seed, origin, parameters)
-        for draw, of_engine in words[engine].items():
+        sharing = Sharing(scene.n_changes(engine), len(engine.draws), len(scene.engines))
+        for draw in engine.draws:
             method = Method(engine.name, tuple(engine.settings.items()), draw, engine.picked_for)
-            member = Member("", source, terms, change, begin, method, scene.run.t_end)
-            cost = _shared_cost(scene, member, engine)
-            started = [] if begin.ends is None else [begin.ends.word]
-            after = "-".join([*place.words, *started, *_words_of(change), *of_engine])
-            yield before, after, replace(member, shared_cost=cost)
+            yield _Variant(change, method, sharing, (*_words_of(change), *_words(engine, draw)))
 
 
-def _shared_cost(scene: Scene, member: Member, engine: EngineTable) -> float:
-    """What records take beyond a member's run: its part of what is computed once for several."""
-    sharing = Sharing(scene.n_changes(engine), len(engine.draws), len(scene.engines))
-    return sum(record.cost(member, sharing) for record in scene.records)
+class _Point:
+    """A point of the grid: all that may be swept, and the words of what is."""
 
-
-@dataclass(frozen=True)
-class _Place:
-    """A point of the grid with a draw of the start: the swept keys, and all that may be."""
-
-    swept: dict[str, Value]
-    at: dict[str, Any]
-    start_draw: int | None
-
-    @cached_property
-    def words(self) -> list[str]:
-        drawn = [] if self.start_draw is None else [f"s{self.start_draw}"]
-        return [*(f"{key}={word(value)}" for key, value in self.swept.items()), *drawn]
+    def __init__(self, swept: dict[str, Value], at: dict[str, Any]) -> None:
+        self.at = at
+        self.words = tuple(f"{key}={word(value)}" for key, value in swept.items())
+        self.is_at_end = END in (at["z"], at["w"])
 
 
 def _words_of(change: Change) -> list[str]:

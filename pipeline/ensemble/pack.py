@@ -6,10 +6,8 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
-from stickslip.pipeline.ensemble.expand import expand
-from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.expand import Members, expand
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene, parse_scene
@@ -27,22 +25,17 @@ class Batch:
     """Consecutive members that are computed together and kept in one shard, `name`."""
 
     name: str
-    members: tuple[Member, ...]
-
-    @property
-    def cost(self) -> float:
-        """Estimated work, about seconds of one core."""
-        return sum(member.cost for member in self.members)
+    members: Members
+    cost: float  #: estimated work, about seconds of one core
 
 
-def _sizes(members: Sequence[Member]) -> list[int]:
+def _sizes(members: Members) -> list[int]:
     """The numbers of members of the batches."""
-    costs = [member.cost for member in members]
-    rest = sum(costs)
+    rest = sum(members.costs())
     largest = min(max(TARGET_COST, rest / _MANY), _LARGER * TARGET_COST)
     sizes: list[int] = []
     room = -math.inf
-    for cost in costs:
+    for cost in members.costs():
         if cost > room:
             sizes.append(0)
             room = min(largest, max(_OF_REST * rest, _SMALLEST * largest))
@@ -52,10 +45,11 @@ def _sizes(members: Sequence[Member]) -> list[int]:
     return sizes
 
 
-def as_batch(number: int, members: tuple[Member, ...], scene_hash: str) -> Batch:
+def as_batch(number: int, members: Members, scene_hash: str) -> Batch:
     """The batch of some members; `number` is its place among the dataset's shards."""
-    content = "\n".join([scene_hash, *(member.member_id for member in members)])
-    return Batch(f"shard-{number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet", members)
+    content = "\n".join([scene_hash, *members.ids()])
+    name = f"shard-{number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet"
+    return Batch(name, members, sum(members.costs()))
 
 
 #: A shard to be: its members, and what to keep of them.
@@ -88,28 +82,30 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
     except SceneError as error:
         raise PlanError(str(error)) from error
     planned: list[Task] = []
-    known: set[str] = set()
-    packing = [pack(scene, known)] if packing is None else packing
-    for stage, sizes in zip(scenes, packing, strict=True):
-        new = added(stage, known)
+    packing = [pack(scene, None)] if packing is None else packing
+    for before, stage, sizes in zip([None, *scenes[:-1]], scenes, packing, strict=True):
+        new = added(stage, before)
         if sum(sizes) != len(new):
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
-        rest, recording = iter(new), Recording.of(stage)
+        recording, first = Recording.of(stage), 0
         for size in sizes:
-            batch = as_batch(len(planned), tuple(islice(rest, size)), recording.scene_hash)
-            planned.append((batch, recording))
-        known.update(member.member_id for member in new)
+            planned.append((as_batch(len(planned), new[first : first + size], recording.scene_hash), recording))
+            first += size
     return planned
 
 
-def added(scene: Scene, known: set[str]) -> list[Member]:
-    """The members of a scene that are not yet known by their ids."""
-    return [member for member in expand(scene) if member.member_id not in known]
+def added(scene: Scene, before: Scene | None) -> Members:
+    """The members of a scene that the one which it grew from, if it did, does not have."""
+    members = expand(scene)
+    if before is None:
+        return members
+    known = set(expand(before).ids())
+    return members.at([k for k, name in enumerate(members.ids()) if name not in known])
 
 
-def pack(scene: Scene, known: set[str]) -> tuple[int, ...]:
-    """The number of members of each shard that a scene adds to the known members."""
-    return tuple(_sizes(added(scene, known)))
+def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:
+    """The number of members of each shard that a scene adds to the one which it grew from."""
+    return tuple(_sizes(added(scene, before)))
 
 
 def grows(stored: Scene, wanted: Scene) -> bool:
@@ -117,5 +113,6 @@ def grows(stored: Scene, wanted: Scene) -> bool:
     one, other = Recording.of(stored), Recording.of(wanted)
     if one != replace(other, scene_hash=one.scene_hash) or wanted.n_members <= stored.n_members:
         return False
-    members = {member.member_id: member for member in expand(wanted)}
-    return all(members.get(member.member_id) == member for member in expand(stored))
+    members = expand(wanted)
+    place = {name: k for k, name in enumerate(members.ids())}
+    return all(one.member_id in place and members[place[one.member_id]] == one for one in expand(stored))

@@ -132,7 +132,10 @@ class Record(ABC):
         return _NONE
 
     def cost(self, member: Member, sharing: Sharing) -> float:
-        """What it takes beyond the run, in the unit of `Member.cost`."""
+        """What it takes beyond the run, in the unit of `Member.cost`.
+
+        The same for all members of one n, source, engine and change: only the first of them is asked.
+        """
         return 0.0
 
     def problem(self, facts: Facts) -> str:

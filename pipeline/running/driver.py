@@ -140,13 +140,13 @@ def run_ensemble(
     if scheduler is None:
         check_memory(scene, workers)
     with Store(out, scene, scene.source, retry_failed, accept_version) as store:
-        for origin in {member.source.origin for batch, _ in store.todo for member in batch.members}:
+        firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
+        for origin in {member.source.origin for member in firsts}:
             if origin is not None:
                 systems.look_again(origin)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}
         tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
-        firsts = one_an_engine(member for batch, _ in store.todo for member in batch.members)
-        cold = {engine: one for engine, one in firsts.items() if scheduler is None and is_cold(engine)}
+        cold = {engine: one for engine, one in one_an_engine(firsts).items() if scheduler is None and is_cold(engine)}
         link: str | None = None
 
         def connected(client: Client) -> None:
@@ -197,12 +197,13 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
     """
     check_memory(scene, workers=1)
     ends.check(scene)
-    members = {member.member_id: member for member in expand(scene)}
-    if member_id not in members:
+    members = expand(scene)
+    place = next((k for k, name in enumerate(members.ids()) if name == member_id), None)
+    if place is None:
         raise ValueError(
-            f"member_id: expected a member of the scene, such as {next(iter(members))!r}, got {member_id!r}"
+            f"member_id: expected a member of the scene, such as {next(members.ids())!r}, got {member_id!r}"
         )
-    return row(members[member_id], Recording.of(scene))
+    return row(members[place], Recording.of(scene))
 
 
 def _results(

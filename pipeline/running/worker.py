@@ -58,7 +58,7 @@ def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], s
     return Result(
         name=batch.name,
         shard=encode(columns(batch.members, found, recording), schema_of(recording)),
-        member_ids=tuple(member.member_id for member in batch.members),
+        member_ids=tuple(batch.members.ids()),
         outcomes=dict(Counter(one["outcome"] for one in found)),
         program=program(),
         seconds=time.perf_counter() - start,

@@ -92,7 +92,7 @@ class Scene(StrictTable):
     analysis: AnalysisTable
     _source: bytes | None = PrivateAttr(default=None)
     _folder: Path = PrivateAttr(default=Path())
-    _members: tuple[Any, ...] | None = PrivateAttr(default=None)  # as `pipeline.ensemble.member.expand` makes them
+    _members: Any = PrivateAttr(default=None)  # as `pipeline.ensemble.expand` gives them
 
     def __init__(self, **tables: Any) -> None:
         """A scene from its tables, as a file has them; files that it names are looked for in the working directory.

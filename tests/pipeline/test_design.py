@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 import subprocess
 import sys
@@ -239,6 +240,23 @@ def test_batches_hold_every_member_once_in_order(scene):
     assert sorted({batch.name for batch in packed}) == [batch.name for batch in packed]
     another = as_batch(0, packed[0].members, "another")
     assert (another.members, another.name != packed[0].name) == (packed[0].members, True)
+
+
+def test_members_are_the_same_however_they_are_reached(scene):
+    """One by one, by slices, by places, through another process; their ids and costs with and without them."""
+    members, made = expand(scene), list(expand(scene))
+    assert scene.n_members == len(members) == len(made)
+    assert list(members.ids()) == [member.member_id for member in made]
+    assert list(members.costs()) == [member.cost for member in made]
+    assert [members[k] for k in range(-len(made), 0)] == made
+    assert list(members[7:40:3]) == list(members.at(range(7, 40, 3))) == made[7:40:3]
+    sent = pickle.loads(pickle.dumps(members[5:20]))
+    assert sent == members[5:20]
+    assert (list(sent.ids()), list(sent.costs())) == ([*members[5:20].ids()], [*members[5:20].costs()])
+    kinds = {(member.source.origin, member.engine) for member in made}
+    assert len(members.firsts()) == len(sent.firsts() + members[20:].firsts()) / 2 == len(kinds)
+    with pytest.raises(IndexError):
+        members[len(made)]
 
 
 def test_a_scene_of_many_batches_has_larger_ones_and_the_last_are_smaller(scene, monkeypatch):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stickslip.pipeline import expand
-from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.ensemble.pack import as_batch
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
 from stickslip.pipeline.running.worker import compute, compute_alone
@@ -27,7 +27,7 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
     for name in ("sim", "pipeline", "pickle"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
-    batch = Batch("batch", tuple(expand(scene)[:2]))
+    batch = as_batch(0, expand(scene)[:2], scene.hash)
     here, there = compute(batch, Recording.of(scene)), compute_alone(batch, Recording.of(scene))
     assert there.shard == here.shard
 

@@ -19,7 +19,7 @@ def bytes_of(members, found, recording):
 
 def members_of(source):
     scene = parse_scene(source.encode())
-    return expand.expand(scene), Recording.of(scene)
+    return expand.Members.of(*expand.expand(scene)), Recording.of(scene)
 
 
 @pytest.mark.parametrize("perturbation", ["", "[perturbation]\nsizes = [0.05]\nreadings = ['scale', 'relative']\n"])
