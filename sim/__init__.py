@@ -5,8 +5,8 @@ from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.couplings import COUPLINGS, READINGS, draw_system, perturb_system
 from stickslip.sim.systems.drive import Harmonic, Piecewise
-from stickslip.sim.systems.friction import Rational, Stribeck
 from stickslip.sim.systems.system import System
+from stickslip.sim.systems.weakening import Rational, Stribeck
 
 __all__ = [
     "COUPLINGS",

@@ -18,8 +18,8 @@ from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, r
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.simulation import as_engine, as_task
-from stickslip.sim.systems.friction import Rational, Stribeck
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
+from stickslip.sim.systems.weakening import LAWS
 
 # What a random draw is for: the first word of every seed's key; the other purposes are those of `TERMS`. Never
 # renumber: the data hang on it.
@@ -306,10 +306,10 @@ def _own_system(member: Member) -> sim.System:
     course = terms.get("force_course")
     if isinstance(course, Course):
         given["force"] = sim.Piecewise(course.times, course.values)
-    if terms.get("weakening_rate") is not None:
-        given["weakening"] = Rational(terms["weakening_rate"])
-    if terms.get("weakening_speed") is not None:
-        given["weakening"] = Stribeck(terms["weakening_speed"])
+    for law in LAWS.values():
+        numbers = {key: terms.get(f"weakening_{key}") for key in law.parameters()}
+        if None not in numbers.values():
+            given["weakening"] = law(**numbers)
     if terms.get("back_slip") is not None:
         given["back_slip"] = False
     if isinstance(origin, SystemFunction):

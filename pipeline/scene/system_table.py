@@ -23,9 +23,9 @@ from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, S
 from stickslip.sim.numerics.arguments import did_you_mean
 from stickslip.sim.systems.couplings import COUPLINGS
 from stickslip.sim.systems.drive import direction
-from stickslip.sim.systems.friction import Rational, Stribeck, require_static
 from stickslip.sim.systems.graphs import GRAPHS
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS, Term
+from stickslip.sim.systems.weakening import LAWS
 
 #: The name of the coupling whose systems are read from files.
 OF_FILE = "file"
@@ -118,20 +118,24 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
 
 
 class _Law(StrictTable):
-    law: Literal["rational", "stribeck"] = Field(
-        description="friction / (1 + rate |w - v|), or friction + (static - friction) exp(-|w - v| / speed)",
-        examples=["rational"],
+    law: Literal[*LAWS] = Field(  # type: ignore[valid-type]
+        description=", or ".join(law.formula for law in LAWS.values()), examples=["rational"]
     )
 
 
 class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
-    """[system.weakening]: how kinetic friction falls with the speed of slip; see `stickslip.sim.systems.friction`."""
+    """[system.weakening]: how kinetic friction falls with slip speed; see `stickslip.sim.systems.weakening`."""
 
     @model_validator(mode="after")
     def _its_own_number(self) -> Self:
-        own, other = ("rate", "speed") if self.law == "rational" else ("speed", "rate")
-        if getattr(self, own) is None or getattr(self, other) is not None:
-            raise ValueError(f'{own}: expected with law = "{self.law}", and no `{other}`; write e.g. `{own} = 3.0`')
+        own = LAWS[self.law].parameters()
+        others = [key for law in LAWS.values() for key in law.parameters() if key not in own]
+        given = [key for key in others if getattr(self, key) is not None]
+        for key, said in own.items():
+            if getattr(self, key) is None or given:
+                none = " and no ".join(f"`{other}`" for other in given or others)
+                example = f"`{key} = {said['example']}`"
+                raise ValueError(f'{key}: expected with law = "{self.law}", and no {none}; write e.g. {example}')
         return self
 
 
@@ -270,7 +274,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         if self.is_own:
             self._function_applies()
         if self.weakening is not None and not why:  # else that may hold static friction
-            require_static({"rational": Rational, "stribeck": Stribeck}[self.weakening.law], self.static)
+            LAWS[self.weakening.law].require_static(self.static)
         if not self.back_slip:
             for speed in values(self.belt_speed):
                 known = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()

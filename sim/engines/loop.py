@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.watch import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import IntegrationError, Outcome, Run, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
-from stickslip.sim.systems.friction import Rational, Stribeck, Weakening, registered
-from stickslip.sim.systems.system import Columns, System
 
 #: Why a kernel came back.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -35,56 +32,6 @@ N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_ALL_STUCK,
 #: may be certified next, with all blocks slipping left and (the next clock) right. An engine may keep more behind
 #: them. After, not at: a run that was just asked takes a step before it is asked again, or would be asked for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
-
-
-class SpeedWeakening(NamedTuple):
-    """How friction weakens with the speed of slip: exp(-x) or 1 / (1 + x), x = steepness |w - v|."""
-
-    far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
-    steepness: float
-    is_exponential: bool
-
-
-#: The laws of weakening whose series the exact engine knows.
-_IS_EXPONENTIAL: dict[type[Weakening], bool] = {Rational: False, Stribeck: True}
-
-
-class Law(NamedTuple):
-    """What kernels know of a system. They take named tuples, which numba types by position and compiles away.
-
-    What is None is compiled away too: a function that is given it asks first whether it is.
-    """
-
-    columns: Columns
-    pairs: Pairs
-    row_sums: Floats
-    damping: Floats
-    friction: Floats  #: kinetic, of a block that begins to slip
-    static: Floats
-    closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
-    weakening: SpeedWeakening | None
-    belt_speed: Floats
-    forcing: Forcing | None
-
-    @classmethod
-    def of(cls, system: System, pairs: Pairs, drive: Drive) -> Law:
-        near, far = system.slip_friction
-        weakens, weakening = None, system.weakening
-        if weakening is not None:
-            share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            weakens = SpeedWeakening(share, weakening.steepness, registered(_IS_EXPONENTIAL, weakening, "coulomb"))
-        return cls(
-            system.columns,
-            pairs,
-            system.row_sums,
-            system.damping,
-            near,
-            system.static,
-            system.closed,
-            weakens,
-            drive.belt_speed,
-            drive.forcing,
-        )
 
 
 class Events(NamedTuple):

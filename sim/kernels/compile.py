@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -169,6 +169,27 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False, i
     # numba would compile it for each number that is written out in a call
     compiled.get_call_template = lambda args, kws: template([unliteral(kind) for kind in args], kws)
     return compiled
+
+
+def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
+    """For kernels, ``f(number, *arguments)``: the function of that number; all take and return the same types."""
+    first, others = inner(functions[0]), functions[1:]
+    if not others:
+
+        @inner
+        def only(number, *arguments):  # type: ignore[no-untyped-def]
+            return first(*arguments)
+
+        return only
+    rest = one_of(others)
+
+    @inner
+    def choose(number, *arguments):  # type: ignore[no-untyped-def]
+        if number == 0:
+            return first(*arguments)
+        return rest(number - 1, *arguments)
+
+    return choose
 
 
 def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.numerics.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.runs import show
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
-from stickslip.sim.systems.friction import Weakening, require_static
+from stickslip.sim.systems.weakening import LAWS, Weakening
 
 if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
     import scipy.sparse
@@ -57,8 +57,8 @@ class System:
         m > 0.
     force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
         The force on each block from outside; of a list that holds a `Harmonic` or a `Piecewise`, the sum.
-    weakening : Rational or Stribeck, optional
-        How kinetic friction falls with the speed of slip |w - v|; see `stickslip.sim.systems.friction`.
+    weakening : Weakening, optional
+        How kinetic friction falls with the speed of slip |w - v|; see `stickslip.sim.systems.weakening`.
     back_slip : bool
         Whether a block may slip either way. If not, none gets ahead of its belt (w < v for v < 0, w > v for v > 0):
         there friction holds whatever comes, and a block that sticks leaves to the other side alone, to which the
@@ -85,7 +85,7 @@ class System:
     ------
     TypeError, ValueError
         If an argument has the wrong type or shape, is not finite, a friction is negative, a static friction is
-        below the kinetic, or left out beside `Stribeck`, or a mass is not positive.
+        below the kinetic, or left out beside a law that falls from it, or a mass is not positive.
     """
 
     stiffness: Floats | scipy.sparse.csc_array
@@ -528,8 +528,9 @@ def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakeni
     if weakening is None:
         return None
     if not isinstance(weakening, Weakening):
-        raise TypeError(f"weakening: expected Rational(rate) or Stribeck(speed), got {weakening!r}; left out: none")
-    require_static(type(weakening), static)
+        known = " or ".join(f"{law.__name__}({', '.join(law.parameters())})" for law in LAWS.values())
+        raise TypeError(f"weakening: expected {known}, got {weakening!r}; left out: none")
+    weakening.require_static(static)
     return weakening
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from stickslip.sim.systems.weakening import LAWS
+
 #: Laws that a number of each block may be drawn from.
 Draw = Literal["uniform", "normal"]
 
@@ -206,25 +208,10 @@ TERMS = (
         table="force",
         heading="phase",
     ),
-    Term(
-        name="weakening_rate",
-        words="rate of the law `rational`",
-        column="rate at which friction falls with slip; null if not rational",
-        example=3.0,
-        least=0,
-        is_above=True,
-        part="weakening",
-        table="weakening",
-    ),
-    Term(
-        name="weakening_speed",
-        words="speed of the law `stribeck`",
-        column="speed of slip over which it falls; null if not Stribeck's",
-        example=0.5,
-        least=0,
-        is_above=True,
-        part="weakening",
-        table="weakening",
+    *(
+        Term(name=f"weakening_{key}", **said, least=0, is_above=True, part="weakening", table="weakening")
+        for law in LAWS.values()
+        for key, said in law.parameters().items()
     ),
 )
 

@@ -15,7 +15,7 @@ from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensem
 from stickslip.pipeline.running import cluster
 from stickslip.pipeline.running.cluster import check_memory
 from stickslip.pipeline.scene.toml import written
-from stickslip.sim.systems.friction import Rational
+from stickslip.sim.systems.weakening import Rational
 from stickslip.workflows.reporting import study_of
 from tests.scenes import COULOMB, ENDING, ensemble
 

@@ -1,6 +1,8 @@
 """Friction that falls with the speed of slip, and blocks that do not get ahead of their belt."""
 
 import secrets
+import textwrap
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -12,7 +14,7 @@ from stickslip.sim.energy import energy
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.sigmoid import friction
 from stickslip.sim.numerics.lanes import on_number
-from stickslip.sim.systems.friction import Weakening
+from stickslip.sim.systems.weakening import LAWS, Weakening
 from stickslip.sim.theory import folds
 
 # the system
@@ -370,24 +372,64 @@ def test_thresholds_of_sticking_see_the_open_side_alone(side):
         assert series.t[0] == pytest.approx((3.0 + np.tanh(threshold)) / 0.2, abs=0.3)
 
 
-def test_the_law_and_its_slope():
-    """Against the formula, and differences."""
+# every law of `LAWS`, and that of the guide, by its forms
+
+
+def of_the_guide():
+    text = (Path(__file__).parents[2] / "docs" / "guide" / "extending.md").read_text()
+    code = text[text.index("## A friction law") :].split("```python")[1].split("```")[0]
+    made = {"__name__": "lorentz"}
+    exec(textwrap.dedent(code), made)
+    return made["Lorentz"]
+
+
+FORMS = (*LAWS.values(), of_the_guide())
+
+
+@pytest.mark.parametrize("law", FORMS)
+def test_the_law_and_its_slope(law, monkeypatch):
+    """Of the smoothed law, against the formula, and differences."""
+    monkeypatch.setitem(friction.SHAPES, law.kind, law.on_lanes)
     x = np.concatenate([np.geomspace(1e-6, 3000.0, 300), -np.geomspace(1e-6, 3000.0, 300)])
-    for law, shape in ((friction.Rational, lambda y: 1 / (1 + y)), (friction.Exponential, lambda y: np.exp(-y))):
-        for closed in (-1.0, 0.0, 1.0):
-            c, far, fall = 0.7, 0.4, 0.3
-            formula = on_number(lambda x: friction.open_sign(law, x, *(x * 0.0 + y for y in (c, far, fall, closed))))  # noqa: B023
-            apply = numba.njit(lambda x: formula(x))  # noqa: B023
-            lam = np.tanh(x)
-            value = (lam + c * lam * (1 - lam**2)) * (far + (1 - far) * shape(fall * abs(x)))
-            value = np.where(x * closed > 0, (1 + c) * x, value)
-            np.testing.assert_allclose([apply(one)[0] for one in x], value, rtol=1e-13, atol=1e-15)
-            h = 1e-5 * np.maximum(abs(x), 1e-2)
-            slope = [(apply(one + d)[0] - apply(one - d)[0]) / (2 * d) for one, d in zip(x, h, strict=True)]
-            smooth = abs(x) > 1e-4  # second derivatives jump at 0
-            np.testing.assert_allclose(
-                np.array([apply(one)[1] for one in x])[smooth], np.array(slope)[smooth], atol=1e-6
-            )
+    c, far, fall = 0.7, 0.4, 0.3
+    for closed in (-1.0, 0.0, 1.0):
+        rest = c, far, fall, closed
+        formula = on_number(lambda x, rest=rest: friction.open_sign(law.kind, x, *(x * 0.0 + y for y in rest)))
+        apply = numba.njit(lambda x, formula=formula: formula(x))
+        lam = np.tanh(x)
+        value = (lam + c * lam * (1 - lam**2)) * (far + (1 - far) * law.shape(fall * abs(x)))
+        value = np.where(x * closed > 0, (1 + c) * x, value)
+        np.testing.assert_allclose([apply(one)[0] for one in x], value, rtol=1e-13, atol=1e-15)
+        h = 1e-5 * np.maximum(abs(x), 1e-2)
+        slope = [(apply(one + d)[0] - apply(one - d)[0]) / (2 * d) for one, d in zip(x, h, strict=True)]
+        smooth = abs(x) > 1e-4  # second derivatives jump at 0
+        np.testing.assert_allclose(np.array([apply(one)[1] for one in x])[smooth], np.array(slope)[smooth], atol=1e-6)
+
+
+@pytest.mark.parametrize("law", FORMS)
+def test_the_recurrence_gives_the_series_of_the_shape(law):
+    """The sum of S_k t^k against S(x(t)), within a third of the distance of a pole; S_0 = 0 makes all of it zero."""
+    rng = np.random.default_rng(seed := secrets.randbits(32))
+    orders, n = 41, 20
+    z, x0, scale = np.zeros((orders + 1, n)), rng.uniform(0.0, 5.0, n), rng.uniform(-2.0, 2.0, n)
+    z[2:5] = rng.uniform(-0.1, 0.1, (3, n))
+    series = np.full((law.n_series, orders, n), np.nan)
+    series[0, 0] = np.where(np.arange(n) == 0, 0.0, law.shape(x0))
+    for k in range(1, orders):
+        law.recurrence(k, z, x0, scale, series)
+    t = 0.5
+    x = x0 + scale * sum((j + 1) * z[j + 1] * t**j for j in range(1, 4))
+    expected = np.where(np.arange(n) == 0, 0.0, law.shape(x))
+    np.testing.assert_allclose(
+        np.polynomial.polynomial.polyval(t, series[0]), expected, rtol=1e-12, atol=1e-13, err_msg=f"seed {seed}"
+    )
+
+
+def test_laws_and_their_parameters_have_names_of_their_own():
+    """A scene and a dataset know a law by its parameters alone."""
+    names = [key for law in LAWS.values() for key in law.parameters()]
+    assert len(set(names)) == len(names)
+    assert all(name == law.name for name, law in LAWS.items())
 
 
 # what engines do not know
@@ -401,15 +443,31 @@ class Root(Weakening):
     def ends(self, friction, static):
         return friction, 0 * friction
 
-    def shape(self, x):
+    @staticmethod
+    def shape(x):
         return 1 / np.sqrt(1 + x)
 
 
 class Steeper(Rational):
     """A law that is known, with another shape."""
 
-    def shape(self, x):
+    @staticmethod
+    def shape(x):
         return 1 / (1 + x) ** 2
+
+
+class Formless(Rational):
+    """A law that is known, but not in the forms that engines need."""
+
+    recurrence = on_lanes = None
+
+
+@pytest.mark.parametrize(("engine", "form"), [("coulomb", "recurrence"), ("sigmoid", "on_lanes")])
+def test_an_engine_names_the_form_that_a_law_lacks(engine, form, monkeypatch):
+    monkeypatch.setitem(LAWS, "formless", Formless)
+    expected = f"^weakening: expected Rational or Stribeck, all .*'{engine}' knows, .*, which has no `{form}`$"
+    with pytest.raises(TypeError, match=expected):
+        simulate(System([[1.0]], 0.1, weakening=Formless(1.0)), 0.0, 0.0, 1.0, engine=engine)
 
 
 @pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])

@@ -30,7 +30,7 @@ def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
 
     `face` is its mode, zeros and side (see `Expansion`), `motion` w, half its slope, (K z)_i and its slope, `bounds`
     v, R v, static friction and the closed side; they stray by at most `reach` from their tangents. It takes numbers,
-    not the law: what is not inlined is passed field by field, for each block.
+    not the model: what is not inlined is passed field by field, for each block.
     """
     mode, zeros, side = face
     w, half_slope, pull, pull_slope = motion
@@ -43,7 +43,7 @@ def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
 
 
 @inner
-def root(law, i, series, forces, at, face, horizon, room):  # type: ignore[no-untyped-def]
+def root(model, i, series, forces, at, face, horizon, room):  # type: ignore[no-untyped-def]
     """Time to the first root of block i's event functions within h, and whether there is one; see `excluded` first.
 
     Its series are the columns `at`; `face` is its mode, zeros and side, `horizon` the order and h, `room` to work in.
@@ -51,7 +51,7 @@ def root(law, i, series, forces, at, face, horizon, room):  # type: ignore[no-un
     mode, zeros, side = face
     order, h = horizon
     poly, found = room
-    v, static, closed, is_found = law.belt_speed[i], law.static[i], law.closed[i], False
+    v, static, closed, is_found = model.belt_speed[i], model.static[i], model.closed[i], False
     if mode != 0:
         degree = order - 1 - zeros
         power = 1.0
@@ -66,7 +66,7 @@ def root(law, i, series, forces, at, face, horizon, room):  # type: ignore[no-un
             h *= found[0]
             is_found = True
         return h, is_found
-    force = law.damping[i] * v + forces[0, at]
+    force = model.damping[i] * v + forces[0, at]
     first = h
     for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:

@@ -14,11 +14,12 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import sparse, step
+from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow
 from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, SPAN, Expansion
 from stickslip.sim.engines.coulomb.windows import STALL, Goal, Search
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.loop import Events, Law, State
+from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
@@ -74,30 +75,33 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
-    law, v = Law.of(system, pairs, drive), drive.belt_speed
+    model, v = Model.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction
-    if law.weakening is not None:
-        rate += law.weakening.steepness * float((near - far).max())
+    if model.weakening is not None:
+        rate += model.weakening.steepness * float((near - far).max())
     mode = np.sign(task.w0 - v).astype(np.int8)
     if not system.back_slip:
         _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
         mode[mode * system.closed > 0] = 0
     exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
     state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
-    expansion, search = Expansion.blank(mode, law.weakening is not None), Search.of(mode)
+    expansion, search = (
+        Expansion.blank(mode, 0 if system.weakening is None else system.weakening.n_series),
+        Search.of(mode),
+    )
     if task.modes is not None:
         expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
-    slow = Slow.of(system, drive.fastest) if law.weakening is None else None
+    slow = Slow.of(system, drive.fastest) if model.weakening is None else None
     _warn_of_short_steps(task, rate if slow is None else slow.rate)
-    is_local = len(law.columns.dense) == 0 and law.forcing is None and law.weakening is None and slow is None
+    is_local = len(model.columns.dense) == 0 and model.forcing is None and model.weakening is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
         goal = Goal(drive.length, drive.is_last, tol, rate, bound)
         if is_local:
-            found = sparse.advance(law, goal, state, expansion, search, room, events, collapse.watch)
+            found = sparse.advance(model, goal, state, expansion, search, room, events, collapse.watch)
         else:
-            found = step.advance(law, goal, state, expansion, search, slow, events, collapse.watch)
+            found = step.advance(model, goal, state, expansion, search, slow, events, collapse.watch)
         if task.modes is not None:
             _require_modes(task, task.modes, search.initial_mode, tol)
         return found

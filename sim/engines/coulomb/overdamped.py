@@ -87,17 +87,17 @@ _pace = inner(_pace_of)
 
 
 @inner
-def _iterate(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
     """The series of all blocks anew, from what heavily damped ones have of the iteration before.
 
     Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
     """
-    damping, friction, mode, forcing = law.damping, law.friction, expansion.mode, law.forcing
+    damping, friction, mode, forcing = model.damping, model.friction, expansion.mode, model.forcing
     series, forces, slips = expansion.series, expansion.forces, expansion.slips
     begin(forcing, t)
     n_small, change, power = 0, 0.0, 1.0
     for k in range(ORDER_MAX - 1):
-        one_product(law.columns, series[k], forces[k], law.pairs.columns)
+        one_product(model.columns, series[k], forces[k], model.pairs.columns)
         pushed = take_off(forcing, t, k, forces[k])
         for i in range(len(mode)):
             pull = -slips[i] * (forces[k, i] + (friction[i] * mode[i] if k == 0 else 0.0))
@@ -118,13 +118,13 @@ def _iterate(law, expansion, slow, least, t, h, rate, allowed):  # type: ignore[
 
 
 @inner
-def _stays(law, expansion, moves, order):  # type: ignore[no-untyped-def]
+def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
     """Whether by their series blocks that rest stay at rest, and those with |F| = m stay there."""
     series, forces, zeros = expansion.series, expansion.forces, expansion.zeros
     for k in range(1, order - 1):
         c_max = largest(series[k])
         for i in range(len(zeros)):
-            noise = ROUNDING * (law.row_sums[i] * c_max + known(law.forcing, k, i))
+            noise = ROUNDING * (model.row_sums[i] * c_max + known(model.forcing, k, i))
             if zeros[i] == IDENTICALLY_ZERO and abs(forces[k, i]) > noise:
                 return False
             if not moves[i] and series[k + 1, i] != 0.0:
@@ -142,9 +142,9 @@ def _passed(series, mode, v):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _settled(slow, law, expansion, goal, state, target, pace):  # type: ignore[no-untyped-def]
+def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore[no-untyped-def]
     """As `follow`, with the number of products, order 0 if they do not settle, -1 if blocks were found to decay."""
-    series, mode, moves, v = expansion.series, expansion.mode, slow.moves, law.belt_speed
+    series, mode, moves, v = expansion.series, expansion.mode, slow.moves, model.belt_speed
     z, w, t, tol, (least, rate) = state.z, state.w, state.clock[loop.TIME], goal.tol, pace
     n, n_products, n_shorter = len(z), 0, 0
     h = min(target, SPAN / rate) if rate > 0.0 else target
@@ -155,9 +155,9 @@ def _settled(slow, law, expansion, goal, state, target, pace):  # type: ignore[n
     copy(w, series[1])
     allowed = tol * max(largest(w), largest(v))
     # if nothing moves yet
-    allowed = max(allowed, tol * h * may_change(law.forcing, t, h) / (1.0 + h * largest(law.damping)))
+    allowed = max(allowed, tol * h * may_change(model.forcing, t, h) / (1.0 + h * largest(model.damping)))
     for _ in range(_ITERATIONS):
-        order, change = _iterate(law, expansion, slow, least, t, h, rate, allowed)
+        order, change = _iterate(model, expansion, slow, least, t, h, rate, allowed)
         n_products += order if order > 0 else ORDER_MAX - 1
         allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
         is_transient = False
@@ -172,18 +172,18 @@ def _settled(slow, law, expansion, goal, state, target, pace):  # type: ignore[n
             h *= _SHORTER
             n_shorter += 1
         elif change <= _SETTLED * allowed:
-            if not _stays(law, expansion, moves, order) or _passed(series, mode, v):
+            if not _stays(model, expansion, moves, order) or _passed(series, mode, v):
                 break
             return order, h, allowed, n_products
     return 0, 0.0, 0.0, n_products
 
 
 @inner
-def follow(slow, law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
     if slow is None:
         return 0, 0.0, 0.0, 0
-    v, mode, touching, forcing = law.belt_speed, expansion.mode, expansion.touching, law.forcing
+    v, mode, touching, forcing = model.belt_speed, expansion.mode, expansion.touching, model.forcing
     forces, zeros, patience = expansion.forces, expansion.zeros, slow.patience
     z, w, t = state.z, state.w, state.clock[loop.TIME]
     n, n_products = len(z), 1
@@ -191,17 +191,17 @@ def follow(slow, law, expansion, goal, state, target):  # type: ignore[no-untype
     for i in range(n):
         if touching[i] or mode[i] == 0:
             w[i] = v[i]
-    one_product(law.columns, z, forces[0], law.pairs.columns)
+    one_product(model.columns, z, forces[0], model.pairs.columns)
     begin(forcing, t)
     take_off(forcing, t, 0, forces[0])
-    settle(law, largest(z), expansion)
+    settle(model, largest(z), expansion)
     is_free, moves = True, slow.moves
     for i in range(n):
         slips = mode[i] != 0
         expansion.slips[i] = 1.0 if slips else 0.0
         touching[i] = touching[i] or zeros[i] > 0  # so that `expand` decides the same
         is_free = is_free and (zeros[i] == 0 or zeros[i] == IDENTICALLY_ZERO)  # see `_stays`
-        force = law.damping[i] * w[i] + forces[0, i] + law.friction[i] * mode[i]
+        force = model.damping[i] * w[i] + forces[0, i] + model.friction[i] * mode[i]
         moves[i] = slips and (w[i] != 0.0 or force != 0.0)
         slow.decays[i] = False
     least, rate = _pace(slow)
@@ -211,7 +211,7 @@ def follow(slow, law, expansion, goal, state, target):  # type: ignore[no-untype
         patience[_LEFT] = max(patience[_LEFT] - 1, 0)
         return (*failed, n_products)
     while slow.most >= least:
-        order, h, allowed, n_more = _settled(slow, law, expansion, goal, state, target, (least, rate))
+        order, h, allowed, n_more = _settled(slow, model, expansion, goal, state, target, (least, rate))
         n_products += n_more
         if order > 0:
             patience[_NEXT] = 1

@@ -105,11 +105,11 @@ def _winner(due):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _open(law, expansion, search, nearby, order, h):  # type: ignore[no-untyped-def]
+def _open(model, expansion, search, nearby, order, h):  # type: ignore[no-untyped-def]
     """Begin a window: all series are about its start, and every block's next event within h is found."""
     series, forces, mode, due = expansion.series, expansion.forces, expansion.mode, nearby.due
     zeros, side, reach, room = expansion.zeros, expansion.side, search.reach, (search.poly, search.found)
-    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
+    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     n, size = len(mode), len(due) // 2
     enclose(series, forces, expansion.slips, order, h, reach, n)
     for i in range(n):
@@ -117,21 +117,21 @@ def _open(law, expansion, search, nearby, order, h):  # type: ignore[no-untyped-
         face, motion = (mode[i], zeros[i], side[i]), (series[1, i], series[2, i], forces[0, i], forces[1, i])
         if excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
             continue
-        time, is_found = root(law, i, series, forces, i, face, (order, h), room)
+        time, is_found = root(model, i, series, forces, i, face, (order, h), room)
         due[size + i] = time if is_found else _NEVER
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
 
 
 @inner
-def _bring(law, expansion, nearby, order, s, first, last):  # type: ignore[no-untyped-def]
+def _bring(model, expansion, nearby, order, s, first, last):  # type: ignore[no-untyped-def]
     """Move the series of the members in these places to an instant of the window."""
     series, forces, step = nearby.series, nearby.forces, nearby.step
     for a in range(first, last):
         i = nearby.members[a]
         step[a] = s - nearby.origin[i]
         nearby.mode[a] = expansion.mode[i]
-        nearby.damping[a] = law.damping[i]
+        nearby.damping[a] = model.damping[i]
         nearby.slips[a] = expansion.slips[i]
         for k in range(order + 1):
             series[k, a] = expansion.series[k, i]
@@ -148,14 +148,14 @@ def _bring(law, expansion, nearby, order, s, first, last):  # type: ignore[no-un
 
 
 @inner
-def _gather(law, expansion, nearby, window, jump, left):  # type: ignore[no-untyped-def]
+def _gather(model, expansion, nearby, window, jump, left):  # type: ignore[no-untyped-def]
     """List the blocks to which an event is carried over, behind its own, and cut the window to what they allow.
 
     `jump` bounds by what the event changes its block's w' in what is left of the window. Returns how many ties away
     the last are, and what is left.
     """
     order, allowed = window.order, window.allowed
-    columns, members, place, ends = law.columns, nearby.members, nearby.place, nearby.ends
+    columns, members, place, ends = model.columns, nearby.members, nearby.place, nearby.ends
     first, count, ties = 0, 1, 0
     ends[0] = count
     share = 0.5 * jump * left / (PASSED_ON * allowed)  # what w errs by if the event ends here, over what it may
@@ -182,11 +182,11 @@ def _gather(law, expansion, nearby, window, jump, left):  # type: ignore[no-unty
 
 
 @inner
-def _pass_on(law, nearby, order, start, count):  # type: ignore[no-untyped-def]
+def _pass_on(model, nearby, order, start, count):  # type: ignore[no-untyped-def]
     """The series of the members from the event on; `start` is c_2 of its own block."""
-    columns, members, place, ends = law.columns, nearby.members, nearby.place, nearby.ends
+    columns, members, place, ends = model.columns, nearby.members, nearby.place, nearby.ends
     series, forces, changes, slips = nearby.series, nearby.forces, nearby.changes, nearby.slips
-    series[1, 0] = law.belt_speed[members[0]]
+    series[1, 0] = model.belt_speed[members[0]]
     for k in range(order - 1):
         if k >= 2:
             for a in range(min(count, ends[(k - 2) // 2])):
@@ -205,15 +205,15 @@ def _pass_on(law, nearby, order, start, count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _is_alone(law, nearby, h, count, z_max):  # type: ignore[no-untyped-def]
+def _is_alone(model, nearby, h, count, z_max):  # type: ignore[no-untyped-def]
     """Whether no other member is at the edge of its mode."""
-    series, mode, v = nearby.series, nearby.mode, law.belt_speed
+    series, mode, v = nearby.series, nearby.mode, model.belt_speed
     for a in range(1, count):
         i = nearby.members[a]
         if mode[a] == 0:
-            drag = law.damping[i] * v[i]
-            slack = force_rounding(drag, law.row_sums[i] * z_max, law.static[i], 0.0)
-            if push(law.closed[i], drag + nearby.forces[0, a]) >= law.static[i] - slack:
+            drag = model.damping[i] * v[i]
+            slack = force_rounding(drag, model.row_sums[i] * z_max, model.static[i], 0.0)
+            if push(model.closed[i], drag + nearby.forces[0, a]) >= model.static[i] - slack:
                 return False
         else:
             gap = series[1, a] - v[i]
@@ -223,12 +223,12 @@ def _is_alone(law, nearby, h, count, z_max):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _put_back(law, expansion, search, nearby, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
+def _put_back(model, expansion, search, nearby, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
     """Take over the series of the members, and find the next event of each in a span from s, of length h."""
     s, h = span
     series, forces, mode, reach = nearby.series, nearby.forces, nearby.mode, nearby.reach
     room = search.poly, search.found
-    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
+    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     for a in range(count):
         i = nearby.members[a]
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
@@ -240,13 +240,13 @@ def _put_back(law, expansion, search, nearby, order, span, count, n_zeros):  # t
         due = _NEVER
         face, motion = (mode[a], zeros, 0), (series[1, a], series[2, a], forces[0, a], forces[1, a])
         if not excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[a]):
-            time, is_found = root(law, i, series, forces, a, face, (order, h), room)
+            time, is_found = root(model, i, series, forces, a, face, (order, h), room)
             due = s + time if is_found else _NEVER
         _schedule(nearby.due, i, due)
 
 
 @inner
-def _carry(law, goal, expansion, search, nearby, window, block, span):  # type: ignore[no-untyped-def]
+def _carry(model, goal, expansion, search, nearby, window, block, span):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block at the start of a span, if nothing else happens near it then.
 
     Returns until when the window holds, at most to the end of the span; less than its start if a new expansion is to
@@ -256,11 +256,11 @@ def _carry(law, goal, expansion, search, nearby, window, block, span):  # type: 
     members, place, series, forces = nearby.members, nearby.place, nearby.series, nearby.forces
     left = end - s
     members[0] = block
-    _bring(law, expansion, nearby, order, s, 0, 1)
+    _bring(model, expansion, nearby, order, s, 0, 1)
     was_stuck = nearby.mode[0] == 0
-    friction, static = law.friction[block], law.static[block]
-    force = law.damping[block] * law.belt_speed[block] + forces[0, 0]
-    new = decide(law, block, was_stuck, force, forces[1, 0], window, goal.rate)
+    friction, static = model.friction[block], model.static[block]
+    force = model.damping[block] * model.belt_speed[block] + forces[0, 0]
+    new = decide(model, block, was_stuck, force, forces[1, 0], window, goal.rate)
     if new == UNDECIDED or left <= 0.0:
         return -1.0
     start = 0.0
@@ -275,19 +275,19 @@ def _carry(law, goal, expansion, search, nearby, window, block, span):  # type: 
     nearby.mode[0] = new
     nearby.slips[0] = 1.0 if new != 0 else 0.0
     place[block] = 0
-    ties, left = _gather(law, expansion, nearby, window, _GROWTH * jump, left)
+    ties, left = _gather(model, expansion, nearby, window, _GROWTH * jump, left)
     count = nearby.ends[ties]
     for k in range(ties + 1, len(nearby.ends)):
         nearby.ends[k] = count
-    _bring(law, expansion, nearby, order, s, 1, count)
-    _pass_on(law, nearby, order, start, count)
+    _bring(model, expansion, nearby, order, s, 1, count)
+    _pass_on(model, nearby, order, start, count)
     for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
         for a in range(count):
             tail = k * abs(series[k, a]) * left ** (k - 1)
             if tail > allowed:
                 left *= (allowed / tail) ** (1.0 / (k - 1))
     enclose(series, forces, nearby.slips, order, left, nearby.reach, count)
-    is_carried = _is_alone(law, nearby, left, count, window.z_max)
+    is_carried = _is_alone(model, nearby, left, count, window.z_max)
     for a in range(count):
         place[members[a]] = -1
     if not is_carried:
@@ -295,15 +295,15 @@ def _carry(law, goal, expansion, search, nearby, window, block, span):  # type: 
     expansion.mode[block] = new
     expansion.slips[block] = nearby.slips[0]
     n_zeros = 2 if was_stuck and static == friction else 1
-    _put_back(law, expansion, search, nearby, order, (s, left), count, n_zeros)
+    _put_back(model, expansion, search, nearby, order, (s, left), count, n_zeros)
     return s + left
 
 
 @inner
-def _close(law, state, expansion, search, origin, window, s, block):  # type: ignore[no-untyped-def]
+def _close(model, state, expansion, search, origin, window, s, block):  # type: ignore[no-untyped-def]
     """The state at an instant at which a window ends, and who is to be decided there."""
     z, w, order, h = state.z, state.w, window.order, window.span
-    series, near, v = expansion.series, search.near, law.belt_speed
+    series, near, v = expansion.series, search.near, model.belt_speed
     n = len(z)
     for i in range(n):
         near[i] = abs(series[1, i] - v[i])
@@ -321,7 +321,7 @@ def _close(law, state, expansion, search, origin, window, s, block):  # type: ig
 
 
 @kernel
-def advance(law, goal, state, expansion, search, nearby, events, watch):  # type: ignore[no-untyped-def]
+def advance(model, goal, state, expansion, search, nearby, events, watch):  # type: ignore[no-untyped-def]
     """Windows until the end, or until Python has something to do; goes on where it stopped when called again."""
     t_end, rate = goal.t_end, goal.rate
     z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
@@ -338,7 +338,7 @@ def advance(law, goal, state, expansion, search, nearby, events, watch):  # type
             return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
         target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
         target = min(target, _SPAN / rate) if rate > 0.0 else target
-        order, h, allowed, n_products = expand(law, expansion, goal, state, target)
+        order, h, allowed, n_products = expand(model, expansion, goal, state, target)
         counters[loop.N_PRODUCTS] += n_products
         nearby.origin[:] = 0.0
         if counters[loop.N_STEPS] == 0:
@@ -353,7 +353,7 @@ def advance(law, goal, state, expansion, search, nearby, events, watch):  # type
         if same and loop.is_check_due(clock, mode) and loop.may_collapse(state, mode, watch):
             return loop.ALL_SLIP, n_recorded
 
-        _open(law, expansion, search, nearby, order, h)
+        _open(model, expansion, search, nearby, order, h)
         n_slip = 0
         for i in range(n):
             n_slip += abs(mode[i])
@@ -382,7 +382,7 @@ def advance(law, goal, state, expansion, search, nearby, events, watch):  # type
             _schedule(due, block, _NEVER)
             if n_slip == 0 or due[1] <= s + instant:  # nothing is expanded yet, or others are due too
                 break
-            held = _carry(law, goal, expansion, search, nearby, window, block, (s, end))
+            held = _carry(model, goal, expansion, search, nearby, window, block, (s, end))
             if held < s:
                 break
             end = min(end, held)
@@ -395,7 +395,7 @@ def advance(law, goal, state, expansion, search, nearby, events, watch):  # type
             is_asked = n_slip == n and now > min(clock[loop.CHECK], clock[loop.CHECK + 1])
             if n_slip == 0 or is_asked or n_recorded + n > len(events.t) or counters[loop.N_STEPS] >= n_last:
                 break
-        _close(law, state, expansion, search, nearby.origin, window, s, block)
+        _close(model, state, expansion, search, nearby.origin, window, s, block)
         clock[EXPOSURE] = DECAY * (clock[EXPOSURE] + min(s, target))
         clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if s < target else 0.0))
         if not (

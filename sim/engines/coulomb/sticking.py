@@ -28,7 +28,7 @@ def known(forcing, k, i):  # type: ignore[no-untyped-def]
 def force_rounding(drag, pull, most, forcing):  # type: ignore[no-untyped-def]
     """What rounding may do to |F| - m of a block, from the sizes of its terms.
 
-    It takes numbers, not the law: what is not inlined is passed field by field, for each block.
+    It takes numbers, not the model: what is not inlined is passed field by field, for each block.
     """
     return ROUNDING * (abs(drag) + pull + most + forcing)
 
@@ -40,9 +40,9 @@ def push(closed, force):  # type: ignore[no-untyped-def]
 
 
 @inner
-def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
+def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
     """Decide every block with w = v from |F| against m; returns how many have |F| = m and stay undecided."""
-    damping, static, closed, v = law.damping, law.static, law.closed, law.belt_speed
+    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
     zeros, side, leaves = expansion.zeros, expansion.side, expansion.leaves
     n_undecided = 0
@@ -52,9 +52,9 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
         if touching[i] or mode[i] == 0:
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
-            slack = force_rounding(damping[i] * v[i], law.row_sums[i] * z_max, most, known(law.forcing, 0, i))
+            slack = force_rounding(damping[i] * v[i], model.row_sums[i] * z_max, most, known(model.forcing, 0, i))
             drive = push(closed[i], force)
-            if (leaves[i] != 0 and drive > law.friction[i]) or drive > most + slack:
+            if (leaves[i] != 0 and drive > model.friction[i]) or drive > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
                 side[i] = leaves[i]
@@ -71,18 +71,18 @@ def settle(law, z_max, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
-def settle_by_order(law, k, c_max, expansion):  # type: ignore[no-untyped-def]
+def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
     """Decide blocks with |F| = m whose F has its first coefficient at order k.
 
     Returns how many that are, and whether to begin again because one of them leaves with a jump.
     """
     forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
-    friction, static, leaves = law.friction, law.static, expansion.leaves
+    friction, static, leaves = model.friction, model.static, expansion.leaves
     n_decided, again = 0, False
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * (law.row_sums[i] * c_max + known(law.forcing, k, i)):
+            if abs(push) > ROUNDING * (model.row_sums[i] * c_max + known(model.forcing, k, i)):
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1

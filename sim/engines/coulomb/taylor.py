@@ -5,29 +5,26 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
 and a sticking one c_1 = v and no more; of a force from outside each coefficient is taken off K c_k. Where friction
-falls with the speed of slip p = sigma (w - v), mu is a series too, near (f + (1 - f) S), f = far / near; S_k follow
-from p_0 .. p_k, p_j = sigma (j + 1) c_{j+1}, a the steepness:
-
-    S = 1 / (1 + a p):   S_k = -a S_0 sum_{j=1..k} p_j S_{k-j}
-    S = exp(-a p):       S_k = -(a / k) sum_{j=1..k} j p_j S_{k-j}
+falls with the speed of slip, mu is a series too, near (f + (1 - f) S(x)), f = far / near, x = a sigma (w - v), a the
+steepness; S_k follow from x_0 .. x_k, x_j = a sigma (j + 1) c_{j+1}, by the recurrence of the law.
 
 `expand` builds the series with one product an order, two to a pass over K, and decides on the way which blocks with
 w = v stick. `correct` carries them over an event of one block without a product, if friction does not fall: what it
-adds to the others is the response of linear laws.
+adds to the others is the response of linear equations.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.coulomb.model import SERIES_OF
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import begin, may_change, take_off
-from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.panels import SINGLE_ERROR
@@ -77,11 +74,14 @@ class Expansion(NamedTuple):
     last: Floats
     change: Floats
     sizes: Floats
-    shape: Floats  #: S_k by rows; empty if friction does not fall with speed
+    # empty if friction does not fall with speed
+    shape: Floats  #: S_k by rows, and behind them the other series that the law keeps
+    scale: Floats  #: of x: the steepness times the direction of slip
+    x0: Floats
 
     @classmethod
-    def blank(cls, mode: NDArray[np.int8], weakens: bool) -> Expansion:
-        """No series yet; blocks of mode 0 are to be decided."""
+    def blank(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
+        """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps."""
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
         series, forces = np.full((2, ORDER_MAX + 1, n), np.nan)
@@ -89,107 +89,112 @@ class Expansion(NamedTuple):
         slips, column, last = np.zeros((3, n))
         rows = column, last, np.zeros(ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
-        shape = np.full((ORDER_MAX + 1, n if weakens else 0), np.nan)
-        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
+        shape = np.full((n_shapes, ORDER_MAX + 1, n), np.nan)
+        scale, x0 = np.zeros((2, n if n_shapes else 0))
+        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape, scale, x0)
+
+
+_recurrence, _shape_of = one_of([law.recurrence for law in SERIES_OF]), one_of([law.shape for law in SERIES_OF])
 
 
 @inner
-def _is_lost(weakening, law, expansion, i):  # type: ignore[no-untyped-def]
+def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
     """Whether what a block's friction may fall by is lost in the rounding of its other forces.
 
     Such a block passes its belt in so short a time that friction, as a series in time, leaves float64.
     """
-    force = law.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
-    return law.friction[i] * (1.0 - weakening.far[i]) <= ROUNDING * abs(force)
+    force = model.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
+    return model.friction[i] * (1.0 - weakening.far[i]) <= ROUNDING * abs(force)
 
 
 @inner
-def _shape(weakening, law, expansion, k):  # type: ignore[no-untyped-def]
+def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
-    series, shape, mode = expansion.series, expansion.shape, expansion.mode
-    n = len(mode)
-    if k == 0:
-        for i in range(n):
-            x = weakening.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
-            shape[0, i] = math.exp(-x) if weakening.is_exponential else 1.0 / (1.0 + x)
-            if _is_lost(weakening, law, expansion, i):
-                shape[0, i] = 0.0  # and with it all others
+    series, shape, scale, x0 = expansion.series, expansion.shape, expansion.scale, expansion.x0
+    for i in range(len(scale)):
+        scale[i] = weakening.steepness * expansion.mode[i]
+    if k > 0:
+        _recurrence(weakening.law, k, series, x0, scale, shape)
         return
-    shape[k] = 0.0
-    for j in range(1, k + 1):
-        weight = j * (j + 1.0) / k if weakening.is_exponential else j + 1.0
-        for i in range(n):
-            shape[k, i] += weight * series[j + 1, i] * shape[k - j, i]
-    for i in range(n):
-        shape[k, i] *= -weakening.steepness * mode[i] * (1.0 if weakening.is_exponential else shape[0, i])
+    for i in range(len(scale)):
+        x0[i] = scale[i] * (series[1, i] - model.belt_speed[i])
+        shape[0, 0, i] = _shape_of(weakening.law, x0[i])
+        if _is_lost(weakening, model, expansion, i):
+            shape[0, 0, i] = 0.0  # and with it all others
 
 
 @inner
-def _resist(weakening, law, expansion, k):  # type: ignore[no-untyped-def]
+def _resist(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
     """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
     if weakening is None:
         return
     series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
-    _shape(weakening, law, expansion, k)
+    _extend_shape(weakening, model, expansion, k)
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        less = law.friction[i] * (1.0 - weakening.far[i]) * (shape[k, i] - (1.0 if k == 0 else 0.0))
+        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape[0, k, i] - (1.0 if k == 0 else 0.0))
         series[k + 2, i] += slips[i] * factor * less * mode[i]
 
 
 @inner
 def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
-    """How far the series of 1 / (1 + a p) may be of use: half of where a p with the slope that it has is -1."""
+    """How far the series of S may be of use: until x, with the slope that it has, has gone half of the way to a pole.
+
+    Where S has none, until what is left of friction to fall would change by half of what S(0) is.
+    """
     time = np.inf
     if weakening is None:
         return time
     for i in range(len(expansion.mode)):
-        rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * expansion.shape[0, i])
+        left = expansion.shape[0, 0, i]
+        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.x0[i])
+        rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
         if rise * time > 0.5:
             time = 0.5 / rise
     return time
 
 
 @inner
-def _weakens_less(weakening, law, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
-    """Whether terms of exp(-x) beyond an order are on their way down, or too small to matter, up to h.
+def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether terms of an S without a pole beyond an order are on their way down, or too small to matter, up to h.
 
-    Where x is large the first terms are far below any tolerance, and yet x may fall by more than the order.
+    Where x is large the first terms of exp(-x) are far below any tolerance, yet x may fall by more than the order.
     """
-    if weakening is None or not weakening.is_exponential:
+    if weakening is None or not weakening.is_entire:
         return True
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
-        drop = law.friction[i] * (1.0 - weakening.far[i]) * h
-        if mode[i] == 0 or drop == 0.0 or _is_lost(weakening, law, expansion, i):
+        drop = model.friction[i] * (1.0 - weakening.far[i]) * h
+        if mode[i] == 0 or drop == 0.0 or _is_lost(weakening, model, expansion, i):
             continue
         change, power = 0.0, weakening.steepness
         for k in range(1, order):
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
-        x = weakening.steepness * mode[i] * (series[1, i] - law.belt_speed[i])
-        if change > 0.5 * order and drop * math.exp(min(change - x, 0.0)) > PASSED_ON * allowed:
+        x = weakening.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
+        least = max(x - change, 0.0)
+        if change > 0.5 * order and drop * _shape_of(weakening.law, least) > PASSED_ON * allowed:
             return False
     return True
 
 
 @inner
-def _may_be_single(law, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
+def _may_be_single(model, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
     """Whether products of K with c_k and c_{k+1}, of these sizes, may be in single precision.
 
     An error e of K c_k, relative to the row sums of K, is one of h^k e in F, and of h^(k + 1) e in w; F is wanted to
     what w, off by `allowed`, makes of it.
     """
-    if len(law.pairs.single_panels) == 0:
+    if len(model.pairs.single_panels) == 0:
         return False
-    power = SINGLE_ERROR * h**k * max(1.0 / h, largest(law.row_sums) * h)
+    power = SINGLE_ERROR * h**k * max(1.0 / h, largest(model.row_sums) * h)
     low, high = sizes[0], h * sizes[1]
     fits = (low == 0.0 or low > _TINY) and (high == 0.0 or high > _TINY)
     return fits and power * max(low, high) <= _ROUNDED_OFF * allowed
 
 
 @inner
-def expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
@@ -197,7 +202,7 @@ def expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """
     n_products = 0
     while True:
-        order, h, allowed, n_more = _expand(law, expansion, goal, state, target)
+        order, h, allowed, n_more = _expand(model, expansion, goal, state, target)
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
@@ -205,9 +210,9 @@ def expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
-    damping, friction, v = law.damping, law.friction, law.belt_speed
+    damping, friction, v = model.damping, model.friction, model.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     touching, sizes = expansion.touching, expansion.sizes
     z, w, t, tol, rate = state.z, state.w, state.clock[loop.TIME], goal.tol, goal.rate
@@ -217,17 +222,17 @@ def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def
             w[i] = v[i]
     copy(z, series[0])
     copy(w, series[1])
-    two_products(law.columns, law.pairs, series[:2], forces[:2])
-    forcing, weakening, pushed, pushed_next = law.forcing, law.weakening, 0.0, 0.0
+    two_products(model.columns, model.pairs, series[:2], forces[:2])
+    forcing, weakening, pushed, pushed_next = model.forcing, model.weakening, 0.0, 0.0
     begin(forcing, t)
     for k in range(2):
         pushed_next = take_off(forcing, t, k, forces[k])
     w_max = largest(w)
-    n_undecided = settle(law, largest(z), expansion)
+    n_undecided = settle(model, largest(z), expansion)
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    _resist(weakening, law, expansion, 0)
+    _resist(weakening, model, expansion, 0)
     target = min(target, _known_within(weakening, expansion))
     # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
     allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
@@ -239,17 +244,17 @@ def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def
     is_single = False
     for k in range(1, ORDER_MAX - 1):
         if k % 2 == 0:
-            if n_undecided == 0 and _may_be_single(law, k, sizes, target, allowed):
+            if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
                 is_single = True
-                two_single_products(law.pairs, series[k : k + 2], sizes, forces[k : k + 2])
+                two_single_products(model.pairs, series[k : k + 2], sizes, forces[k : k + 2])
             else:
-                two_products(law.columns, law.pairs, series[k : k + 2], forces[k : k + 2])
+                two_products(model.columns, model.pairs, series[k : k + 2], forces[k : k + 2])
             pushed = take_off(forcing, t, k, forces[k])
             pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
             pushed = pushed_next
         if n_undecided > 0:
-            n_decided, again = settle_by_order(law, k, largest(series[k]), expansion)
+            n_decided, again = settle_by_order(model, k, largest(series[k]), expansion)
             if again:
                 return 0, 0.0, 0.0, k + 1 + (k + 1) % 2
             n_undecided -= n_decided
@@ -260,7 +265,7 @@ def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        _resist(weakening, law, expansion, k)
+        _resist(weakening, model, expansion, k)
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
@@ -279,7 +284,7 @@ def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def
             n_small += 1
             # before order = rate * target the terms of a small state may still be on their way up
             is_enough = n_small >= 2 and n_undecided == 0 and order >= max(ORDER_MIN, rate * target)
-            if is_enough and _weakens_less(weakening, law, expansion, order, target, allowed):
+            if is_enough and _weakens_less(weakening, model, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -290,7 +295,7 @@ def _expand(law, expansion, goal, state, target):  # type: ignore[no-untyped-def
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _weakens_less(weakening, law, expansion, order, h, allowed):
+    while h > 0.0 and not _weakens_less(weakening, model, expansion, order, h, allowed):
         h *= 0.7
     return order, h, allowed, n_products
 
@@ -306,45 +311,45 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 
 @inner
-def decide(law, i, was_stuck, force, slope, window, rate):  # type: ignore[no-untyped-def]
+def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-untyped-def]
     """Mode of block i after its event, from F and its slope; UNDECIDED if the series are not accurate enough."""
     span, allowed, z_max = window.span, window.allowed, window.z_max
-    most, row_sum = law.static[i], law.row_sums[i]
-    rate_error = row_sum * allowed if law.forcing is None else max(row_sum, rate * rate) * allowed
-    drag, noise = law.damping[i] * law.belt_speed[i], known(law.forcing, 0, i)
+    most, row_sum = model.static[i], model.row_sums[i]
+    rate_error = row_sum * allowed if model.forcing is None else max(row_sum, rate * rate) * allowed
+    drag, noise = model.damping[i] * model.belt_speed[i], known(model.forcing, 0, i)
     doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
     new = -1 if force > 0.0 else 1
     if was_stuck:
         if abs(abs(force) - most) > doubt or -slope * new <= _DOUBT * rate_error:
             new = UNDECIDED
-    elif push(law.closed[i], force) < most - doubt:
+    elif push(model.closed[i], force) < most - doubt:
         new = 0
-    elif push(law.closed[i], force) <= most + doubt:
+    elif push(model.closed[i], force) <= most + doubt:
         new = UNDECIDED
     return new
 
 
 @inner
-def correct(law, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
+def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
-    From the event on, block i moves by its new law, z_i + delta; delta starts at second order. The others feel
+    From the event on, block i moves by its new equation, z_i + delta; delta starts at second order. The others feel
     K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
     like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
     to the accuracy of the series (then nothing has changed, and a new expansion decides).
 
     `span` is the length of the window, over which an error `allowed` of w becomes one of z.
     """
-    columns, row_sums, damping, v = law.columns, law.row_sums, law.damping, law.belt_speed
+    columns, row_sums, damping, v = model.columns, model.row_sums, model.damping, model.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     zeros, side = expansion.zeros, expansion.side
     column, change, last = expansion.column, expansion.change, expansion.last
     i = block
     n = len(mode)
-    mu, most = law.friction[i], law.static[i]
+    mu, most = model.friction[i], model.static[i]
     was_stuck = mode[i] == 0
     force = damping[i] * v[i] + forces[0, i]
-    new = decide(law, i, was_stuck, force, forces[1, i], Window(order, span, allowed, largest(series[0])), rate)
+    new = decide(model, i, was_stuck, force, forces[1, i], Window(order, span, allowed, largest(series[0])), rate)
     if new == UNDECIDED:
         return 0.0
 

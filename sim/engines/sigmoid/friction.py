@@ -1,17 +1,17 @@
 """Friction laws, as the smoothed engine takes them: phi(x) and its derivative, x = (w - v) / delta.
 
 A law is written once, for numbers of `lanes`, and friction is mu phi. What the steps ask of phi: it is odd, and
-smooth on the scale of 1. Which law a kernel is compiled for, the type of what it is given says: `Plain`, `Peaked`, or
-one of those that change with the speed of slip, whose shapes `SHAPES` has.
+smooth on the scale of 1. Which law a kernel is compiled for, the type of what it is given says: `Plain`, `Peaked`,
+`Steady`, or the kind of a law of `stickslip.sim.systems.weakening`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.lanes import Lane, absolute, exponential, less, on_number, where
+from stickslip.sim.systems.weakening import LAWS
 
 
 class Plain(NamedTuple):
@@ -26,16 +26,11 @@ class Steady(NamedTuple):
     """As `Peaked`, with a side that may be closed: `open_sign` with a shape that is constant."""
 
 
-class Rational(NamedTuple):
-    """`open_sign` with 1 / (1 + y)."""
+#: A friction law: one of these, or the kind of one that weakens, `open_sign` with its shape.
+Law: TypeAlias = type[tuple[Any, ...]]
 
-
-class Exponential(NamedTuple):
-    """`open_sign` with exp(-y)."""
-
-
-#: A friction law.
-Law: TypeAlias = type[Plain] | type[Peaked] | type[Steady] | type[Rational] | type[Exponential]
+#: The shapes of laws that weaken, and their derivatives.
+SHAPES = {law.kind: law.on_lanes for law in LAWS.values() if law.on_lanes is not None}
 
 
 def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
@@ -49,20 +44,6 @@ def peaked_sign(x: Lane, c: Lane) -> tuple[Lane, Lane]:
     """s(tanh x), and its derivative, which is negative beyond the peak."""
     lam, rise = smooth_sign(x)
     return lam + c * (lam * rise), rise * (c * (rise * 3.0 - 2.0) + 1.0)
-
-
-def _rational(y: Lane) -> tuple[Lane, Lane]:
-    value = 1.0 / (1.0 + y)
-    return value, -(value * value)
-
-
-def _exponential(y: Lane) -> tuple[Lane, Lane]:
-    value = exponential(less(y, 700.0) * -1.0)
-    return value, -value
-
-
-#: How friction weakens with y = steepness |w - v|, and its derivative; a law that is not here does not.
-SHAPES: dict[Law, Callable[[Lane], tuple[Lane, Lane]]] = {Rational: _rational, Exponential: _exponential}
 
 
 def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: Lane) -> tuple[Lane, Lane]:

@@ -16,24 +16,18 @@ from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.sigmoid import control as limits
 from stickslip.sim.engines.sigmoid.control import Control, first_step
 from stickslip.sim.engines.sigmoid.events import PASSES
-from stickslip.sim.engines.sigmoid.friction import Exponential, Peaked, Plain, Rational, Steady
+from stickslip.sim.engines.sigmoid.friction import Peaked, Plain, Steady
 from stickslip.sim.engines.sigmoid.layout import Blocks, Matrix, Model, Shared, Workspace, blank_tables
 from stickslip.sim.engines.sigmoid.step import advance
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.runs.run import Run
-from stickslip.sim.systems import friction as laws
 from stickslip.sim.systems.friction import hidden_term, turning_point
 from stickslip.sim.systems.system import System
+from stickslip.sim.systems.weakening import require_form
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.sigmoid.settings import Sigmoid
-
-#: The laws of weakening whose shapes the engine knows.
-_SHAPES: dict[type[laws.Weakening], type[Rational] | type[Exponential]] = {
-    laws.Rational: Rational,
-    laws.Stribeck: Exponential,
-}
 
 
 def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
@@ -227,7 +221,8 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     friction, weakening = system.slip_friction[0], system.weakening
     law: NamedTuple = Peaked() if system.is_static_above else Plain()
     if weakening is not None:
-        law = laws.registered(_SHAPES, weakening, "sigmoid")()
+        require_form(weakening, "on_lanes", "sigmoid")
+        law = weakening.kind()
     elif not system.back_slip:
         law = Steady()
     if not system.back_slip and (friction[system.closed != 0] == 0).any():

@@ -1,0 +1,66 @@
+"""What the kernels of the exact engine know of a system."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.products import Pairs
+from stickslip.sim.systems.system import Columns, System
+from stickslip.sim.systems.weakening import LAWS, require_form
+
+#: The laws whose series the engine can extend, as kernels number them.
+SERIES_OF = [law for law in LAWS.values() if law.recurrence is not None]
+
+
+class SpeedWeakening(NamedTuple):
+    """How friction weakens with the speed of slip; see `stickslip.sim.systems.weakening.law`."""
+
+    far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
+    steepness: float
+    law: int  #: its number in `SERIES_OF`
+    is_entire: bool
+
+
+class Model(NamedTuple):
+    """What is constant in a piece of a run. Named tuples are typed by position by numba, and compiled away.
+
+    What is None is compiled away too: a function that is given it asks first whether it is.
+    """
+
+    columns: Columns
+    pairs: Pairs
+    row_sums: Floats
+    damping: Floats
+    friction: Floats  #: kinetic, of a block that begins to slip
+    static: Floats
+    closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
+    weakening: SpeedWeakening | None
+    belt_speed: Floats
+    forcing: Forcing | None
+
+    @classmethod
+    def of(cls, system: System, pairs: Pairs, drive: Drive) -> Model:
+        near, far = system.slip_friction
+        weakens, weakening = None, system.weakening
+        if weakening is not None:
+            share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+            require_form(weakening, "recurrence", "coulomb")
+            number = SERIES_OF.index(type(weakening))
+            weakens = SpeedWeakening(share, weakening.steepness, number, weakening.is_entire)
+        return cls(
+            system.columns,
+            pairs,
+            system.row_sums,
+            system.damping,
+            near,
+            system.static,
+            system.closed,
+            weakens,
+            drive.belt_speed,
+            drive.forcing,
+        )
