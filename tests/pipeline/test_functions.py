@@ -392,14 +392,18 @@ def test_what_a_function_forks_does_not_go_on_in_the_place_of_its_process(fork, 
 ODD = "type('BaseOdd', (Exception,), {'__str__': lambda self: 7})"
 
 
-@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt", "BaseException(7)", ODD])
-def test_a_function_that_ends_its_worker_fails_its_members_alone(error, tmp_path):
-    lines = f"if gap == 1.0: raise {error}\n    return System(np.eye(n), 0.1)"
+def test_a_function_that_ends_its_worker_fails_its_members_alone(tmp_path):
+    errors = {1.0: "SystemExit(3)", 2.0: "KeyboardInterrupt", 3.0: "BaseException(7)", 4.0: ODD}
+    lines = "".join(f"if gap == {gap}: raise {error}\n    " for gap, error in errors.items())
     head = "import numpy as np\nfrom stickslip import System\n"
-    done = run_ensemble(load_scene(written(tmp_path, own=own(lines, head))), tmp_path / "out", workers=1)
-    assert done.outcomes["failed"] == 4
+    text = SCENE.replace("[0.5, 1.0]", str([0.5, *errors]))
+    file = written(tmp_path, text, own(f"{lines}return System(np.eye(n), 0.1)", head))
+    done = run_ensemble(load_scene(file), tmp_path / "out", workers=1)
+    assert done.outcomes["failed"] == 4 * len(errors)
     table = query.members(tmp_path / "out", filters=[("outcome", "=", "failed")])
-    assert all(("BaseOdd" if error == ODD else error[:10]) in reason for reason in table.reason)
+    assert table.groupby("gap").size().to_dict() == dict.fromkeys(errors, 4)
+    words = {gap: "BaseOdd" if error == ODD else error[:10] for gap, error in errors.items()}
+    assert all(words[row.gap] in row.reason for row in table.itertuples())
 
 
 def test_a_function_goes_on_where_a_dataset_ended(tmp_path):
