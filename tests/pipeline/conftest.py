@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
 
 import pytest
 
 from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
-from stickslip.pipeline.scene import scene as scenes
+from stickslip.pipeline.scene import systems
+from tests.pipeline import trials
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -33,21 +33,12 @@ def small_batches(monkeypatch):
 
 
 @pytest.fixture(autouse=True, scope="session")
-def tried_once():
-    """A function is tried in two processes whenever its scene is read; here once for the same files beside it."""
-    found, tried = {}, scenes.tried
-
-    def once(function, n, parameters):
-        files = [file for file in Path(function.at).rglob("*") if file.is_file() and file.suffix != ".pyc"]
-        beside = tuple(sorted((str(file.relative_to(function.at)), file.read_bytes()) for file in files))
-        key = function.name, function.sha256, beside, n, tuple(parameters.items())
-        if key not in found:
-            found[key] = tried(function, n, parameters)
-        return dict(found[key])
-
+def kept_children():
+    """A function is tried in two processes whenever its scene is read; to start them takes longer than all else."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenes, "tried", once)
+        patch.setattr(systems, "Child", trials.Kept.next)
         yield
+    trials.Kept.end()
 
 
 @pytest.fixture(scope="session")

@@ -34,6 +34,7 @@ from stickslip.sim.systems import couplings
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
+from tests.processes import computed_here
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -83,6 +84,7 @@ def first(tmp_path_factory):
     assert changes.count("matrices = 6") == 1
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
+        computed_here(patch)
         begin, *rest = commands("first-scene")
         assert main(begin) == 0
         scene = edited(Path("mine.toml").read_text(), changes)
@@ -108,7 +110,7 @@ def test_first_scene_does_what_the_page_says(first):
     assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
 
 
-def test_sweeps_do_what_the_page_says(tmp_path, monkeypatch, capsys):
+def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, scene in zip(
         ("sweep", "starts", "settled", "on", "chain", "own", "made"), blocks(page("sweeps"), "toml"), strict=True
