@@ -41,7 +41,10 @@ def seconds_of(pid: int) -> float:
 def computed_here(patch: pytest.MonkeyPatch) -> None:
     """Have commands compute members in this process: the workers that they ask for take seconds to start."""
     run = pipeline.run_ensemble
-    patch.setattr(pipeline, "run_ensemble", lambda scene, out, workers, *more, **by: run(scene, out, 0, *more, **by))
+    for place in ("stickslip.pipeline", "stickslip.workflows.dataset"):
+        patch.setattr(
+            f"{place}.run_ensemble", lambda scene, out, workers, *more, **by: run(scene, out, 0, *more, **by)
+        )
 
 
 @contextlib.contextmanager
