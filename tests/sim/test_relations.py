@@ -11,7 +11,7 @@ from stickslip.sim import EventSeries, Run, simulate
 from tests.fuzz import relations
 from tests.fuzz.relations import RELATIONS, judge_relations
 
-CASES = 12
+CASES = 24
 
 
 def late(run: Run) -> Run:
