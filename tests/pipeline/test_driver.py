@@ -13,6 +13,7 @@ import pytest
 
 from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
 from stickslip.pipeline.dataset.writer import Store
+from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.pipeline.running import cluster, driver, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
@@ -41,7 +42,10 @@ def test_a_running_cluster_can_be_used(scene, source, finished, content, tmp_pat
     assert content(tmp_path / "out") == content(finished)
 
 
-def test_libraries_have_one_thread_in_a_worker():
+def test_libraries_have_one_thread_in_a_worker(monkeypatch):
+    for name in ONE_THREAD:
+        monkeypatch.delenv(name)
+
     def threads():
         import ctypes
         import os
