@@ -1,7 +1,14 @@
 """What holds for all tests."""
 
+import os
 import secrets
 import signal
+
+from stickslip.pipeline.machine.processes import ONE_THREAD
+
+os.environ.update(
+    ONE_THREAD
+)  # before anything loads numpy: pytest's workers fill the cores, and threads wait for them
 
 import numpy as np
 import pytest

@@ -11,6 +11,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pytest
+
+from stickslip import pipeline
+
 
 def until(is_so: Callable[[], bool], timeout: float = 60.0) -> None:
     """Wait for something to come true."""
@@ -32,6 +36,15 @@ def seconds_of(pid: int) -> float:
     """Time of a processor that a process has had: it goes slower on a busy machine, as the process does."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def computed_here(patch: pytest.MonkeyPatch) -> None:
+    """Have commands compute members in this process: the workers that they ask for take seconds to start."""
+    run = pipeline.run_ensemble
+    for place in ("stickslip.pipeline", "stickslip.workflows.dataset"):
+        patch.setattr(
+            f"{place}.run_ensemble", lambda scene, out, workers, *more, **by: run(scene, out, 0, *more, **by)
+        )
 
 
 @contextlib.contextmanager

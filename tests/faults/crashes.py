@@ -20,7 +20,7 @@ from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_o
 from tests.processes import dask_by_hand, until
 
 
-@fault(quick=5, full=200, timeout=600)
+@fault(quick=3, full=200, timeout=600)
 def driver_killed_at_random(world: World, count: int) -> int:
     """SIGKILL at a random moment, five at most for one run, which is then resumed."""
     done, out = 0, world.directory / "out"
@@ -90,7 +90,7 @@ def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
     return call
 
 
-@fault(quick=6, full=10_000, timeout=1200)
+@fault(quick=4, full=10_000, timeout=1200)
 def driver_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system that a run makes; the full count is all of them."""
     tally = world.directory / "tally"

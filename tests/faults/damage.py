@@ -193,7 +193,7 @@ def swapped_shard_asked(world: World, count: int) -> int:
     return _right_or_refused(world, count, spoil)
 
 
-@fault(quick=6, full=60, timeout=600)
+@fault(quick=3, full=60, timeout=600)
 def damaged_record_of_a_killed_run(world: World, count: int) -> int:
     """A run is killed and its record truncated or flipped: what is told holds of a run that goes on; then it does."""
     for k in range(count):

@@ -8,6 +8,8 @@ import pytest
 
 from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.scene import systems
+from tests.pipeline import trials
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -28,6 +30,15 @@ SMALL_BATCHES = 3.5e-3
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
     monkeypatch.setattr(pack, "TARGET_COST", SMALL_BATCHES)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def kept_children():
+    """A function is tried in two processes whenever its scene is read; to start them takes longer than all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(systems, "Child", trials.Kept.next)
+        yield
+    trials.Kept.end()
 
 
 @pytest.fixture(scope="session")

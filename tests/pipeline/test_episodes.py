@@ -69,7 +69,7 @@ def test_stopped_and_resumed_is_as_never_stopped(scene, content, tmp_path):
     with pytest.raises(Stop):
         run_ensemble(scene, tmp_path / "out", workers=0, on_progress=stop)
     assert len(query.episodes(tmp_path / "out")) < len(query.episodes(tmp_path / "whole"))
-    run_ensemble(scene, tmp_path / "out", workers=2)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     assert verify(tmp_path / "out") == []
     assert content(tmp_path / "out") == content(tmp_path / "whole")
 

@@ -18,6 +18,7 @@ from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.scene import systems
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
+from tests.processes import computed_here
 from tests.scenes import ENDING
 
 OWN = """\
@@ -98,8 +99,8 @@ def test_blocks_may_start_on_the_belt_that_a_function_made(tmp_path):
 def test_a_dataset_of_a_function_is_the_same_on_workers_and_has_its_parameters(tmp_path, content):
     file = written(tmp_path / "here")
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)
-    run_ensemble(load_scene(file), tmp_path / "two", workers=2)
-    assert content(tmp_path / "two") == content(tmp_path / "out")
+    run_ensemble(load_scene(file), tmp_path / "on_one", workers=1)
+    assert content(tmp_path / "on_one") == content(tmp_path / "out")
     assert str(tmp_path) not in (tmp_path / "out" / "scene.toml").read_text()
     table = query.members(tmp_path / "out")
     assert table.groupby(["n", "gap"]).size().tolist() == [2] * 4
@@ -203,7 +204,8 @@ def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
     file, mark = written(tmp_path, own=f"{OWN}\nopen(__file__ + '.run', 'a').close()\n"), tmp_path / "own.py.run"
     member = expand(load_scene(file))[0].member_id
     monkeypatch.chdir(tmp_path)
-    for more in (["--dry-run"], ["--only", member], ["--workers", "1", "--no-report"]):
+    computed_here(monkeypatch)
+    for more in (["--dry-run"], ["--only", member], ["--no-report"]):
         mark.unlink()
         systems._function.cache_clear()
         assert main(["run", "mine.toml", *more]) == 0
@@ -360,14 +362,14 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
         ("raise type('Odd', (Exception,), {'__str__': lambda self: 7})", "Odd: its message cannot be had (Type"),
         ("raise KeyboardInterrupt", "KeyboardInterrupt"),
         ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),
-        ("import time; time.sleep(60)", "within 3 s, its process died (signal SIGKILL)"),
+        ("import time; time.sleep(60)", "within 1 s, its process died (signal SIGKILL)"),
         ("import os; os._exit(3)", "exit code 3"),
     ],
 )
 def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, words, tmp_path, monkeypatch):
     from stickslip.pipeline.scene import systems
 
-    monkeypatch.setattr(systems, "LONGEST_TRIAL", 3.0 if "sleep" in line else 40.0)
+    monkeypatch.setattr(systems, "LONGEST_TRIAL", 1.0 if "sleep" in line else 40.0)
     head = "import os\nimport numpy as np\nfrom stickslip import System\nSEED = 1.0 + int.from_bytes(os.urandom(6))\n"
     with pytest.raises(SceneError) as refusal:
         load_scene(written(tmp_path, own=own(line, head)))
@@ -392,14 +394,18 @@ def test_what_a_function_forks_does_not_go_on_in_the_place_of_its_process(fork, 
 ODD = "type('BaseOdd', (Exception,), {'__str__': lambda self: 7})"
 
 
-@pytest.mark.parametrize("error", ["SystemExit(3)", "KeyboardInterrupt", "BaseException(7)", ODD])
-def test_a_function_that_ends_its_worker_fails_its_members_alone(error, tmp_path):
-    lines = f"if gap == 1.0: raise {error}\n    return System(np.eye(n), 0.1)"
+def test_a_function_that_ends_its_worker_fails_its_members_alone(tmp_path):
+    errors = {1.0: "SystemExit(3)", 2.0: "KeyboardInterrupt", 3.0: "BaseException(7)", 4.0: ODD}
+    lines = "".join(f"if gap == {gap}: raise {error}\n    " for gap, error in errors.items())
     head = "import numpy as np\nfrom stickslip import System\n"
-    done = run_ensemble(load_scene(written(tmp_path, own=own(lines, head))), tmp_path / "out", workers=1)
-    assert done.outcomes["failed"] == 4
+    text = SCENE.replace("[0.5, 1.0]", str([0.5, *errors]))
+    file = written(tmp_path, text, own(f"{lines}return System(np.eye(n), 0.1)", head))
+    done = run_ensemble(load_scene(file), tmp_path / "out", workers=1)
+    assert done.outcomes["failed"] == 4 * len(errors)
     table = query.members(tmp_path / "out", filters=[("outcome", "=", "failed")])
-    assert all(("BaseOdd" if error == ODD else error[:10]) in reason for reason in table.reason)
+    assert table.groupby("gap").size().to_dict() == dict.fromkeys(errors, 4)
+    words = {gap: "BaseOdd" if error == ODD else error[:10] for gap, error in errors.items()}
+    assert all(words[row.gap] in row.reason for row in table.itertuples())
 
 
 def test_a_function_goes_on_where_a_dataset_ended(tmp_path):

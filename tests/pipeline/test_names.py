@@ -21,10 +21,10 @@ from tests.pipeline.test_functions import SCENE, written
 
 duckdb = pytest.importorskip("duckdb")
 
-#: A function that takes any names, and multiplies what it is given.
+#: A function that takes any names, and multiplies by the one value that it is given.
 ANY = (
-    "import math\nfrom stickslip import System\n\ndef draw(n, rng, **given):\n"
-    "    (value,) = given.values()\n    return System(value * rng.random((n, n)), 0.1, 1.0, -0.3)\n"
+    "from stickslip import System\n\ndef draw(n, rng, **given):\n"
+    "    (value,) = set(given.values())\n    return System(value * rng.random((n, n)), 0.1, 1.0, -0.3)\n"
 )
 #: Names that are none of the words of a language.
 ATTRIBUTES = [name for name in dir(Member) if not name.startswith("__")]
@@ -38,11 +38,13 @@ def every_name():
     return sorted({form for word in base for form in (word, word.upper())})
 
 
-def with_name(name):
+def with_names(*names):
+    """The same two values under each name."""
+    given, tied = ", ".join(f"'{name}' = [0.5, 1.0]" for name in names), f"zip = [{list(names)}]" if names[1:] else ""
     return (
-        SCENE.replace("{gap = ", f"{{'{name}' = ")
+        SCENE.replace("{gap = [0.5, 1.0]}", f"{{{given}}}")
         .replace("n = [3, 4]", "n = 3")
-        .replace("matrices = 2", "matrices = 1")
+        .replace("matrices = 2", f"matrices = 1\n{tied}")
     )
 
 
@@ -58,7 +60,7 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(how_many, t
     words = every_name()
     if how_many is not None:
         words = sorted({*rng.choice(words, how_many).tolist()} | _KNOWN | _BARRED)
-    scene = load_scene(written(tmp_path, with_name("gap"), ANY))
+    scene = load_scene(written(tmp_path, with_names("gap"), ANY))
     members = expand(scene)
     found = run_members(members, Recording.of(scene))
     ran, refused = set(), set()
@@ -89,23 +91,22 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(how_many, t
     assert {name for name in refused if misnamed([name]) is None} == set()
 
 
-@pytest.mark.parametrize(
-    "name", ["cost", "order", "SELECT", "group", "from_", "system", "parameters", "origin", "member", "x" * 255]
-)
-def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, monkeypatch, capsys):
-    file = written(tmp_path, with_name(name), ANY)
+def test_names_go_from_the_scene_to_query_filter_and_report(tmp_path, monkeypatch, capsys):
+    names = ["cost", "order", "SELECT", "group", "from_", "system", "parameters", "origin", "member", "x" * 255]
+    file = written(tmp_path, with_names(*names), ANY)
     monkeypatch.chdir(tmp_path)
     run_ensemble(load_scene(file), "out", workers=0)
-    query_ = f'SELECT "{name}" AS value, count(*) AS k FROM members GROUP BY "{name}" ORDER BY "{name}"'
-    assert main(["query", "out", query_, "--out", "answer.csv"]) == 0
     assert main(["query", "out", "SELECT n, n_events FROM members"]) == 0
-    assert np.genfromtxt("answer.csv", delimiter=",", skip_header=1).tolist() == [[0.5, 1.0], [1.0, 1.0]]
-    assert query.members("out", filters=[(name, "=", 1.0)])[name].tolist() == [1.0]
     assert len(study_of("out").groups) == 2
+    for name in names:
+        query_ = f'SELECT "{name}" AS value, count(*) AS k FROM members GROUP BY "{name}" ORDER BY "{name}"'
+        assert main(["query", "out", query_, "--out", "answer.csv"]) == 0
+        assert np.genfromtxt("answer.csv", delimiter=",", skip_header=1).tolist() == [[0.5, 1.0], [1.0, 1.0]], name
+        assert query.members("out", filters=[(name, "=", 1.0)])[name].tolist() == [1.0]
     netcdf = pytest.importorskip("netCDF4")
     assert main(["export", "out", "--netcdf", "out.nc"]) == 0
     with netcdf.Dataset("out.nc") as held:
-        assert held[name][:].tolist() == [0.5, 1.0]
+        assert [held[name][:].tolist() for name in names] == [[0.5, 1.0]] * len(names)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +114,7 @@ def test_a_name_goes_from_the_scene_to_query_filter_and_report(name, tmp_path, m
     ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size", "change", "ö" * 128],
 )
 def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_path, monkeypatch, capsys):
-    written(tmp_path, with_name(name), ANY)
+    written(tmp_path, with_names(name), ANY)
     monkeypatch.chdir(tmp_path)
     assert main(["run", "mine.toml", "--out", "out"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -129,6 +130,6 @@ def test_every_dimension_that_grows_is_refused_as_a_name():
 
 
 def test_names_that_differ_in_case_alone_are_refused(tmp_path):
-    text = with_name("gap").replace("'gap' = ", "'Gap' = 1.0, 'gap' = ")
+    text = with_names("gap").replace("'gap' = ", "'Gap' = 1.0, 'gap' = ")
     with pytest.raises(SceneError, match=r"system\.parameters: .* got 'gap': another parameter has it"):
         load_scene(written(tmp_path, text, ANY))

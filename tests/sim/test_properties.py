@@ -1,9 +1,8 @@
-"""What must hold for every system: agreement with references, and the symmetries of the law."""
+"""What holds for every system beside agreement with the reference and symmetries, which the fuzz holds."""
 
 import gc
 import weakref
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,30 +17,7 @@ from tests import independent
 from tests.fuzz.draw import FAMILIES, Trial
 from tests.fuzz.judge import judge
 
-from .reference import follow
-
 EXACT = {"tol": 1e-15, "stop_early": False}
-MANY = settings(derandomize=True, max_examples=40, deadline=None, database=None)
-FEW = settings(derandomize=True, max_examples=12, deadline=None, database=None)
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-def draw(seed, n_max=4):
-    """A system and a start; some blocks without friction, some starting on the belt."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, n_max + 1))
-    k = rng.normal(size=(n, n)) * rng.choice([0.5, 2.0])
-    kind = rng.integers(3)
-    if kind == 0:
-        k = k @ k.T / n
-    elif kind == 1:
-        k = (k - k.T) / 2 + np.diag(np.abs(np.diag(k)))
-    damping = rng.uniform(-0.2, 1.0, n) * rng.choice([0.1, 1.0, 4.0])
-    friction = rng.choice([0.0, 0.1, 0.5, 1.0, 2.0], n)
-    v = rng.choice([-1.0, -0.2, 0.0, 0.5])
-    z0 = rng.normal(size=n) * rng.choice([0.1, 1.0, 3.0])
-    w0 = np.where(rng.random(n) < 0.4, v, rng.normal(size=n))
-    return System(k, damping, friction, v), z0, w0, rng
 
 
 def assert_same(run, t, block, mode, atol=1e-9):
@@ -51,149 +27,6 @@ def assert_same(run, t, block, mode, atol=1e-9):
     assert run.events.block.tolist() == list(block)
     assert run.events.mode.tolist() == list(mode)
     np.testing.assert_allclose(run.events.t, t, rtol=0, atol=atol)
-
-
-def draw_lattice(seed):
-    """Small dyadic numbers throughout: blocks on the belt, at their folds, at cusps, in pairs, without stiffness."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, 4))
-    k = rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], (n, n))
-    if rng.random() < 0.5:
-        k -= np.diag(k.sum(axis=1))  # singular: K (1, ..., 1) = 0
-    v = rng.choice([-1.0, -0.5, 0.0, 0.5])
-    system = System(k, rng.choice([-0.25, 0.0, 0.5, 1.0], n), rng.choice([0.0, 0.5, 1.0], n), v)
-    return (
-        system,
-        rng.choice([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0], n),
-        rng.choice([v, v, -1.0, 0.0, 0.5], n),
-    )
-
-
-# The exact engine
-
-
-@MANY
-@given(SEEDS)
-def test_agrees_with_the_reference_on_coincidences(seed):
-    system, z0, w0 = draw_lattice(seed)
-    expected = follow(system, z0, w0, 2.0)
-    run = simulate(system, z0, w0, 2.0, **EXACT)
-    assert run.events.initial_mode.tolist() == expected.initial_mode
-    assert_same(run, expected.t, expected.block, expected.mode)
-    np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(run.w, expected.w, rtol=0, atol=1e-11)
-
-
-@FEW
-@given(SEEDS)
-def test_agrees_with_the_reference(seed):
-    system, z0, w0, _ = draw(seed)
-    expected = follow(system, z0, w0, 3.0)
-    run = simulate(system, z0, w0, 3.0, **EXACT)
-    assert run.events.initial_mode.tolist() == expected.initial_mode
-    assert_same(run, expected.t, expected.block, expected.mode)
-    scale = max(1.0, np.abs(expected.z).max())
-    np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-10 * scale)
-    np.testing.assert_allclose(run.w, expected.w, rtol=0, atol=1e-10 * scale)
-
-
-@MANY
-@given(SEEDS)
-def test_renumbering_the_blocks_renumbers_the_run(seed):
-    system, z0, w0, rng = draw(seed, 8)
-    order = rng.permutation(system.n)
-    place = np.argsort(order)
-    other = System(
-        system.stiffness[np.ix_(order, order)],
-        system.damping[order],
-        system.friction[order],
-        system.belt_speed,
-    )
-    a = simulate(system, z0, w0, 6.0, **EXACT)
-    b = simulate(other, z0[order], w0[order], 6.0, **EXACT)
-    np.testing.assert_array_equal(a.events.initial_mode[order], b.events.initial_mode)
-    assert_same(b, a.events.t, place[a.events.block], a.events.mode)
-    np.testing.assert_allclose(a.z[order], b.z, rtol=1e-9, atol=1e-9)
-
-
-@MANY
-@given(SEEDS, st.floats(0.0, 6.0))
-def test_a_run_resumed_from_its_state_is_the_run(seed, cut):
-    system, z0, w0, _ = draw(seed, 8)
-    whole = simulate(system, z0, w0, 6.0, **EXACT)
-    first = simulate(system, z0, w0, cut, **EXACT)
-    second = simulate(system, first.z, first.w, 6.0, t_start=cut, **EXACT)
-    np.testing.assert_array_equal(first.events.mode_at(cut), second.events.initial_mode)
-    assert_same(
-        whole,
-        np.concatenate((first.events.t, second.events.t)),
-        np.concatenate((first.events.block, second.events.block)),
-        np.concatenate((first.events.mode, second.events.mode)),
-    )
-    np.testing.assert_allclose(second.z, whole.z, rtol=1e-9, atol=1e-9)
-
-
-@MANY
-@given(SEEDS, st.integers(-1000, 1000))
-def test_the_clock_may_start_anywhere(seed, t_start):
-    system, z0, w0, _ = draw(seed, 6)
-    a = simulate(system, z0, w0, 6.0, **EXACT)
-    b = simulate(system, z0, w0, t_start + 6.0, t_start=t_start, **EXACT)
-    assert b.t_end == t_start + 6.0
-    assert_same(b, a.events.t + t_start, a.events.block, a.events.mode)
-    np.testing.assert_allclose(a.z, b.z, rtol=1e-9, atol=1e-9)
-
-
-@MANY
-@given(SEEDS, st.sampled_from([2.0**-8, 0.7, 3.0, 2.0**20]), st.sampled_from([-1, 1]))
-def test_scale_and_mirror(seed, scale, sign):
-    """z, w, v times sign * scale and mu times scale: the same times, the modes times sign."""
-    system, z0, w0, _ = draw(seed)
-    other = System(system.stiffness, system.damping, scale * system.friction, sign * scale * system.belt_speed)
-    a = simulate(system, z0, w0, 6.0, **EXACT)
-    b = simulate(other, sign * scale * z0, sign * scale * w0, 6.0, **EXACT)
-    assert_same(b, a.events.t, a.events.block, sign * a.events.mode)
-    np.testing.assert_allclose(b.z / scale, sign * a.z, rtol=1e-8, atol=1e-8)
-
-
-@MANY
-@given(SEEDS, st.sampled_from([0.25, 0.9, 5.0]))
-def test_scale_of_time(seed, s):
-    """t -> s t: R / s, K / s^2, mu / s^2, v / s, w / s."""
-    system, z0, w0, _ = draw(seed)
-    other = System(system.stiffness / s**2, system.damping / s, system.friction / s**2, system.belt_speed / s)
-    on_belt = w0 == system.belt_speed
-    a = simulate(system, z0, w0, 5.0, **EXACT)
-    b = simulate(other, z0, np.where(on_belt, other.belt_speed, w0 / s), 5.0 * s, **EXACT)
-    assert_same(b, a.events.t * s, a.events.block, a.events.mode)
-    np.testing.assert_allclose(b.z, a.z, rtol=1e-8, atol=1e-8)
-
-
-@FEW
-@given(SEEDS)
-def test_energy_balance(seed):
-    """w^2 / 2 + z K z / 2 changes by the work of dampers and friction, K symmetric.
-
-    Friction works with -mu sigma w on a slipping block and, through F, with F v on a sticking one; Gauss's rule
-    between events, where all is analytic.
-    """
-    system, z0, w0, _ = draw(seed, 5)
-    k = (system.stiffness + system.stiffness.T) / 2
-    system = System(k, system.damping, system.friction, system.belt_speed)
-    nodes, weights = np.polynomial.legendre.leggauss(16)
-    run = simulate(system, z0, w0, 4.0, **EXACT)
-    cuts = np.unique(np.concatenate((run.events.t, np.linspace(0.0, 4.0, 17))))
-    z, w, work = z0, w0, 0.0
-    for start, end in pairwise(cuts):
-        mode = run.events.mode_at(0.5 * (start + end))
-        for x, weight in zip(nodes, weights, strict=True):
-            at = simulate(system, z, w, 0.5 * (start + end) + 0.5 * (end - start) * x, t_start=start, **EXACT)
-            friction = np.where(mode == 0, system.holding_force(at.z), -system.friction * mode)
-            work += 0.5 * (end - start) * weight * float(at.w @ (friction - system.damping * at.w))
-        after = simulate(system, z, w, end, t_start=start, **EXACT)
-        z, w = after.z, after.w
-    change = 0.5 * (w @ w + z @ k @ z) - 0.5 * (w0 @ w0 + z0 @ k @ z0)
-    assert change == pytest.approx(work, rel=1e-8, abs=1e-8)
 
 
 def collapsing(n_systems):
@@ -280,8 +113,8 @@ def test_a_collapse_is_certified_on_the_side_where_it_comes_to_be(law):
     assert whole.outcome == "finished"
 
 
-@MANY
-@given(SEEDS)
+@settings(max_examples=40, database=None)
+@given(st.integers(0, 2**32 - 1))
 def test_series_against_a_walk_through_its_events(seed):
     """Times on a coarse grid, so that many events share an instant."""
     rng = np.random.default_rng(seed)
@@ -473,35 +306,6 @@ def test_entries_and_exits_are_located(case, stick):
     assert_same(run, t, block, mode, atol=1e-6)
 
 
-@FEW
-@given(SEEDS)
-def test_smoothed_runs_renumbered_split_and_shifted(seed):
-    system, z0, w0, rng = draw(seed, 6)
-    ratio = rng.uniform(0.05, 1.0, system.n)
-    settings = {"engine": "sigmoid", "eps": 0.05, "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
-    whole = simulate(system, z0, w0, 5.0, ratio=ratio, **settings)
-
-    order = rng.permutation(system.n)
-    other = System(
-        system.stiffness[np.ix_(order, order)],
-        system.damping[order],
-        system.friction[order],
-        system.belt_speed,
-    )
-    run = simulate(other, z0[order], w0[order], 5.0, ratio=ratio[order], **settings)
-    assert_same(run, whole.events.t, np.argsort(order)[whole.events.block], whole.events.mode, atol=1e-6)
-    np.testing.assert_allclose(run.z, whole.z[order], rtol=1e-6, atol=1e-6)
-
-    first = simulate(system, z0, w0, 2.5, ratio=ratio, **settings)
-    second = simulate(system, first.z, first.w, 5.0, t_start=2.5, ratio=ratio, **settings)
-    parts = [np.concatenate((getattr(first.events, x), getattr(second.events, x))) for x in ("t", "block", "mode")]
-    assert_same(whole, *parts, atol=1e-5)
-    np.testing.assert_allclose(second.w, whole.w, rtol=1e-6, atol=1e-6)
-
-    shifted = simulate(system, z0, w0, 105.0, t_start=100.0, ratio=ratio, **settings)
-    assert_same(shifted, whole.events.t + 100.0, whole.events.block, whole.events.mode, atol=1e-6)
-
-
 @pytest.mark.parametrize("eps", [0.03, 1e-8])
 @pytest.mark.parametrize("ratio", [1.0, 1e-4])
 def test_no_layer_is_too_thin(eps, ratio):
@@ -588,7 +392,7 @@ def test_undamped_chains(damping):
     seed = int(np.random.SeedSequence().entropy % 2**32)
     print(f"seed {seed}")
     rng = np.random.default_rng(seed)
-    for k in range(4):
+    for k in range(2):
         n = int(rng.integers(1, 11))
         case = independent.Case.of(FAMILIES["chain"](rng, n), damping, 1.0, -0.2, *rng.uniform(-2, 2, (2, n)))
         assert judge(Trial(seed, k, "chain", "coulomb", case, 20.0, {"tol": 1e-10})).failures == []

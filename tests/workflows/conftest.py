@@ -8,6 +8,7 @@ from stickslip.pipeline import SceneError
 from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
 from stickslip.workflows.scenes import chart_of, shipped
+from tests.processes import computed_here
 from tests.scenes import ensemble
 
 SMALL = ensemble(
@@ -58,6 +59,11 @@ def refuse(tmp_path, capsys):
             load_chart(file)
 
     return check
+
+
+@pytest.fixture
+def here(monkeypatch):
+    computed_here(monkeypatch)
 
 
 @pytest.fixture

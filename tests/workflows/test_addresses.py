@@ -20,7 +20,7 @@ def server():
         yield address
 
 
-def test_run_status_verify_query_and_report_at_an_address(server, tmp_path, capsys):
+def test_run_status_verify_query_and_report_at_an_address(here, server, tmp_path, capsys):
     scene, out = tmp_path / "scene.toml", "s3://bucket/deep/out"
     scene.write_text(SOURCE)
     assert main(["run", str(scene), "--out", out, "--workers", "1"]) == 0
@@ -40,7 +40,7 @@ def test_run_status_verify_query_and_report_at_an_address(server, tmp_path, caps
     assert main(["report", out]) == 0
 
 
-def test_what_the_store_refuses_is_one_line(server, tmp_path, capsys):
+def test_what_the_store_refuses_is_one_line(here, server, tmp_path, capsys):
     scene = tmp_path / "scene.toml"
     scene.write_text(SOURCE)
     assert main(["run", str(scene), "--out", "s3://nowhere/out", "--workers", "1"]) == 1

@@ -48,7 +48,7 @@ def test_run_leaves_data_and_a_report(dataset, capsys):
     assert len(as_json["law"]) == len(law)
 
 
-def test_a_report_of_blocks_that_are_driven_and_barred(tmp_path, capsys):
+def test_a_report_of_blocks_that_are_driven_and_barred(here, tmp_path, capsys):
     scene = tmp_path / "driven.toml"
     scene.write_text("""
 start = "rest"
@@ -102,9 +102,8 @@ def test_the_report_needs_the_dataset_alone(dataset, capsys):
     assert (dataset / "report.html").read_bytes() == before
 
 
-def test_verify_finds_a_damaged_shard(small_scene, tmp_path, capsys):
-    out = tmp_path / "run"
-    assert main(["run", str(small_scene), "--out", str(out), "--workers", "1"]) == 0
+def test_verify_finds_a_damaged_shard(dataset, tmp_path, capsys):
+    out = shutil.copytree(dataset, tmp_path / "run")
     shard = next((out / "data").iterdir())
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
@@ -448,7 +447,7 @@ def test_a_wrong_address_is_refused_before_anything_is_done(address, dataset, sm
         refused([*argv, *more], ["--scheduler: expected none with", "leave it out"], capsys)
 
 
-def test_a_run_without_a_report(small_scene, dataset, tmp_path, monkeypatch, capsys):
+def test_a_run_without_a_report(here, small_scene, dataset, tmp_path, monkeypatch, capsys):
     out = tmp_path / "a run"
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "stickslip.workflows.reporting", None)  # nothing of it is loaded

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -34,6 +35,7 @@ from stickslip.sim.systems import couplings
 from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
+from tests.processes import computed_here
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -83,6 +85,7 @@ def first(tmp_path_factory):
     assert changes.count("matrices = 6") == 1
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
+        computed_here(patch)
         begin, *rest = commands("first-scene")
         assert main(begin) == 0
         scene = edited(Path("mine.toml").read_text(), changes)
@@ -108,7 +111,7 @@ def test_first_scene_does_what_the_page_says(first):
     assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
 
 
-def test_sweeps_do_what_the_page_says(tmp_path, monkeypatch, capsys):
+def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, scene in zip(
         ("sweep", "starts", "settled", "on", "chain", "own", "made"), blocks(page("sweeps"), "toml"), strict=True
@@ -209,29 +212,17 @@ def test_matrices_from_files(tmp_path, monkeypatch):
     np.testing.assert_array_equal(run_python("own-system", 2)["K"].toarray(), k)
 
 
-def test_from_a_function_to_a_report(tmp_path):
+def test_from_a_function_to_a_report(here, tmp_path, monkeypatch, capsys):
+    """What becomes of the script without its second last line, `tests/pipeline/test_driver.py` has."""
     module, script, *_ = blocks(page("own-system"), "python")
     (tmp_path / "own.py").write_text(module)
     (tmp_path / "mine.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, "mine.py"], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith("runs/own/report.html\n")
-    members = query.members(tmp_path / "runs" / "own")
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path("mine.py", run_name="__main__")
+    assert capsys.readouterr().out.endswith("runs/own/report.html\n")
+    members = query.members("runs/own")
     assert members.groupby("pull").size().tolist() == [4, 4]
     assert (members.outcome == "failed").sum() == 0
-    # without the line that keeps workers from running it
-    (tmp_path / "mine.py").write_text(
-        script.replace('if __name__ == "__main__":', "if True:").replace("runs/own", "b")
-    )
-    bare = subprocess.run(
-        [sys.executable, "mine.py"], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True
-    )  # fmt: skip
-    assert bare.returncode == 1
-    assert 'run it under if __name__ == "__main__":' in bare.stderr.splitlines()[-1]
 
 
 def test_the_tolerances_are_those_that_are_picked():

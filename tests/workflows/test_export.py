@@ -158,7 +158,7 @@ OUT = "runsa\x01ba\x1b[31mb"
 NAMES = ("<b>&--a", "a$x_$b", "$a")
 
 
-def test_files_with_any_name_leave_pages_and_figures_that_open(rng, tmp_path, capsys):
+def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_path, capsys):
     (tmp_path / "K").mkdir()
     for name, strength in zip(NAMES, (0.01, 0.2, 0.2), strict=True):  # some die at once, which makes figures
         u = rng.uniform(-strength, strength, (20, 20))

@@ -24,15 +24,16 @@ def test_a_users_files_break_nothing(how, users_own, small_scene):
         "    from stickslip import members, run_scene, simulate, System\n"
         "    print(simulate(System([[1.0]], 0.5), -3.0, 0.0, 5.0).outcome)\n"
         f"    file = {str(small_scene)!r}\n"
-        "    run_scene(file, 'out', workers=2)\n"
+        "    run_scene(file, 'out', workers=1)\n"
         "    print(len(members('out')))\n"
     )
     (users_own / "mine.py").write_text(code)
+    run = ["run", str(small_scene), "--out", "out", "--workers", "1"]
     command = {
         "script": [sys.executable, "mine.py"],
         "-c": [sys.executable, "-c", code],
-        "-m": [sys.executable, "-m", "stickslip", "run", str(small_scene), "--out", "out"],
-        "command": [str(Path(sys.executable).with_name("stickslip")), "run", str(small_scene), "--out", "out"],
+        "-m": [sys.executable, "-m", "stickslip", *run, "--no-report"],
+        "command": [str(Path(sys.executable).with_name("stickslip")), *run],
     }[how]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
