@@ -67,13 +67,9 @@ MINUTES = "what it took on two cores with its report, in minutes: `stickslip sce
 #: Keys without influence on the data.
 _WORDS = {"title", "about", "minutes", "analysis"}
 
-#: Keys that are younger than some datasets: at their defaults, a scene is the same as without.
-_YOUNGER = (
-    ("record", "end", False),
-    ("record", "episodes", False),
-    ("record", "energy", False),
-    ("system", "back_slip", True),
-)
+#: Records as old as the oldest datasets. At its default the key of any other is no part of a scene's hash, so that a
+#: record that comes into being leaves datasets what they are; so it is with `back_slip`.
+_OLDEST_RECORDS = {"events", "growth_rate"}
 
 
 class Scene(StrictTable):
@@ -418,9 +414,11 @@ class Scene(StrictTable):
             keys["system"]["module"] = self.system.module.sha256
             if self.system.module.beside:
                 keys["system"]["beside"] = self.system.module.beside
-        for table, name, default in _YOUNGER:
-            if keys[table][name] is default:
-                del keys[table][name]
+        for record in RECORDS:
+            if keys["record"].get(record.name) is False and record.name not in _OLDEST_RECORDS:
+                del keys["record"][record.name]
+        if keys["system"]["back_slip"]:
+            del keys["system"]["back_slip"]
         if self.start.ends is not None:
             keys["start"]["ends"] = self.start.ends.sha256
             del keys["start"]["dataset"]

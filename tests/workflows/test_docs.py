@@ -27,7 +27,7 @@ from stickslip.analysis.ensemble import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
-from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
 from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
@@ -288,6 +288,9 @@ def test_a_record_is_a_file_and_a_line(tree):
     asked = "SELECT min(largest) > 0 AS is_there, count(largest) AS n FROM members"
     assert python("-m", "stickslip", "query", "out", asked).split()[-2:] == ["True", "16"]
     assert "record.largest" in python("-m", "stickslip", "schema", "--keys")
+    scene = root / "workflows" / "scenes" / "quick.toml"
+    hashed = python("-c", f"from stickslip.pipeline import load_scene; print(load_scene({str(scene)!r}).hash)")
+    assert hashed.strip() == load_scene(scene).hash  # datasets without it stay what they are
 
 
 def test_a_coupling_is_one_line(monkeypatch):
