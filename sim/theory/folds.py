@@ -26,7 +26,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX
+from stickslip.sim.engines.coulomb.control import ORDER_MAX
 from stickslip.sim.numerics.arguments import Floats, floats, integer, number, per_block, sign
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.system import System, require_plain

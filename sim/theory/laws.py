@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, floats, number
 from stickslip.sim.runs.run import IntegrationError
-from stickslip.sim.systems.friction import hidden_term, turning_point
+from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 
 Slips = NDArray[np.int8]
 
@@ -108,7 +108,7 @@ class StaticAboveKinetic(SwitchingLaw):
         return float(turning_point(self.c))
 
     def resistance(self, lam: Floats) -> Floats:
-        return np.asarray(lam + self.c * lam * (1 - lam**2))
+        return over_kinetic(lam, self.c)
 
     def slope(self, lam: Floats) -> Floats:
         return np.diag(1 + self.c - 3 * self.c * lam**2)
