@@ -1,4 +1,4 @@
-"""What a law of weakening is: kinetic friction that falls as a block slips faster on its belt.
+"""What a weakening law is: kinetic friction that falls as a block slips faster on its belt.
 
     mu(u) = far + (near - far) S(x),    x = steepness |u|,    u = w - v
 
