@@ -62,7 +62,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     """Why a run grows for ever from this state, under either law; empty if that is not certain.
 
     With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k,
-    the static friction, and a force from outside is one of at most f_k:
+    the static friction, and an external force is one of at most f_k:
 
         c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} (mu_k + f_k) lambda_k,    |lambda_k| <= 1,
 
@@ -328,14 +328,14 @@ class Collapse:
 
         def tried(r: Floats, bend: Floats) -> tuple[Floats, Floats]:
             """How far the eigenmodes may reach, and how far the motion then deviates from them, for each bound r."""
-            strayed = response @ bend
-            of_w = strayed[n:].max(axis=0)
-            return r - of_w, np.maximum(of_w, strayed[:n].max(axis=0))
+            deviation = response @ bend
+            of_w = deviation[n:].max(axis=0)
+            return r - of_w, np.maximum(of_w, deviation[:n].max(axis=0))
 
         of_own, of_widest = law.bends
-        own, strayed = tried(*of_own)
+        own, deviation = tried(*of_own)
         limit = float(own.max(initial=0.0))
         if law.widest >= speed:
             return limit, 0.0
-        wide, strayed = (own, strayed) if of_widest is of_own else tried(*of_widest)
-        return limit, float(np.where(strayed <= self._allowed, wide, 0.0).max(initial=0.0))
+        wide, deviation = (own, deviation) if of_widest is of_own else tried(*of_widest)
+        return limit, float(np.where(deviation <= self._allowed, wide, 0.0).max(initial=0.0))

@@ -63,7 +63,7 @@ class Events(NamedTuple):
         return parts[0] if len(parts) == 1 else cls(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
 
 
-class Room(NamedTuple):
+class Buffers(NamedTuple):
     """The times of samples, shape (m,), and buffers for them, shape (m, n)."""
 
     t: Floats  #: from the start of the piece; infinite beyond its end
@@ -79,7 +79,7 @@ class State(NamedTuple):
     mode: NDArray[np.int8]
     clock: Floats
     counters: NDArray[np.int64]
-    samples: Room
+    samples: Buffers
 
     @classmethod
     def at_start(cls, task: Task, z: Floats, w: Floats, mode: NDArray[np.int8], *clocks: float) -> State:
@@ -87,7 +87,7 @@ class State(NamedTuple):
         may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
         check = -np.inf if may_collapse else np.inf
         clock = np.array([0.0, check, check, *clocks])
-        samples = Room(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
+        samples = Buffers(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
 

@@ -395,7 +395,7 @@ class System:
         return show.span(self.belt_speed)
 
     def _forces(self) -> str:
-        """Forces from outside in a few words."""
+        """External forces in a few words."""
         return " + ".join(
             f"{show.span(term.amplitude)} cos({show.span(term.frequency)} t)"
             if isinstance(term, Harmonic)

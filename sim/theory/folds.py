@@ -354,7 +354,7 @@ def _require_hold(system: System, name: str, force: Floats, slack: Floats, stick
 
 
 def _require_slip(system: System, force: Floats, slack: Floats, w: Floats, mode: NDArray[np.int8]) -> None:
-    """ValueError unless slipping blocks move as their modes say, or begin to: w = v, and friction cannot hold them."""
+    """ValueError unless slipping blocks move as their modes say, or begin to: w = v, not held by friction."""
     gap = mode * (w - system.belt_speed)
     is_held = (mode != 0) & (gap == 0.0) & (-mode * force < system.friction - slack)
     wrong = (gap < 0.0) | is_held

@@ -43,7 +43,7 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
     Raises
     ------
     ValueError
-        Of a run: if the system has cross damping, or a block starts ahead of its belt where that is barred.
+        Of a run: if the system has cross damping, or a block starts ahead of its belt without back slip.
     IntegrationError
         Of a run: if events accumulate at one instant.
     """

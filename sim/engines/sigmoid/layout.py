@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.forcing import Forcing
-from stickslip.sim.engines.loop import Room
+from stickslip.sim.engines.loop import Buffers
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
@@ -181,7 +181,7 @@ class Workspace(NamedTuple):
     begins: NDArray[np.int64]  #: a block's first substep; -1: none, shape (n,)
     substeps: Substeps
     repeated: Repeated
-    there: Room  #: the state at an instant at which all blocks come to stick, or one leaves
+    there: Buffers  #: the state at an instant at which all blocks come to stick, or one leaves
 
     @classmethod
     def of(cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int) -> Workspace:
@@ -213,7 +213,7 @@ class Workspace(NamedTuple):
                 np.empty((most, STAGES + 1)),
             ),
             repeated=Repeated(np.empty(most, np.int64), np.empty(most), np.empty((most, STAGES + 1))),
-            there=Room(np.empty(1), np.empty((1, n)), np.empty((1, n))),
+            there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
         )
 
 
