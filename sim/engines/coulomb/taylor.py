@@ -43,6 +43,14 @@ class Window(NamedTuple):
     z_max: float  #: bounds |z|
 
 
+class Shape(NamedTuple):
+    """The series of S for n blocks."""
+
+    series: Floats  #: S_k by rows, shape (1, orders, n), followed by the other series that the law keeps
+    scale: Floats  #: of x: the steepness times the direction of slip
+    x0: Floats
+
+
 class Expansion(NamedTuple):
     """The series of n blocks about the present instant, which of them stick from then on, and workspace."""
 
@@ -60,10 +68,7 @@ class Expansion(NamedTuple):
     last: Floats
     change: Floats
     sizes: Floats
-    # empty if friction does not fall with speed
-    shape: Floats  #: S_k by rows, and behind them the other series that the law keeps
-    scale: Floats  #: of x: the steepness times the direction of slip
-    x0: Floats
+    shape: Shape | None  #: None if friction does not fall with speed
 
     @classmethod
     def blank(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
@@ -75,9 +80,10 @@ class Expansion(NamedTuple):
         slips, column, last = np.zeros((3, n))
         rows = column, last, np.zeros(control.ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
-        shape = np.full((n_shapes, control.ORDER_MAX + 1, n), np.nan)
-        scale, x0 = np.zeros((2, n if n_shapes else 0))
-        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape, scale, x0)
+        shape = None
+        if n_shapes:
+            shape = Shape(np.full((n_shapes, control.ORDER_MAX + 1, n), np.nan), *np.zeros((2, n)))
+        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
 
 
 _recurrence, _shape_of = one_of([law.recurrence for law in SERIES_OF]), one_of([law.shape for law in SERIES_OF])
@@ -96,7 +102,7 @@ def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
 @inner
 def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
-    series, shape, scale, x0 = expansion.series, expansion.shape, expansion.scale, expansion.x0
+    series, shape, scale, x0 = expansion.series, expansion.shape.series, expansion.shape.scale, expansion.shape.x0
     for i in range(len(scale)):
         scale[i] = weakening.steepness * expansion.mode[i]
     if k > 0:
@@ -114,11 +120,12 @@ def _resist(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
     """Add friction at order k, less the constant part that `_expand` has, to the coefficients k + 2."""
     if weakening is None:
         return
-    series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
+    series, mode, slips = expansion.series, expansion.mode, expansion.slips
     _extend_shape(weakening, model, expansion, k)
+    shape = expansion.shape
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape[0, k, i] - (1.0 if k == 0 else 0.0))
+        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape.series[0, k, i] - (1.0 if k == 0 else 0.0))
         series[k + 2, i] += slips[i] * factor * less * mode[i]
 
 
@@ -132,8 +139,8 @@ def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
     if weakening is None:
         return time
     for i in range(len(expansion.mode)):
-        left = expansion.shape[0, 0, i]
-        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.x0[i])
+        left = expansion.shape.series[0, 0, i]
+        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.shape.x0[i])
         rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
         if rise * time > control.TO_POLE:
             time = control.TO_POLE / rise
