@@ -262,8 +262,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
-        # the terms before it then determine the step
-        if order > control.ORDER_MIN and not size < control.HUGE:
+        if order > control.ORDER_MIN and not size < control.HUGE:  # the terms before it determine the step
             order -= 1
             break
         if pushed > 0.0:  # the truncated series of a force counts where it moves a block, and where friction holds it
