@@ -2,12 +2,12 @@
 
     d/dt (w M w / 2 + z K_s z / 2) = belt + outside - damping - heat + coupling
 
-Its belt does the work v_i f_i on block i, f_i the friction on it: -mu_i sigma_i in slip, `System.holding_force` in
-stick, where it balances all else. Forces from outside do theirs. Damping takes w R w; the contact takes heat,
--f_i (w_i - v_i), none in stick. Springs store z K_s z / 2, K_s the symmetric part of K; the skew part, couplings that
-are not reciprocal, gives -w K_a z.
+The belt of block i does work on it at the rate v_i f_i, f_i the friction on the block: -mu_i sigma_i in slip,
+`System.holding_force` in stick, where it balances all other forces. External forces do work too. Damping takes w R w;
+the contact dissipates -f_i (w_i - v_i), which is zero in stick. Springs store z K_s z / 2, K_s the symmetric part of
+K; the skew part, non-reciprocal coupling, supplies -w K_a z.
 
-Between two events all of this is analytic, so Gauss's quadrature on the states of the series takes it to rounding.
+Between two events all of this is analytic, so Gauss quadrature on the states of the series is exact to rounding.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Piecewise
 from stickslip.sim.systems.system import System
 
-#: Gauss's nodes a segment, and its length in units of 1 / |eigenvalue|: what is left out is below 1e-12 of a segment.
+#: Gauss nodes a segment, and its length in units of 1 / |eigenvalue|: the error is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
-#: What decays by heavy damping, at whatever rate, is resolved by segments of this share of the time since it began:
-#: where they are long for its rate, it is gone. Damping is heavy from this many times the root of a row's sum of |K|.
+#: A transient of heavy damping, at any rate, is resolved by segments of this share of the time since it began: where
+#: they are long for its rate, it has decayed. Damping is heavy if it exceeds this many times the root of a row sum of
+#: |K|.
 _SHARE, _HEAVY = 0.5, 4.0
-#: Friction that falls with the speed of slip asks for this many times the rate at which static friction passes it, to
-#: begin with: see `_finer`.
+#: Where friction falls with the speed of slip, segments are first divided for this many times the rate at which
+#: static friction carries a block through that fall; see `_finer`.
 _BENDS = 4.0
-#: Samples of displacements that are kept at a time, 16 bytes each with their velocities; and that are worked on at a
+#: Samples of displacements that are kept at a time, 16 bytes each with their velocities, and that are processed at a
 #: time, some hundred bytes each.
 _ROOM, _AT_A_TIME = 2**23, 2**17
-#: Segments of a run: of five blocks they take a minute and a half, and a gigabyte.
+#: The most segments of a run: with five blocks they take a minute and a half, and a gigabyte.
 _MOST = 2**22
 
 
@@ -48,7 +49,7 @@ class TooLongError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy at the times between which it is summed, each of shape (m,); `t` has every event's instant.
+    """Energy at the ends of the segments over which it is summed, shape (m,) each; `t` includes every event.
 
     Attributes
     ----------
@@ -57,11 +58,11 @@ class Energy:
     kinetic, elastic : float64
         w M w / 2 and z K_s z / 2.
     belt, outside : float64
-        Work of the belts, and of forces from outside, on the blocks since the start.
+        Work of the belts, and of external forces, on the blocks since the start.
     damping, heat : float64
-        What damping and the contacts took since the start.
+        Energy dissipated by damping and by the contacts since the start.
     coupling : float64
-        What couplings that are not reciprocal gave since the start.
+        Energy supplied by non-reciprocal coupling since the start.
     """
 
     t: Floats
@@ -75,7 +76,7 @@ class Energy:
 
     @property
     def imbalance(self) -> Floats:
-        """What is there beyond what came in and went out, shape (m,): zero, but for the run's own error."""
+        """Stored energy less its start and all flows, shape (m,): zero, but for the error of the run."""
         stored = self.kinetic + self.elastic
         return stored - stored[0] - (self.belt + self.outside - self.damping - self.heat + self.coupling)
 
@@ -84,10 +85,10 @@ class Energy:
 
 
 def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: Any) -> Energy:
-    """Energy and its balance along a run by the exact law, which is made again for samples of its state.
+    """Energy and its balance along a run of the exact engine, which is repeated for samples of its state.
 
-    Where these are too many to keep (some 4,000 events of 200 blocks), it is made again for each part of them: a path
-    may be chaotic, and no other run, not even one that begins at a sample, has the same.
+    Where there are too many samples to keep (some 4,000 events of 200 blocks), it is repeated for each part of them:
+    a path may be chaotic, and no other run, not even one that begins at a sample, has the same path.
 
     Parameters
     ----------
@@ -100,10 +101,10 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     Raises
     ------
     ValueError
-        If it is the run of another start or of other settings, or it diverged, or its law is not the exact one.
+        If the run has another start or other settings, if it diverged, or if its engine is not exact.
     TooLongError
-        If it takes more than 4,194,304 segments, from event to event or of 2 / rate, heavy damping left out of the
-        rate. Runs come to so many where they take no steps, as after a collapse.
+        If it takes more than 4,194,304 segments, from event to event or of 2 / rate, where the rate leaves out heavy
+        damping. So many occur where a run takes no steps, as after a collapse.
     """
     engine = settings.get("engine", "coulomb")
     if engine not in ENGINES or not ENGINES[engine].is_exact:
@@ -144,7 +145,7 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
 
 
 def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples, first: int) -> Floats:
-    """What the five flows of `Energy` do a unit of time, at the nodes of segments from a sample on, (5, m, nodes)."""
+    """The rates of the five flows of `Energy`, at the nodes of the segments from a sample on, shape (5, m, nodes)."""
     shape = len(mode), _NODES + 1, system.n
     its = slice(first, first + shape[0] * shape[1])
     z, w = samples.z[its].reshape(shape)[:, 1:], samples.w[its].reshape(shape)[:, 1:]
@@ -169,7 +170,7 @@ def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples,
 
 
 def _nodes(edges: Floats) -> Floats:
-    """The edges, and Gauss's nodes between them."""
+    """The edges, and the Gauss nodes between them."""
     inside = edges[:-1, None] + np.diff(edges)[:, None] * _GAUSS[0]
     return np.append(np.column_stack([edges[:-1], inside]).ravel(), edges[-1])
 
@@ -184,11 +185,11 @@ _GAUSS = _gauss()
 
 
 def _edges(system: System, series: EventSeries) -> Floats:
-    """The start, the instants of events and bends, the end, and as many places between as segments must be short.
+    """The start, events and bends, the end, and as many places between them as make the segments short enough.
 
-    An eigenvalue x of slipping blocks has |x| |x + R_j| <= k_j, the sum of |K_jk| over k, for one block j at least:
-    the one that moves most in its mode. With R_j > 4 k_j^(1/2) it is below k_j^(1/2), or within as much of -R_j: a
-    transient that begins at an instant, from which segments grow.
+    An eigenvalue x of slipping blocks has |x| |x + R_j| <= k_j, the sum of |K_jk| over k, for at least one block j,
+    that of the largest component of its eigenvector. If R_j > 4 k_j^(1/2), |x| is below k_j^(1/2), or x within as
+    much of -R_j: a transient that begins at an instant, after which segments grow.
     """
     bends = np.concatenate(
         [np.empty(0), *(x.times for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise))]
@@ -208,7 +209,7 @@ def _edges(system: System, series: EventSeries) -> Floats:
 
 
 def _graded(instants: Floats, shortest: float, longest: float) -> Floats:
-    """Instants, and after each, places whose distances grow from the shortest segment to the longest."""
+    """The instants, each followed by places whose distances grow from the shortest segment to the longest."""
     top = min(longest / _SHARE, np.diff(instants).max(initial=0.0))
     steps = np.ceil(np.log(max(top / shortest, 1.0)) / np.log1p(_SHARE)) + 1
     after = shortest * (1.0 + _SHARE) ** np.arange(steps)
@@ -219,11 +220,12 @@ def _graded(instants: Floats, shortest: float, longest: float) -> Floats:
 
 
 def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
-    """The edges of a part of the run, with more between them where a block changes its speed so fast that friction
-    falls by more than the nodes resolve: springs may pull by far more than static friction.
+    """The edges of a part of the run, refined where friction falls too fast for the nodes to resolve.
 
-    With x = steepness |w - v|, 1 / (1 + x) has its pole at -1, and exp(-x) is nothing where x is large: either is
-    resolved where x changes by at most 1 + x.
+    Springs may pull by far more than static friction, and so change the speed of a block within a segment.
+
+    A shape S(x) of `stickslip.sim.systems.weakening`, x = steepness |w - v|, is resolved where x changes by at most
+    1 + x.
     """
     assert system.weakening is not None
     x = system.weakening.steepness * np.abs(samples.w - system.belt_speed_at(samples.t))
@@ -234,7 +236,7 @@ def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
 
 
 def _divided(edges: Floats, parts: Floats) -> Floats:
-    """The edges, with as many equal segments in the place of each, one at least."""
+    """The edges, with each segment divided into as many equal parts, at least one."""
     _require_few(np.maximum(parts, 1).sum(), edges)
     counts = np.maximum(parts, 1).astype(int)
     start = np.repeat(edges[:-1], counts)
@@ -243,7 +245,7 @@ def _divided(edges: Floats, parts: Floats) -> Floats:
 
 
 def _require_few(n_segments: float, edges: Floats) -> None:
-    """TooLongError for segments that are more than a run may have."""
+    """TooLongError for more segments than a run may have."""
     if n_segments > _MOST:
         length = edges[-1] - edges[0]
         raise TooLongError(

@@ -1,8 +1,8 @@
 """Episodes: from all blocks stuck to all stuck again.
 
 The quakes of a chain of blocks on a belt that drags them: R. Burridge and L. Knopoff, Bull. Seismol. Soc. Am. 57
-(1967) 341-371. While all blocks stick they ride the belt: what z changes by from one such stretch to the next, beyond
-the way of the belt, is the slip of the episode between.
+(1967) 341-371. While all blocks stick they ride the belt: the change of z from one such interval to the next, less
+the travel of the belt, is the slip of the episode between them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stickslip.sim.systems.drive import Piecewise, belt
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """The episodes of a run in order of time (dimensionless); those cut off by its start or end are none.
+    """The episodes of a run in order of time (dimensionless), without those cut off by its start or end.
 
     Attributes
     ----------
@@ -29,11 +29,11 @@ class Episodes:
     size : int32, shape (m,)
         Number of blocks that slipped.
     moment : float64, shape (m,)
-        Sum over the blocks of what each slipped on its belt, counted against the way that the belts go together: it
-        is negative where blocks get ahead of them, and slips on belts that go opposite ways cancel. On belts at rest,
-        as it is.
+        Sum over the blocks of the slip of each on its belt, positive against the mean motion of the belts: negative
+        where blocks get ahead of them; slips on belts with opposite motion cancel. On belts at rest it keeps its
+        sign.
     first_block : int32, shape (m,)
-        The block that left first; of several at one instant the one of the lowest number.
+        The block that left first; of several at one instant the one with the lowest number.
     """
 
     start: Floats
@@ -44,7 +44,7 @@ class Episodes:
 
     @property
     def duration(self) -> Floats:
-        """How long each took, shape (m,)."""
+        """Durations, shape (m,)."""
         return self.end - self.start
 
     def __len__(self) -> int:
@@ -79,7 +79,7 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
         raise ValueError("run: expected one of an engine that keeps `stills`, on which moments hang, got None")
     since, until = _stills(series)
     first, last = np.searchsorted(stills.t, since), np.searchsorted(stills.t, until, side="right") - 1
-    rests = first <= last  # else blocks touch so briefly that these are no events, each before the last has ended
+    rests = first <= last  # else blocks stick so briefly that these are no events
     since, until, first, last = since[rests], until[rests], first[rests], last[rests]
     start, end = until[:-1], since[1:]
     before, after = last[:-1], first[1:]
@@ -92,14 +92,14 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
 
 
 def _travel(belt_speed: float | Floats | Piecewise, n: int, since: Floats, until: Floats) -> Floats:
-    """How far the belts of n blocks go between two times, together."""
+    """The sum of the travels of n belts between two times."""
     if isinstance(belt_speed, Piecewise):
         return np.asarray((belt_speed.integral(until) - belt_speed.integral(since)).sum(axis=-1))
     return np.broadcast_to(belt_speed, n).sum() * (until - since)
 
 
 def _stills(series: EventSeries) -> tuple[Floats, Floats]:
-    """Since and until when all blocks stick, each time that they do."""
+    """Starts and ends of the all-stuck intervals."""
     t, n_stick = series.change_points()
     is_still = n_stick == series.n
     return t[is_still], np.append(t[1:], series.t_end)[is_still]

@@ -14,7 +14,7 @@ from stickslip.sim.numerics.arguments import did_you_mean, flag, floats, number,
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System, require_constant_friction, require_one_belt, require_one_friction
 
-#: Of `simulate` itself, for who writes one of them nearly right.
+#: Keywords of `simulate` itself, to suggest where one is misspelt.
 _KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
 
 
@@ -45,12 +45,12 @@ def simulate(
         "coulomb", the exact set-valued law; "sigmoid", mu tanh((w - v) / (ratio eps)) in its place; or "moreau",
         time stepping, to compare with; see `stickslip.sim.engines.ENGINES`.
     modes : array_like of int, shape (n,), optional
-        For the exact engine, each block's mode at `t_start`: 0 sticks, +1 or -1 slips. They matter to blocks at the
-        belt's speed that slip with |F| above kinetic and not above static friction; default: such blocks stick.
-        Where |F| is at static friction to the tolerance, as where a run was cut at an event, the state decides.
+        For the exact engine, each block's mode at `t_start`: 0 sticks, +1 or -1 slips. They matter for blocks at the
+        belt's speed with |F| above kinetic and not above static friction, which may slip; default: they stick.
+        Where |F| is at static friction to the tolerance, as in a run that was cut at an event, the state decides.
     stop_early : bool
-        Whether to ask if a collapse or an escape is certain; a run that collapsed then goes on without steps, one
-        that escapes ends.
+        Whether to test if a collapse or an escape is certain; a run that has collapsed then goes on without steps,
+        one that escapes ends.
     **settings
         coulomb: ``tol``; sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds``;
         moreau: ``step``. See `stickslip.sim.engines.ENGINES`, the classes `Coulomb`, `Sigmoid` and `Moreau`.
@@ -89,7 +89,7 @@ def as_task(
     modes: ArrayLike | None = None,
     stop_early: bool = True,
 ) -> Task:
-    """What an engine is asked to run; see `simulate`."""
+    """The task for an engine; see `simulate`."""
     if not isinstance(system, System):
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
     if not engine.takes_static:
@@ -130,7 +130,7 @@ def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:
 
 
 def _check_names(names: Collection[str], engine: str) -> None:
-    """TypeError for a setting that the engine does not take; it says what does, or what may have been meant."""
+    """TypeError for a setting that the engine does not take; the message names an engine that does, or a spelling."""
     takes = tuple(ENGINES[engine].settings())
     for name in names:
         if name not in takes:

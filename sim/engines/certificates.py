@@ -1,4 +1,4 @@
-"""When the fate of a run is known before its end: collapse certified and followed, escape certified or seen."""
+"""When the fate of a run is known before its end: certified collapse, which is followed, and escape."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.watch import Watch
+from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.systems.system import System
 
-#: Whether a run escapes is asked when its state exceeds this many times max(1, |v|, start), then at each doubling.
+#: A run is tested for escape when its state exceeds this many times max(1, |v|, start), and at each doubling.
 _ESCAPE_FACTOR = 30.0
-#: A run whose escape cannot be certified is called diverged, if it may be ended early, when |w| exceeds this many
-#: times the same and the all-slip system is unstable: friction is bounded by mu, so out there the motion is that of
-#: the linear system. (Not |z|: a block that sticks rides the belt as far as the run is long.)
+#: A run that may end early and whose escape cannot be certified counts as diverged when |w| exceeds this many times
+#: the same scale and the all-slip system is unstable: friction is bounded by mu, so the motion there is that of the
+#: linear system. (Not |z|: a block that sticks rides the belt as far as the run is long.)
 _DIVERGENCE_FACTOR = 1e6
-#: Beyond this no run can be followed much longer in float64: it ends, whatever was asked.
+#: Beyond this no run can be followed much longer in float64: it ends, even if it was not to end early.
 BEYOND_NUMBERS = 1e100
 
-#: Eigenvalues are wanted of systems up to this many blocks (2 n x 2 n, dense: a second or two). Beyond, nothing is
-#: certified, and what passes the bound counts as diverged.
+#: The largest number of blocks whose eigenvalues are computed (2 n x 2 n, dense: a second or two). For more, nothing
+#: is certified, and a run that passes the bound counts as diverged.
 _EIGENVALUES_MAX = 500
 
-#: What rounding does to an eigenvalue, over |A| and its condition number, the length of its row of T^-1: real parts
-#: closer to zero are not told from zero. Of m modes that are almost one it makes a circle as wide as 1e-16^(1/m).
+#: The rounding of an eigenvalue, over |A| and its condition number, the length of its row of T^-1: real parts closer
+#: to zero count as zero. Rounding spreads m nearly equal eigenvalues over a circle of radius about 1e-16^(1/m).
 _EIGENVALUE_ROUNDING = 32 * np.finfo(np.float64).eps
 
-#: Eigenvectors of length one are no basis if an entry of the inverse of their matrix exceeds this: rounding, 1e-16 of
-#: it, would then decide.
+#: Unit eigenvectors are no usable basis if an entry of the inverse of their matrix exceeds this: its rounding, 1e-16
+#: of it, would decide.
 _DEFECTIVE = 1e10
 
-#: Slack for the rounding of the eigenvectors, by which what friction can hold is taken larger.
+#: Slack for the rounding of the eigenvectors: the force of friction is taken this much larger.
 _CERTAIN = 1.01
 
-#: What rounding may do to a motion summed up from its modes, relative to the sum of their magnitudes.
-_MODE_ROUNDING = 16 * np.finfo(np.float64).eps
+#: The rounding of a motion that is a sum of eigenmodes, relative to the sum of their magnitudes.
+_SUM_ROUNDING = 16 * np.finfo(np.float64).eps
 
 #: Shares of the belt's speed that are tried as a bound of |w|.
 _SHARES = np.geomspace(1.0, 1e-6, 256)
@@ -51,7 +51,7 @@ _NEVER = float("inf")
 
 
 def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
-    """From where on of |z| or |w| to ask a run from this start for its escape; beyond which |w| it has diverged."""
+    """The |z| or |w| at which a run from this start is first tested for escape; the |w| at which it has diverged."""
     start = max(1.0, system.fastest_belt, float(np.abs((z, w)).max()))
     if system.force:
         start = max(start, float(system.most_force.max()))
@@ -62,21 +62,21 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     """Why a run grows for ever from this state, under either law; empty if that is not certain.
 
     With A the all-slip matrix, A T = T Lambda, x = (z, w) and c = T^-1 x, friction enters as a force of at most mu_k,
-    the static friction, and a force from outside is one of at most f_k:
+    the static friction, and an external force is one of at most f_k:
 
         c_j' = Lambda_j c_j - sum_k T^-1_{j, n+k} (mu_k + f_k) lambda_k,    |lambda_k| <= 1,
 
-    whatever sticks, and however belts move. So once |c_j| Re Lambda_j > sum_k |T^-1_{j, n+k}| (mu_k + f_k) for one j,
-    |c_j| grows and keeps growing.
+    whichever blocks stick and however belts move. Once |c_j| Re Lambda_j > sum_k |T^-1_{j, n+k}| (mu_k + f_k) for one
+    j, |c_j| grows for ever.
     """
     if system.n > _EIGENVALUES_MAX:
         return ""
-    modes = _modes(system)
-    if np.isinf(modes.inverse).any() or not system.back_slip:  # the bar to a slip ahead knows no bound
+    eigenmodes = _eigenmodes(system)
+    if np.isinf(eigenmodes.inverse).any() or not system.back_slip:  # what bars a side is a force without bound
         return ""
-    size = np.abs(modes.inverse @ np.concatenate((z, w)))
-    held = np.abs(modes.inverse[:, system.n :]) @ (system.static + system.most_force)
-    rates = np.where(modes.eigenvalues.real > modes.rounding, modes.eigenvalues.real, 0.0)
+    size = np.abs(eigenmodes.inverse @ np.concatenate((z, w)))
+    held = np.abs(eigenmodes.inverse[:, system.n :]) @ (system.static + system.most_force)
+    rates = np.where(eigenmodes.eigenvalues.real > eigenmodes.rounding, eigenmodes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))
     if not margin[mode] > 0:
@@ -91,12 +91,12 @@ def grows(system: System) -> bool:
         return False
     if system.n > _EIGENVALUES_MAX:
         return True
-    modes = _modes(system)
-    return bool((modes.eigenvalues.real > modes.rounding).any())
+    eigenmodes = _eigenmodes(system)
+    return bool((eigenmodes.eigenvalues.real > eigenmodes.rounding).any())
 
 
 def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
-    """Which block left the bound, and when."""
+    """Which block passed the bound, and when."""
     size = np.maximum(np.abs(z), np.abs(w))
     block = int(np.argmax(~(size <= bound)))
     return f"|z| or |w| of block {block} passed {bound:.3g} at t = {t:.6g}"
@@ -120,7 +120,7 @@ class Flow:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Whether no block sticks again, and its motion to the end, or after how long it is worth asking again."""
+    """Whether no block sticks again, with the motion to the end, or with the time after which to ask again."""
 
     is_certain: bool
     reason: str = ""
@@ -128,12 +128,12 @@ class Certificate:
     ask_again_after: float = _NEVER
 
 
-class _Modes:
-    """The all-slip system A T = T Lambda.
+class _Eigenmodes:
+    """Eigenvalues and eigenvectors of the all-slip system, A T = T Lambda.
 
-    `rounding` is what each Lambda_j may err by. It and T^-1 are infinite if A is defective, or too nearly so. `sizes`
-    and `inverse_sizes` are |T_ij| and |T^-1_ij|, `growth` max Re Lambda, and `decay` says whether all modes decay,
-    beyond rounding, and can be told apart.
+    `rounding` bounds the error of each Lambda_j. It and T^-1 are infinite if A is defective, or too nearly so.
+    `sizes` and `inverse_sizes` are |T_ij| and |T^-1_ij|, `growth` is max Re Lambda, and `decay` says whether all
+    eigenmodes decay, beyond rounding, and are distinct.
     """
 
     def __init__(self, matrix: Floats) -> None:
@@ -161,14 +161,14 @@ class _Modes:
         return np.asarray((self.sizes / np.abs(self.eigenvalues.real)) @ self.inverse_sizes[:, n:])
 
 
-_MODES: WeakKeyDictionary[System, _Modes] = WeakKeyDictionary()
+_EIGENMODES: WeakKeyDictionary[System, _Eigenmodes] = WeakKeyDictionary()
 
 
-def _modes(system: System) -> _Modes:
-    modes = _MODES.get(system)
-    if modes is None:
-        modes = _MODES[system] = _Modes(system.slip_matrix())
-    return modes
+def _eigenmodes(system: System) -> _Eigenmodes:
+    eigenmodes = _EIGENMODES.get(system)
+    if eigenmodes is None:
+        eigenmodes = _EIGENMODES[system] = _Eigenmodes(system.slip_matrix())
+    return eigenmodes
 
 
 def _rise(x: Floats) -> Floats:
@@ -177,24 +177,24 @@ def _rise(x: Floats) -> Floats:
 
 
 class Smoothed:
-    """The smoothed law under a belt, from which a collapse takes the same in all runs that have both.
+    """What certificates need of the smoothed friction law under a belt: the same for all runs that have both.
 
     Parameters
     ----------
     speed : float
         |v| of the belt.
     delta : ndarray, shape (n,)
-        Widths of the law.
+        Widths of the layer.
     hidden : ndarray, shape (n,), optional
         c of the law s(tanh x) with s = l + c l (1 - l^2); None for tanh x.
     band, widest : float
         Largest half-width of the layer around v in which a block sticks, by the run's own definition, and by any
-        whose events are wanted.
+        definition whose events are recorded.
 
     Attributes
     ----------
     is_one : bool
-        Whether all blocks have one law. `at_rest` and `slope`, the law at rest and its slope there, both over mu,
+        Whether all blocks have one law. `at_rest` and `slope`, friction at rest and its slope there, both over mu,
         then have shape (1,), else (n,).
     """
 
@@ -226,7 +226,7 @@ class Smoothed:
         def bend(band: float) -> tuple[Floats, Floats]:
             r = (self.speed - band) * _SHARES
             bend = np.abs(at_rest - concave(self.speed - r) - slope * r)
-            if (band < _INFLECTION * delta).any():  # then it may stray more on the other side
+            if (band < _INFLECTION * delta).any():  # then the deviation may be larger on the other side
                 bend = np.maximum(bend, np.abs(concave(self.speed + r) - at_rest - slope * r))
             return r, bend
 
@@ -241,43 +241,43 @@ class Collapse:
 
         |w_i(t)| <= sum_j |T_{w_i, j}| |c_j|        for ever,
 
-    and below |v| no w_i comes back to the belt's speed. For the smoothed law A is linearised about its own rest,
+    and below |v| no w_i comes back to the belt's speed. Under the smoothed law A is linearised about its own rest,
     K z = mu tanh(|v| / delta): damping R + mu sech^2(v / delta) / delta. While every |w_k| <= r < |v| the law, which
-    is concave there, strays from its tangent by at most
+    is concave there, deviates from its tangent by at most
 
         rho_k(r) = mu_k (tanh(|v| / delta_k) - tanh((|v| - r) / delta_k) - sech^2(v / delta_k) r / delta_k)
 
-    which adds B rho(r) to the bound, B_ik = sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j|. It is certain if for
-    some r, at least the band in which a block sticks below |v|, the sum stays below r. The motion to the end is that
-    of the modes once z and w stray from it by no more than `allowed`.
+    This adds B rho(r) to the bound, B_ik = sum_j |T_{w_i, j}| |T^-1_{j, n+k}| / |Re Lambda_j|. The collapse is
+    certain if the sum stays below r for some r that leaves |v| by at least the band in which a block sticks. The
+    motion to the end is the sum of the eigenmodes once z and w deviate from it by no more than `allowed`.
 
-    A law with a peak, s(l) = l + c l (1 - l^2) of l = tanh x, bends down or up, but no more than the concave
-    |1 - 2 c| l + c (3 l - l^3) does, whose part it is to stray from its tangent there.
+    A law with a peak, s(l) = l + c l (1 - l^2) of l = tanh x, curves down or up, but no more than the concave
+    |1 - 2 c| l + c (3 l - l^3), whose deviation from its tangent bounds its own.
 
     Parameters
     ----------
     system : System
     allowed : float
-        What the motion that is followed may err by.
+        Error allowed in the motion that is followed.
     law : Smoothed, optional
         None for the Coulomb law.
     """
 
     def __init__(self, system: System, allowed: float, law: Smoothed | None = None) -> None:
         self._system, self._allowed, self._law = system, allowed, law
-        # else what slips is not linear, or w = 0, the rest, is across the belt or in the layer
+        # else slipping blocks are not linear, or rest, w = 0, lies across the belt's speed or in the layer
         may = system.has_one_belt and system.weakening is None and system.n <= _EIGENVALUES_MAX
         may = may and (0.0 if law is None else law.band) < abs(system.belt_speed)
-        #: What kernels need to see for themselves that it is too early to ask, or of no use.
-        self.watch = Watch.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0)
+        #: By which kernels see for themselves that a certificate is out of reach, or not to be had.
+        self.precheck = Precheck.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0)
 
     def certify(self, z: Floats, w: Floats) -> Certificate:
-        """Whether it is certain of a state, shape (n,) each, in which all blocks slip the way `watch.slip`."""
-        n, modes = self._system.n, self._modes
-        if not modes.decay or (rest := self._rest) is None:
+        """Certificate of a state, shape (n,) each, in which all blocks slip in the direction `precheck.slip`."""
+        n, eigenmodes = self._system.n, self._eigenmodes
+        if not eigenmodes.decay or (rest := self._rest) is None:
             return Certificate(False)
-        coefficients = modes.inverse @ np.concatenate((z - rest, w))
-        reach = float((modes.sizes[n:] @ np.abs(coefficients)).max())
+        coefficients = eigenmodes.inverse @ np.concatenate((z - rest, w))
+        reach = float((eigenmodes.sizes[n:] @ np.abs(coefficients)).max())
         limit, limit_of_flow = self._limits
         reason = ""
         if reach < limit:
@@ -287,53 +287,55 @@ class Collapse:
         flow = None
         if reach < limit_of_flow:
             at_rest = np.concatenate((np.abs(z) + np.abs(rest), np.abs(w)))
-            rounding = (modes.sizes @ (modes.inverse_sizes @ at_rest)).max() * _MODE_ROUNDING
+            rounding = (eigenmodes.sizes @ (eigenmodes.inverse_sizes @ at_rest)).max() * _SUM_ROUNDING
             if rounding <= self._allowed:
-                flow = Flow(rest, modes.vectors, modes.eigenvalues, coefficients)
+                flow = Flow(rest, eigenmodes.vectors, eigenmodes.eigenvalues, coefficients)
         wanted = limit_of_flow if reach < limit else limit
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            self.watch = Watch.of(modes.inverse, modes.sizes[n:], rest, self.watch.slip, limit, modes.growth)
-        # the slowest mode must decay from `reach` to what is wanted: no use in asking much earlier
-        return Certificate(bool(reason), reason, None, 0.25 * math.log(reach / wanted) / -modes.growth)
+            self.precheck = Precheck.of(
+                eigenmodes.inverse, eigenmodes.sizes[n:], rest, self.precheck.slip, limit, eigenmodes.growth
+            )
+        # the slowest eigenmode must decay from `reach` to what is wanted: no use in asking much earlier
+        return Certificate(bool(reason), reason, None, 0.25 * math.log(reach / wanted) / -eigenmodes.growth)
 
     @cached_property
-    def _modes(self) -> _Modes:
-        """Of the law far from the belt's speed."""
+    def _eigenmodes(self) -> _Eigenmodes:
+        """Of the system linearised at rest, where all blocks slip."""
         if self._law is None:
-            return _modes(self._system)
-        return _Modes(self._system.slip_matrix(self._system.friction * self._law.slope))
+            return _eigenmodes(self._system)
+        return _Eigenmodes(self._system.slip_matrix(self._system.friction * self._law.slope))
 
     @cached_property
     def _rest(self) -> Floats | None:
-        """Where all blocks rest that slip that way; None if K is singular."""
+        """z at rest under friction in that direction; None if K is singular."""
         share = np.ones(self._system.n) if self._law is None else self._law.at_rest
         try:
-            return self._system.rest_under(-self._system.friction * (self.watch.slip * share))
+            return self._system.rest_under(-self._system.friction * (self.precheck.slip * share))
         except np.linalg.LinAlgError:
             return None
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
-        """What every |w_i| must stay below, by modes alone: for the certificate, and for the motion."""
+        """Bounds of |w_i| by the eigenmodes alone: for the certificate, and for following the motion."""
         speed, law, n = abs(self._system.belt_speed), self._law, self._system.n
         if law is None:
             return speed, speed
-        response = self._modes.response() * self._system.friction
+        response = self._eigenmodes.response() * self._system.friction
         if law.is_one:
             response = response.sum(axis=1, keepdims=True)
 
         def tried(r: Floats, bend: Floats) -> tuple[Floats, Floats]:
-            """How far the modes may reach, and how far the motion then strays from theirs, by each bound r."""
-            strayed = response @ bend
-            of_w = strayed[n:].max(axis=0)
-            return r - of_w, np.maximum(of_w, strayed[:n].max(axis=0))
+            """How far the eigenmodes may reach, and how far the motion then deviates from them, for each bound r."""
+            deviation = response @ bend
+            of_w = deviation[n:].max(axis=0)
+            return r - of_w, np.maximum(of_w, deviation[:n].max(axis=0))
 
         of_own, of_widest = law.bends
-        own, strayed = tried(*of_own)
+        own, deviation = tried(*of_own)
         limit = float(own.max(initial=0.0))
         if law.widest >= speed:
             return limit, 0.0
-        wide, strayed = (own, strayed) if of_widest is of_own else tried(*of_widest)
-        return limit, float(np.where(strayed <= self._allowed, wide, 0.0).max(initial=0.0))
+        wide, deviation = (own, deviation) if of_widest is of_own else tried(*of_widest)
+        return limit, float(np.where(deviation <= self._allowed, wide, 0.0).max(initial=0.0))

@@ -1,17 +1,17 @@
-"""What an engine is: the rules that it keeps, what it is asked, and its settings, which all floors read off here.
+"""What an engine is: the rules that it keeps, the tasks that it is given, and its settings, for all floors.
 
 An engine is a subclass of `Engine`, named in `stickslip.sim.engines.ENGINES`, whose runs keep these rules:
 
 1. the state is float64, arguments are not changed, and the same arguments give the same run;
 2. the series holds every change of mode on [t_start, t_end], in order of time and, at one instant, of block;
-3. what happens at one instant is decided together: no order of the blocks enters, and renumbering the blocks
+3. everything at one instant is decided together: the order of the blocks does not matter, and renumbering the blocks
    renumbers the run;
 4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see
    `sim.engines.certificates`): its motion from there is linear, and followed to t_end; `diverged` when it escapes
    for ever (proved, or beyond every bound): then, and only then, the run ends early;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
-6. samples of the state are read off the steps, by series or cubics: asking for them changes nothing else;
-7. an event has a length: what a block takes back sooner than the tolerance can tell from a touch is none.
+6. samples of the state are interpolated within the steps, so asking for them changes nothing else;
+7. two opposite changes of a block's mode that are closer than the tolerance resolves are a touch, and no events.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from stickslip.sim.numerics.arguments import Floats, floats, number, per_block
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System
 
-#: What is asked of an ensemble: numbers of all its runs, or each run's own path.
+#: What an ensemble is for: statistics of all its runs, or the path of each.
 Purpose = Literal["statistics", "paths"]
 
 
 class Task(NamedTuple):
-    """What an engine is asked to run: the start as arrays, shape (n,); the times of samples, and room for them."""
+    """A run to be made: the start as arrays, shape (n,); the times of samples, and buffers for them."""
 
     system: System
     z0: Floats
@@ -43,7 +43,7 @@ class Task(NamedTuple):
     t_start: float
     t_end: float
     samples: Samples
-    stop_early: bool  #: whether a run whose escape is certain, or past doubt, ends there
+    stop_early: bool  #: whether a run ends once its escape is certain, or beyond doubt
     modes: NDArray[np.int8] | None = None  #: at the start; None: what the state says
 
 
@@ -58,13 +58,13 @@ class Setting(ABC):
     column : str
         What it is, in a dataset's columns; default: the words and the engines that have it.
     example : object
-        Of a scene; default: the setting's own default.
+        For scenes; default: the setting's own default.
     in_id : str or None
-        What stands before its value in a member's id; None: it is no part of it.
+        The prefix of its value in a member's id; None: the id leaves it out.
     in_label : str
-        When a report's group says it: "always", "unless default", or "if it differs" between groups.
+        When the label of a report's group has it: "always", "unless default", or "if it differs" between groups.
     only_with : (str, str) or None
-        Another setting, and the value of that without which this one means nothing.
+        Another setting and the value of it that this one needs to have a meaning.
     """
 
     words: str
@@ -76,14 +76,14 @@ class Setting(ABC):
 
     @abstractmethod
     def checked(self, name: str, value: Any) -> Any:
-        """A value as engines take it; TypeError or ValueError that names the setting otherwise."""
+        """The value as engines take it; TypeError or ValueError, naming the setting, if it is not valid."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Number(Setting):
     """A number in the open interval (above, below).
 
-    `picked` is what it is where only the purpose of a run is said.
+    `picked` has its value where only the purpose of a run is given.
     """
 
     above: float = -math.inf
@@ -108,7 +108,7 @@ class Choice(Setting):
 
 @dataclass(frozen=True, kw_only=True)
 class Numbers(Setting):
-    """Any number of different numbers > 0; no column of a dataset, but series of their own."""
+    """Any number of distinct numbers > 0. Each has an event series of its own, and no column in a dataset."""
 
     def checked(self, name: str, value: ArrayLike) -> tuple[float, ...]:
         array = floats(name, value, "an array of numbers")
@@ -126,11 +126,11 @@ class Ratios(Setting):
     """
 
     def checked(self, name: str, value: ArrayLike) -> ArrayLike:
-        return value  # what is right for a system, `for_blocks` can tell
+        return value  # `for_blocks` checks it against a system
 
     @staticmethod
     def for_blocks(name: str, value: ArrayLike, n: int) -> Floats:
-        """A number for each of n blocks, shape (n,), from what was set."""
+        """The ratio of each of n blocks, shape (n,), from the setting."""
         return per_block(name, value, n, "r_i > 0")
 
 
@@ -158,18 +158,18 @@ class Engine(ABC):
     about : str
         One line for scenes.
     kernels : str
-        The package with the kernels that it compiles, whose module `integrate` loads them; "" if it has none.
+        The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
     is_exact : bool
-        Whether its law is the exact one, of which `stickslip.sim.energy` knows the balance.
+        Whether it keeps the exact, set-valued friction law, whose energy balance `stickslip.sim.energy` knows.
     takes_damping_matrix : bool
         Whether it runs systems with a full damping matrix.
     takes_static : bool
         Whether it runs systems with static friction above the kinetic.
     takes_drive : bool
-        Whether it runs systems with forces from outside, and belts of several or changing speeds. Masses are divided
-        out before.
+        Whether it runs systems with external forces, and belts of several or changing speeds. Masses are divided out
+        before.
     takes_weakening : bool
-        Whether it runs systems whose friction weakens with the speed of slip, or that bar one side to it.
+        Whether it runs systems whose friction weakens with the speed of slip, or without back slip.
     """
 
     name: ClassVar[str]
@@ -190,28 +190,28 @@ class Engine(ABC):
         """Run a task under the rules of this module."""
 
     def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
-        """The runs of tasks, each of which starts when it is called, and is the one of `integrate` to the last bit.
+        """Functions that run the tasks when called, each with the result of `integrate` to the last bit.
 
-        Their systems are plain, see `System.is_plain`, and of as many blocks: an engine may set them up at once.
+        All systems are plain, see `System.is_plain`, with one number of blocks: an engine may set them up together.
         """
         return [partial(self.integrate, task) for task in tasks]
 
     @classmethod
     def settings(cls) -> dict[str, Setting]:
-        """What there is to set, by name."""
+        """The settings, by name."""
         return _settings(cls)
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:
-        """What holds where nothing is said, by name."""
+        """The default of each setting, by name."""
         return {one.name: one.default for one in fields(cls)}
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:
-        """What a unit of time costs if its events and products alone make it cost `rate`."""
+        """The cost of a unit of time, from `rate`, the cost of its events and products alone."""
         return rate
 
     @staticmethod
     def problem(settings: Mapping[str, Any]) -> str:
-        """What is wrong with settings of an ensemble that do not go together, whatever is drawn; empty if nothing."""
+        """Why settings of an ensemble are incompatible, whatever is drawn; empty if they are not."""
         return ""

@@ -1,15 +1,17 @@
-"""Forces from outside, and belts whose speeds change, as the engines take them: piece by piece, by series or values.
+"""External forces, and belts whose speeds change, as the engines take them: piece by piece, as series or values.
 
-Between the times at which a force or a speed has a bend, a *piece*, every belt has a speed v + a s, s from the start
-of the piece. With y = z - a s^2 / 2 the belts keep to v, and what the engines follow is
+A *piece* of a run lies between two times at which a force or a belt speed has a bend. Every belt then has a speed v +
+a s, s from the start of the piece. With y = z - a s^2 / 2 its belt has the constant speed v, and the engines solve
 
-    y'' + R y' + (N y') + K y + mu lambda = g(s),    g = f - a - (R + N) a s - K a s^2 / 2,    lambda in Sign(y' - v),
+    y'' + R y' + (N y') + K y + mu lambda = g(s),    lambda in Sign(y' - v),
+    g = f - a - (R + N) a s - K a s^2 / 2,
 
-f the force from outside: g is a polynomial and harmonics. What friction holds, F = R v + K y + N y' - g, is the same
-in both frames. A piece is cut where y and z would be far apart.
+f the external force: g is a polynomial plus harmonics. The force on friction, F = R v + K y + N y' - g, is the same
+in both frames. A piece is divided where y and z would be far apart.
 
-The clock of every engine is s: a time is rounded by how far it is from the start of its piece, not from t = 0. What
-is at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no length.
+The clock of every engine is s: the rounding of a time depends on its distance from the start of its piece, not from
+t = 0. An instant at a bend belongs to the piece that begins there, so a run that ends at one has a last piece of no
+length.
 """
 
 from __future__ import annotations
@@ -26,26 +28,26 @@ from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System
 
-#: What rounding does to a time or a phase, over what it does to a sum.
+#: The rounding of a time or a phase, over that of a sum.
 _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
-#: How far y and z may be apart, over what a belt moves in the shortest time scale.
+#: The largest distance of y and z, over the travel of a belt in the shortest time scale. Chosen; no measurement.
 _APART = 100.0
 
 
 class Forcing(NamedTuple):
-    """g of the present piece: sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m), in place."""
+    """g of the present piece, sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m); changed in place."""
 
     poly: Floats  #: shape (3, n)
     amplitude: Floats  #: shape (m, n), as the next
     frequency: Floats
     phase: Floats  #: at the start of the piece
-    waves: Floats  #: room for the coefficients of the harmonics, shape (2 m, n)
-    noise: Floats  #: the sizes of what each coefficient is summed up from, by order as a series, shape (orders, n)
+    waves: Floats  #: the coefficients of the harmonics, shape (2 m, n)
+    noise: Floats  #: sums of the magnitudes of the terms of each coefficient, by order, shape (orders, n)
 
 
 @inner
 def begin(forcing, s):  # type: ignore[no-untyped-def]
-    """Prepare the coefficients about the time s."""
+    """Prepare the coefficients of the series about the time s."""
     if forcing is None:
         return
     amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
@@ -59,7 +61,7 @@ def begin(forcing, s):  # type: ignore[no-untyped-def]
 
 @inner
 def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
-    """Take the k-th coefficient of g about s off the k-th of K z, both shape (n,); k counts up from 0 after `begin`.
+    """Subtract the k-th coefficient of g about s from that of K z, both shape (n,); k counts up from 0 after `begin`.
 
     Returns the largest coefficient.
     """
@@ -90,7 +92,7 @@ def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
 
 @inner
 def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
-    """Bounds what g changes by from s to s + h."""
+    """A bound of the change of g from s to s + h."""
     if forcing is None:
         return 0.0
     poly, amplitude, frequency, most = forcing.poly, forcing.amplitude, forcing.frequency, 0.0
@@ -116,20 +118,20 @@ def value_at(forcing, s, values):  # type: ignore[no-untyped-def]
 
 
 class Drive:
-    """The pieces of a run, and what kernels read of the present one.
+    """External forces and belts of a run: its pieces, and what kernels read of the present one.
 
     Attributes
     ----------
     belt_speed : float64, shape (n,)
-        v of the present piece, as `forcing` kept in place.
+        v of the present piece; changed in place, as `forcing` is.
     forcing : Forcing or None
-        None if there is no force from outside, and no belt changes its speed.
+        None if there is no external force, and no belt changes its speed.
     start, end, length : float
         Of the present piece.
     is_last, is_instant : bool
-        An instant is the last piece of a run that ends at a bend; what happens there depends on what comes after.
+        An instant is the last piece of a run that ends at a bend; its events depend on what comes after.
     ahead, instant : float
-        How long what drives the blocks from there keeps its law, and what the end is rounded to.
+        The time from there to the next bend, and the rounding of the end.
     fastest : float
         The largest frequency of a force.
     """
@@ -170,7 +172,7 @@ class Drive:
         return forcing.poly[0] + (forcing.amplitude * np.cos(forcing.phase)).sum(axis=0)
 
     def go_on(self, z: Floats, w: Floats) -> None:
-        """To the next piece, from a state at the end of this one, which is put into its frame in place."""
+        """Go on to the next piece; the state, at the end of this one, is put into its frame in place."""
         u = w - self.belt_speed
         z[:] = self.of_user(self.end, z, w)[0]
         self._enter(self.end)
@@ -187,7 +189,7 @@ class Drive:
         return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
 
     def place_all_stuck(self, all_stuck: Floats) -> None:
-        """Put sums of z, the second row, at the times of the first, both of the present piece, into the user's."""
+        """Put sums of z, the second row, at the times in the first, from the frame of the piece into the user's."""
         if not all_stuck.size:
             return
         if self._is_carried:
@@ -199,23 +201,21 @@ class Drive:
         return self.end if s >= self.length else min(self.start + s, self.end)
 
     def times(self, counts: list[int], s: Floats) -> Floats:
-        """The times at s of pieces up to the present one, of which so many come from each: as `time`."""
+        """As `time`, for s in all pieces so far, with `counts` of them in each."""
         if len(counts) == 1:
             return _times(self.start, self.end, s)
         return _times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
 
     def turns(self, counts: list[int]) -> Floats:
-        """The rates at which ramps of forces and belts turn blocks round, for each of what `times` takes.
+        """The rates at which ramps of forces and belts reverse the slip of blocks, for each time of `times`.
 
-        Those of harmonics are among `System.rates`.
-
-        What changes a block's acceleration by G a unit of time makes of its speed v another one at the rate
-        (G / v)^(1/2), and by its end at the latest.
+        Those of harmonics are among `System.rates`. A ramp that changes a block's acceleration by G a unit of time
+        changes its speed by v within (v / G)^(1/2), or by the end of the ramp.
         """
         return np.repeat(self._turns, counts)
 
     def _enter(self, t: float) -> None:
-        """The next piece, which begins at a time."""
+        """Enter the next piece, which begins at t."""
         system, forcing = self._system, self.forcing
         self.start = t
         self.end, self.is_last = next(self._next)
@@ -248,7 +248,7 @@ class Drive:
         self._turns.append(turn)
 
     def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
-        """The ends of pieces that are short enough, and whether each is the last."""
+        """The ends of pieces, each divided where it would be too long, and whether each is the last."""
         rate = float(self._system.rates.max())
         for k, end in enumerate(ends):
             parts = 1
@@ -265,7 +265,7 @@ class Drive:
 
 
 def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
-    """The times at s of pieces with these bounds, which are the user's to the last bit."""
+    """The times at s of pieces with these bounds, at which they are the user's to the last bit."""
     if isinstance(start, float) and start == 0.0:
         return np.asarray(s)
     return np.where(s >= end - start, end, np.minimum(start + s, end))

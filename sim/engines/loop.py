@@ -1,7 +1,7 @@
-"""What engines share around their kernels: the loop that Python keeps, in slices, so that signals get through.
+"""The loop around an engine's kernel, in slices between which Python can handle signals.
 
-A kernel advances a run by a slice and returns ``(status, n_recorded)``; the run's state lives in the arrays it was
-given, so the next call goes on where the last one stopped.
+A kernel advances a run by a slice and returns ``(status, n_recorded)``. The run's state is kept in the arrays that it
+is given, so the next call goes on where the last one stopped.
 """
 
 from __future__ import annotations
@@ -15,27 +15,28 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.watch import too_far
+from stickslip.sim.engines.precheck import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import largest
 from stickslip.sim.runs.run import IntegrationError, Outcome, Run, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
 
-#: Why a kernel came back.
+#: Why a kernel returned.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
 #: Steps a slice: some hundredths of a second at n = 200.
 STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
 N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_ALL_STUCK, N_ALL_STUCK, N_COUNTERS = range(9)
-#: Clocks that every engine keeps, float64, from the start of the present piece: the time, and after when a collapse
-#: may be certified next, with all blocks slipping left and (the next clock) right. An engine may keep more behind
-#: them. After, not at: a run that was just asked takes a step before it is asked again, or would be asked for ever.
+#: Clocks that every engine keeps, float64, from the start of the present piece: the time, and the times after which a
+#: collapse may next be certified, with all blocks slipping left and (the next clock) right. An engine may keep more
+#: behind them. After, not at: a run takes a step between two requests, or would make them for ever.
 TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
 
 
 class Events(NamedTuple):
-    """Room for events; those of one block come in order. And for its `Stills`, t and total."""
+    """Buffers for events, those of one block in order, and for the `Stills` of the run, t and total."""
 
     t: Floats  #: from the start of the piece
     block: NDArray[np.int32]
@@ -44,26 +45,26 @@ class Events(NamedTuple):
 
     @classmethod
     def blank(cls, capacity: int) -> Events:
-        """Room for so many; each of them, and the start, can make one."""
+        """Buffers for so many events; each of them, and the start, can begin or end an all-stuck interval."""
         t, all_stuck = np.empty(capacity), np.empty((2, capacity + 1))
         return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), all_stuck)
 
     def part(self, first: int, last: int) -> Events:
-        """The room for some of the events, and that for all all_stuck."""
+        """The buffers of some of the events, and those of all all-stuck intervals."""
         return Events(self.t[first:last], self.block[first:last], self.mode[first:last], self.all_stuck)
 
     def first(self, n: int, n_all_stuck: int) -> Events:
-        """The first ones; the all_stuck in an array of their own."""
+        """The first events, with the all-stuck intervals in an array of their own."""
         return self.part(0, n)._replace(all_stuck=self.all_stuck[:, :n_all_stuck].copy())
 
     @classmethod
     def joined(cls, parts: list[Events]) -> Events:
-        """All of some."""
+        """The events of all parts."""
         return parts[0] if len(parts) == 1 else cls(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
 
 
-class Room(NamedTuple):
-    """The times of samples, shape (m,), and room for them, shape (m, n)."""
+class Buffers(NamedTuple):
+    """The times of samples, shape (m,), and buffers for them, shape (m, n)."""
 
     t: Floats  #: from the start of the piece; infinite beyond its end
     z: Floats
@@ -71,43 +72,49 @@ class Room(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where a run is, all of it in arrays that kernels change in place."""
+    """The state of a run, in arrays that kernels change in place."""
 
     z: Floats
     w: Floats
     mode: NDArray[np.int8]
     clock: Floats
     counters: NDArray[np.int64]
-    samples: Room
+    samples: Buffers
 
     @classmethod
     def at_start(cls, task: Task, z: Floats, w: Floats, mode: NDArray[np.int8], *clocks: float) -> State:
-        """The state at the start of a task, in arrays of its own; `clocks` are the engine's."""
+        """The state at the start of a task, in arrays of its own; `clocks` are those of the engine."""
         may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
         check = -np.inf if may_collapse else np.inf
         clock = np.array([0.0, check, check, *clocks])
-        samples = Room(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
+        samples = Buffers(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
 
 @inner
 def is_check_due(clock, mode):  # type: ignore[no-untyped-def]
-    """Whether the pre-check of collapse is due, if all blocks slip as the first."""
+    """Whether the pre-check of collapse is due, if all blocks slip in the direction of the first."""
     return mode[0] != 0 and clock[TIME] > clock[CHECK + (mode[0] > 0)]
 
 
 @inner
-def may_collapse(state, mode, watch):  # type: ignore[no-untyped-def]
-    """Whether Python is to certify a collapse; if not, when the next pre-check is due is noted."""
-    later = too_far(watch, state.z, state.w, mode[0])
+def may_collapse(state, mode, precheck):  # type: ignore[no-untyped-def]
+    """Whether Python is to certify a collapse; if not, the time of the next pre-check is noted."""
+    later = too_far(precheck, state.z, state.w, mode[0])
     if later != 0.0:
         state.clock[CHECK + (mode[0] > 0)] = state.clock[TIME] + later
     return later == 0.0
 
 
 @inner
+def is_within(state, bound):  # type: ignore[no-untyped-def]
+    """Whether |z_i| and |w_i| are at most the bound; a maximum of floats may lose a NaN, so it is asked this way."""
+    return largest(state.z) <= bound and largest(state.w) <= bound
+
+
+@inner
 def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-untyped-def]
-    """Keep where the blocks are if now, and not before, all of them stick, or the other way round."""
+    """Record where the blocks are if all of them stick now and did not before, or the other way round."""
     if (1 if is_all_stuck else 0) != counters[IS_ALL_STUCK]:
         counters[IS_ALL_STUCK] = 1 if is_all_stuck else 0
         total = 0.0
@@ -119,10 +126,10 @@ def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-
 
 
 class Plan(NamedTuple):
-    """What an engine tells of itself to `complete`."""
+    """What `complete` needs of an engine."""
 
     advance: Callable[[Events, float], tuple[int, int]]
-    """Runs a slice, writing events into the room that it is given, until the state passes a bound."""
+    """Runs a slice until the state passes a bound, and writes events into the buffers that it is given."""
     stalled: str  #: what to say, after the time and the block, when the engine cannot go on
     events_a_step: int  #: the most events that a step can record
     initial_modes: NDArray[np.int8]
@@ -130,15 +137,15 @@ class Plan(NamedTuple):
     Events by definition d carry block + d n."""
     thresholds: tuple[float, ...] = ()
     shortest: Floats | None = None
-    """Shape (n,): how long a change of each block's mode must last to be an event, where nothing drives the blocks
-    but belts of constant speeds: see `without_returns`."""
-    touch: float = 0.0  #: the same, in units of the time that a block takes to turn round
+    """Shape (n,): how long a change of each block's mode must last to be an event, where only belts of constant
+    speed act on the blocks; see `without_returns`."""
+    touch: float = 0.0  #: the same, in units of the time in which a block reverses its slip
     go_on: Callable[[], None] = lambda: None
-    """Prepares the engine for the next piece, `state` and `drive` being there already."""
+    """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
 class _Recorded:
-    """The events of a run so far, and how many of them come from each piece."""
+    """The events of a run so far, and how many of them fall in each piece."""
 
     def __init__(self, plan: Plan, state: State, drive: Drive) -> None:
         self._plan, self._counters, self._drive = plan, state.counters, drive
@@ -152,7 +159,7 @@ class _Recorded:
         self._counters[N_ALL_STUCK] = 0
 
     def slice(self, bound: float) -> int:
-        """Run a slice, and take up its events; returns why it ended."""
+        """Run a slice, and take over its events; returns why it ended."""
         if self._n > self._capacity:
             self._full.append(self._events.first(self._n, self._n_all_stuck))
             self._begin()
@@ -169,14 +176,14 @@ class _Recorded:
 
 
 class _Divergence:
-    """Whether a run diverges, asked when its state passes a bound."""
+    """Whether a run diverges; asked when its state passes a bound."""
 
     def __init__(self, task: Task, drive: Drive, z: Floats, w: Floats) -> None:
         self._task, self._drive = task, drive
         self.bound, self._beyond = certificates.escape_bounds(task.system, z, w)
 
     def reason(self, t: float, z: Floats, w: Floats) -> str:
-        """Why it does; "" if it cannot be said yet: then the bound is further out."""
+        """Why the run diverges; "" if that is not certain yet: the bound is then moved out."""
         system, stop_early = self._task.system, self._task.stop_early
         z_there, w_there = self._drive.of_user(t, z, w)
         speed = float(np.abs(w_there).max())
@@ -204,9 +211,9 @@ def complete(task: Task, state: State, drive: Drive, collapse: certificates.Coll
     state : State
         What the engine works on.
     drive : Drive
-        To the end of whose piece it goes on.
+        Whose present piece the engine runs to its end.
     collapse : Collapse
-        Asked for a certificate when the clocks say so.
+        Asked for a certificate when the clocks say that it is due.
     plan : Plan
     """
     z, w, mode, clock, counters, _ = state
@@ -266,7 +273,7 @@ def complete(task: Task, state: State, drive: Drive, collapse: certificates.Coll
 def _series(
     events: Events, of_piece: list[int], task: Task, drive: Drive, plan: Plan, t_end: float
 ) -> list[EventSeries]:
-    """The events by each definition of sticking, those of the first without touches that cannot be told."""
+    """The series by each definition of sticking, the first without touches that the tolerance cannot resolve."""
     n, t = task.system.n, drive.times(of_piece, events.t)
     order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
     t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
@@ -274,10 +281,10 @@ def _series(
     for d, modes in enumerate(plan.initial_modes):
         of = block // n == d if plan.thresholds else slice(None)
         series.append(EventSeries(t[of], block[of] - d * n, mode[of], modes, task.t_start, t_end))
-    # else no two are that close, whose ever they are
+    # else no two events are that close, of whichever block
     if plan.shortest is not None and (s[1:] - s[:-1] <= plan.shortest.max()).any():
         lasting, turns = plan.shortest[block], drive.turns(of_piece)[order]
-        if turns.any():  # in less time than the block's own motion takes
+        if turns.any():  # ramps reverse the slip in less time than the block's own motion
             lasting /= np.hypot(1.0, turns * lasting / plan.touch)
         piece = np.arange(len(of_piece)).repeat(of_piece)[order]
         series[0] = without_returns(series[0], piece, s, lasting)
@@ -285,7 +292,7 @@ def _series(
 
 
 def _hand_over(drive: Drive, task: Task, state: State) -> None:
-    """The times of the samples of the present piece, as its clock has them."""
+    """Give the kernel the times of the samples in the present piece, on its clock."""
     times, first = task.samples.t, int(state.counters[N_SAMPLED])
     if first == len(times):
         return
@@ -294,7 +301,7 @@ def _hand_over(drive: Drive, task: Task, state: State) -> None:
 
 
 def _to_user(drive: Drive, task: Task, state: State, first: int) -> int:
-    """Put the samples of the present piece, from this one on, into the user's frame; returns how many there are."""
+    """Put the samples of the present piece, from `first` on, into the user's frame; returns how many there are."""
     samples, last = task.samples, int(state.counters[N_SAMPLED])
     if last > first:
         of_piece = slice(first, last)
@@ -305,10 +312,10 @@ def _to_user(drive: Drive, task: Task, state: State, first: int) -> int:
 
 
 def _follow(flow: certificates.Flow, rest: float, s: float, state: State) -> None:
-    """Put the state at the end, a time from now, and the samples that are still wanted at s, in their places."""
+    """Put the state at the end, `rest` from now, and the samples that are still due at s, into their arrays."""
     z, w, _, _, counters, samples = state
     first = int(counters[N_SAMPLED])
     at_end, sampled = (flow.at(times) for times in (np.array([rest]), samples.t[first:] - s))
-    z[:], w[:] = at_end[0][0], at_end[1][0]  # apart: a product of other shape rounds otherwise
+    z[:], w[:] = at_end[0][0], at_end[1][0]  # separately: a product of another shape rounds differently
     samples.z[first:], samples.w[first:] = sampled
     counters[N_SAMPLED] = len(samples.t)

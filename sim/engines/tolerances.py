@@ -1,7 +1,7 @@
-"""The tolerances of the engines: what each means, its bounds, and what is picked where only the purpose is said.
+"""The tolerances of the engines: their meaning, bounds, and values picked where only the purpose is given.
 
-Of statistics the scene `statistics` finds 1e-3 tight enough (n = 200, 20 matrices, eps = 0.03); what is picked is two
-decades tighter, and half the cost of paths.
+For statistics the scene `statistics` finds 1e-3 tight enough (n = 200, 20 matrices, eps = 0.03); the value picked is
+two decades tighter, at half the cost of paths.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Compiled kernels on disk: where they lie, whose they may be, and how they are kept.
+"""Compiled kernels on disk: where they are, who may own them, and how they are kept.
 
 A kept kernel is a pickle of machine code: whoever can put one there can make whoever loads it do anything. So the
 cache, the directories that lead to it and its files must belong to this user or root, and nobody else may write them.
-Each is checked as it was opened, in the one before it, from the root on: in a directory that others cannot write, or
-only under the sticky bit, they cannot replace what belongs to this user or root.
+Each is checked once it is open, relative to the one before it, from the root on: in a directory that others cannot
+write, or only under the sticky bit, they cannot replace what belongs to this user or root.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from typing import Any
 
 from stickslip.sim.kernels.digest import kernel_digest
 
-#: Seconds to wait for a process that compiles; it takes half a minute or so, and may be stuck.
+#: Seconds to wait for another process that compiles; that takes half a minute or so, and may hang.
 _PATIENCE = 180.0
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _ENDING = ".nbc"
 _MOST_LINKS = 40  # as Linux follows them
-# one may pass through a directory without the right to list it; macOS knows no such descriptor
+# a directory may be passed without the right to list it; macOS has no such descriptor
 _PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
 
 
@@ -59,7 +59,7 @@ def has_kernel(package: str) -> bool:
 
 
 class KernelFiles:
-    """Compiled kernels on disk, each in a file named by its key; what numba asks of the files of its caches."""
+    """Compiled kernels on disk, each in a file named by its key, with the interface of numba's cache files."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self._directory, self._name = directory, name
@@ -69,9 +69,9 @@ class KernelFiles:
         return f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}{ending}"
 
     def load(self, key: object) -> Any:
-        """What was saved under a key; None if nothing, or if a byte of it has changed: compile it then.
+        """What was saved under a key; None if nothing was, or if a byte of it has changed: it is then to be compiled.
 
-        If another process does so now, wait and load its own.
+        If another process is compiling it, wait for its result.
 
         Raises
         ------
@@ -87,10 +87,10 @@ class KernelFiles:
         return kept
 
     def _alone(self, key: object) -> contextlib.ExitStack:
-        """Until this is closed no other process compiles it, unless nothing can be locked, or it takes too long."""
+        """A lock against other processes that compile it, unless nothing can be locked or it takes too long."""
         held = contextlib.ExitStack()
         with contextlib.suppress(OSError), _opened(self._directory) as directory:
-            # others may not read it either: they could lock it
+            # others may not read it either, or they could lock it
             how = os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW
             lock = os.open(self._file(key, ".lock"), how, 0o600, dir_fd=directory)
             held.callback(os.close, lock)
@@ -151,7 +151,7 @@ def _kernels(directory: int) -> list[str]:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
-    """A descriptor of a directory, which is made if it is not there, by which its files are opened."""
+    """A descriptor by which the files of a directory are opened; a missing directory is created."""
     parts, at, n_links = [*reversed(path.absolute().parts)], Path("/"), 0
     held = os.open("/", _PASS)
     try:
@@ -185,7 +185,7 @@ def _found(name: str, directory: int) -> os.stat_result:
 
 
 def _content(directory: int, file: Path) -> bytes:
-    """What is in a file of an opened directory; neither a link is followed nor a pipe waited for."""
+    """The content of a file in an opened directory, without following links or waiting for pipes."""
     try:
         descriptor = os.open(file.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=directory)
     except OSError as error:
@@ -212,7 +212,7 @@ def _owner(found: os.stat_result) -> str:
 
 
 def _check(found: os.stat_result, at: Path, cache: Path, is_passed: bool = False) -> None:
-    """Refuse what is another's, or what others may write; of what is only passed, the sticky bit keeps our parts."""
+    """Refuse what others own or may write; in a directory that is only passed, the sticky bit protects ours."""
     if not _is_ours(found):
         raise _refusal(at, f"one of {_owner(found)}", cache)
     if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (is_passed and found.st_mode & stat.S_ISVTX):

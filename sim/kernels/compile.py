@@ -2,23 +2,23 @@
 
 Decisions, and why:
 
-- ``nogil=True``: a kernel touches arrays only, so threads of a caller may run several runs at once.
+- ``nogil=True``: a kernel works on arrays only, so several threads may run it at once.
 - ``fastmath`` off, ``parallel`` off: reordered sums would make the order of events depend on the machine's
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
 - ``_nrt=False``: kernels count no references to arrays, an atomic operation for each array of each tuple that is
-  passed on, a third of the exact engine's time. Python holds all arrays. What makes one of its own, or takes one from
-  a tuple by its number, has to count: ``counts=True`` (or, for small ones, `arithmetic.room`).
-- only a kernel is optimised and made machine code, with all that is linked into it: numba would do both at every
-  call on the way up, half of the time of a cold start.
-- while a kernel is compiled, what an operation on some types is gets looked up once: numba tries a dozen candidates
-  wherever one stands, a quarter of the time.
-- the cache lives in a directory named by a digest of every source file of ``sim``: numba's own check sees
-  a change in the file of a kernel only, not in a constant or a callee of another file, and would run stale code.
+  passed on, a third of the exact engine's time. Python holds all arrays. A function that makes an array, or takes one
+  from a tuple by its number, must count: ``counts=True`` (or, for small arrays, `arithmetic.room`).
+- only a kernel is optimised and compiled to machine code, with all that is linked into it: numba would do both for
+  every function that it calls, which is half of the time of a cold start.
+- while a kernel is compiled, an operation is resolved once for each set of argument types: numba tries a
+  dozen candidates at each place, which is a quarter of the time.
+- the cache directory is named by a digest of every source file of ``sim``: numba's own check sees only a change in
+  the file of a kernel, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
-  index, raise or crash when truncated, run what a flipped bit made of them, and mix up two kernels that two
-  processes compile at once. What does not match is compiled anew; what cannot be written is used without; what others
-  could have written is refused (`stickslip.sim.kernels.cache`).
+  index, raise or crash when truncated, run code with flipped bits, and confuse two kernels that two processes compile
+  at once. A file that does not match is compiled anew; a kernel that cannot be written is used without a file; a file
+  that others could have written is refused (`stickslip.sim.kernels.cache`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class _Locator(_CacheLocator):
-    """What a kernel's files are called after; where they lie is decided by `KernelFiles` alone."""
+    """Names the files of a kernel; `KernelFiles` alone decides where they are."""
 
     def __init__(self, function: Callable[..., Any], file: str) -> None:
         self._py_file, self._lineno = file, function.__code__.co_firstlineno
@@ -80,8 +80,8 @@ class _KernelCache(FunctionCache):
         self._cache_file: Any = KernelFiles(cache_directory(), f"{function.__module__}.{function.__qualname__}")
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """What is kept; before, numba would load all that it may need to compile, which takes half a second."""
-        rtsys.initialize(target)  # which compiled code may call
+        """The kept kernel. numba would first load all that it needs to compile, which takes half a second."""
+        rtsys.initialize(target)  # compiled code may call it
         return self._load_overload(signature, target)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
@@ -93,13 +93,13 @@ class _KernelCache(FunctionCache):
 
 @contextlib.contextmanager
 def _types_once() -> Iterator[None]:
-    """Until this ends, numba finds once what an operation on some types is; its lock keeps other threads out."""
+    """Within this, numba resolves an operation on given types once; its lock keeps other threads out."""
     functions: Any = BaseFunction
     find = functions.get_call_type
     found: dict[Any, Any] = {}
 
     def find_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws or not all(isinstance(arg, Type) for arg in args):  # a number that is written out: 1 would be True
+        if kws or not all(isinstance(arg, Type) for arg in args):  # a literal number: 1 would equal True
             return find(function, context, args, kws)
         key = function, context, tuple(args), ConfigStack().top().nrt
         if key not in found:
@@ -114,7 +114,7 @@ def _types_once() -> Iterator[None]:
 
 
 class _KernelCompiler(Compiler):
-    """Compiles a kernel, with all that it calls."""
+    """Compiles a kernel with all that it calls."""
 
     def _compile_core(self) -> Any:
         with _types_once():
@@ -122,7 +122,7 @@ class _KernelCompiler(Compiler):
 
 
 class _Part(JITCodeLibrary):
-    """What an `inner` function is compiled to: code that is linked into a kernel's, and optimised there."""
+    """The code of an `inner` function, which is linked into that of a kernel and optimised there."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -132,7 +132,7 @@ class _Part(JITCodeLibrary):
 
 
 class _PartCompiler(Compiler):
-    """Compiles to a `_Part`; what numba then knows the function by cannot be called."""
+    """Compiles to a `_Part`; the entry point that numba needs for it cannot be called."""
 
     def _compile_core(self) -> Any:
         target = self.state.targetctx
@@ -155,9 +155,9 @@ def _warn_uncached(error: OSError) -> None:
 def inner(function: Callable[..., Any] | None = None, *, counts: bool = False, inlined: bool = False) -> Any:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
-    It becomes part of each `kernel` that needs it: no wrapper for Python, no machine code and no file of its own,
-    which take time. What is called in one place with large tuples may be `inlined` there: else LLVM, which does not
-    know that the place is the only one, passes each of their arrays by its parts.
+    It becomes part of each `kernel` that needs it, without a wrapper for Python, machine code or a file of its own,
+    which take time. A function called in one place with large tuples may be `inlined` there: LLVM does not know
+    that it is the only place, and would pass each of their arrays by its parts.
     """
     if function is None:
         return partial(inner, counts=counts, inlined=inlined)
@@ -166,7 +166,7 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False, i
         function
     )
     template = compiled.get_call_template
-    # numba would compile it for each number that is written out in a call
+    # numba would compile it for each literal number in a call
     compiled.get_call_template = lambda args, kws: template([unliteral(kind) for kind in args], kws)
     return compiled
 
@@ -193,7 +193,7 @@ def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
 
 
 def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
-    """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep the result."""
+    """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep it on disk."""
     if function is None:
         return partial(kernel, counts=counts)
     compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)

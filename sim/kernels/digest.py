@@ -1,6 +1,6 @@
-"""The sources of `sim`, by which the kernels compiled from them are known, without loading numba.
+"""A digest of the sources of `sim`, which identifies the kernels compiled from them, without loading numba.
 
-`sim/theory` is none of them: it explains, and nothing that computes a run needs it.
+`sim/theory` is left out: no run depends on it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _SOURCES = Path(__file__).parent.parent
 
 @cache
 def source_digest(*others: Path) -> str:
-    """Digest of the sources of ``sim`` and of some others, as this process loaded them: the same compute the same."""
+    """Digest of the sources of ``sim`` and of some others, as loaded by this process; equal ones compute the same."""
     digest = hashlib.sha256()
     own = sorted(source for source in _SOURCES.rglob("*.py") if source.parent.name != "theory")
     for source in (*own, *others):

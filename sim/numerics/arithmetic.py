@@ -1,4 +1,4 @@
-"""Arithmetic that the kernels share: what rounding may do, the largest of an array, a copy."""
+"""Arithmetic that the kernels share: a bound of rounding, the largest of an array, a copy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from stickslip.sim.kernels.compile import inner
 
-#: What rounding may do to a sum of terms, relative to the sum of their magnitudes
+#: A bound of the rounding of a sum, relative to the sum of the magnitudes of its terms
 ROUNDING = 32 * np.finfo(np.float64).eps
 
 
@@ -37,7 +37,7 @@ def _as_float(typing_context, bits):  # type: ignore[no-untyped-def]
 
 
 def _room(typing_context, rows, columns):  # type: ignore[no-untyped-def]
-    """An array of float64 of this shape, two literals, that is gone when the function returns: no memory to get."""
+    """A float64 array on the stack, of this shape, two literals; it is gone when the function returns."""
     kind = numba.types.Array(numba.types.float64, 2, "C")
     shape = rows.literal_value, columns.literal_value
 
@@ -56,7 +56,7 @@ room: Any = numba.extending.intrinsic(prefer_literal=True)(_room)
 
 @inner
 def largest(x):  # type: ignore[no-untyped-def]
-    """max |x_i|, NaN if there is one: taken over the bits, since a maximum of floats does not vectorise."""
+    """max |x_i|, NaN if there is one: by their bits, since a maximum of floats does not vectorise."""
     most = np.int64(0)
     for i in range(len(x)):
         bits = _bits(abs(x[i]))  # type: ignore[call-arg, var-annotated]

@@ -1,9 +1,9 @@
 """Formulas for several blocks at once, written once in Python and emitted as vector instructions.
 
-A formula is a function of numbers. Called while a kernel is compiled, with `Lane` in place of its numbers, it emits
-code for `WIDTH` numbers side by side; loops of Python are unrolled. LLVM splits the vectors where a processor has
-shorter ones or none, and multiplies and adds in one instruction where it can. No operation goes across lanes, so what
-a block gets does not depend on its neighbours.
+A formula is a function of numbers. It is called while a kernel is compiled, with `Lane` objects as its numbers, and
+emits SIMD code for `WIDTH` numbers side by side; its loops are unrolled. LLVM splits the vectors where a processor
+has shorter ones or none, and fuses products and sums where it can. No operation goes across lanes, so the result of a
+block does not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FUSED = ("contract",)
 
 
 class Lane:
-    """A number, or `WIDTH` of them, that the code being emitted computes; or what a comparison of them gives."""
+    """A number, or `WIDTH` of them, in the code being emitted; or the result of a comparison."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -191,7 +191,7 @@ class Rows:
 
 
 class Numbers:
-    """Numbers that are the same in every lane, by name: the first column of a table, or all, if one row a node."""
+    """Numbers that are the same in every lane, by name: the first of a row, or all, where there is one row a node."""
 
     def __init__(self, context: Any, builder: Any, kind: Named, table: Any) -> None:
         made = context.make_array(kind.array)(context, builder, builder.extract_value(table, 0))
@@ -214,9 +214,9 @@ class Numbers:
 def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
     """A formula on rows of a table, for kernels.
 
-    ``f(table, column, given)`` works on `WIDTH` columns from this one on. What is given is a table of numbers, or an
-    empty named tuple: the formula then gets its class, and can emit code for it alone. If the formula gives a
-    condition, this returns the number in which bit k says whether that holds in column k, `ALL` if in all of them.
+    ``f(table, column, given)`` works on `WIDTH` columns from `column` on. `given` is a table of numbers, or an empty
+    named tuple, whose class the formula gets, so that it can emit code for that class alone. If the formula returns a
+    condition, f returns a number whose bit k says whether it holds in column k: `ALL` if it does in all.
     """
 
     @intrinsic

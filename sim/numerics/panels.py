@@ -1,6 +1,6 @@
 """Products of one matrix with several vectors at once.
 
-One product is bound by memory: each entry of K is read for one multiplication. Five vectors share the reading. K is
+One product is bound by memory: each entry of K is read for one multiplication. Several vectors share that read. K is
 kept in panels of rows; the sums of a panel, for every vector, stay in registers while K streams by.
 """
 
@@ -18,16 +18,16 @@ from stickslip.sim.kernels.compile import inner
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
 HEIGHT, SINGLE_HEIGHT = 8, 16
-#: Of panels that serve two vectors, whose sums leave more registers.
+#: The same for panels for two vectors, whose sums leave more registers.
 PAIR_HEIGHT, SINGLE_PAIR_HEIGHT = 16, 32
-#: What rounding K and a vector to float32, and adding the products up in it, may do to (K x)_i, relative to
-#: sum_j |K_ij| max |x|: three roundings, and a margin for those of the sum.
+#: A bound of the error of (K x)_i in float32, relative to sum_j |K_ij| max |x|: three roundings, of K, x and their
+#: products, and a margin for those of the sum.
 SINGLE_ERROR = 8 * float(np.finfo(np.float32).eps)
 _SINGLE_MAX = float(np.finfo(np.float32).max)
 
 
 def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
-    """A square matrix, or several, shape (..., n, n), by panels of `height` rows, each by columns.
+    """A square matrix, or several, shape (..., n, n), in panels of `height` rows, each stored by columns.
 
     Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
@@ -35,7 +35,7 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     if n == 0:
         return np.empty((*several, 0, 0, height), dtype)
     if dtype == np.float32:
-        matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)  # infinity would make 0 times K_ij not a number
+        matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)  # infinity times zero would be NaN
     rows = np.zeros((*several, -(-n // height) * height, n), dtype)
     rows[..., :n, :] = matrix
     return np.ascontiguousarray(rows.reshape(*several, -1, height, n).swapaxes(-1, -2))

@@ -1,4 +1,4 @@
-"""Products of K with one vector or two: what most of a run's time goes into."""
+"""Products of K with one vector or two, which take most of the time of a run."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_products, panels
 
 _pair, _single_pair = pair_products(), pair_products(single=True)
-#: Systems smaller than this gain nothing from float32; row sums beyond this, or below its inverse, may leave it.
+#: Systems of fewer blocks gain nothing from float32; row sums beyond this, or below its inverse, may leave its range.
 _SMALL, _LARGE = 48, 1e30
 
 
 class Pairs(NamedTuple):
-    """What it takes to multiply K with two vectors at a time: K in panels, and room to work in.
+    """K in panels, for products with two vectors at a time, and workspace.
 
     Both kinds of panels are empty if K is sparse, those in float32 also where they do not pay.
     """
@@ -32,7 +32,7 @@ class Pairs(NamedTuple):
 
     @classmethod
     def of(cls, matrices: Sequence[Any], row_sums: Floats) -> list[Pairs]:
-        """Of some K, shape (n, n), dense or the only one, with the sums of |K| by row; they share the room."""
+        """The pairs of several dense K, shape (n, n), or of one K, from row sums of |K|; they share the workspace."""
         n, is_dense = matrices[0].shape[0], isinstance(matrices[0], np.ndarray)
         none = np.empty((len(matrices), 0, 0))
         dense = np.array(matrices) if is_dense else none
@@ -42,14 +42,14 @@ class Pairs(NamedTuple):
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
         room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
-        # without rows of panels there are none
+        # no panels: without rows
         return [
             cls(double[k], product, single[k] if is_single[k] else single[k, :0], *room) for k in range(len(matrices))
         ]
 
 
 def _fits_single(sums: Floats) -> bool:
-    """Whether what a row of K comes to is well within float32."""
+    """Whether the row sums of |K| are well within the range of float32."""
     sums = sums[sums > 0.0]
     return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
 
@@ -111,7 +111,7 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
 
 @inner
 def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
-    """y_k = K x_k of two vectors, shape (2, n), in one pass over K: reading K, not the arithmetic, is what it costs.
+    """y_k = K x_k of two vectors, shape (2, n), in one pass over K, whose cost is reading K and not the arithmetic.
 
     Columns of blocks that do not move (x_j = 0 in both) are not read.
     """
@@ -127,7 +127,7 @@ def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
 
 @inner
 def two_single_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
-    """As `two_products`, in single precision, scaled to each vector, right to `SINGLE_ERROR` of it and row sums."""
+    """As `two_products`, in single precision, each vector scaled to its size; the error is that of `SINGLE_ERROR`."""
     single, product = pairs.single, pairs.single_product
     for k in range(2):
         scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0

@@ -1,8 +1,8 @@
 """Coefficients of the Radau IIA method of five stages: order 9, stiffly accurate, L-stable.
 
 E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, section IV.8. On a step mapped to [0, 1], with
-nodes c_k and Lagrange's polynomials l_k of the nodes, a rate given at the nodes is a polynomial of degree 4, what it
-integrates to one of degree 5, known by its values at 0 and at the nodes. The method is tested by its definition.
+nodes c_k and their Lagrange polynomials l_k, a rate given at the nodes is a polynomial of degree 4, and its integral
+one of degree 5, given by its values at 0 and the nodes. The method is tested by its definition.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ LAST = WEIGHTS[-1].copy()
 TO_POWERS = _to_powers(NODES)
 ALL_NODES = np.append(0.0, NODES)
 ALL_TO_POWERS = _to_powers(ALL_NODES)
-#: From integrals of x^p z(x) over [0, 1] to the values at the nodes of the polynomial next to z in the mean square:
-#: (1 / b_k) times the integral of l_k z, as the quadrature is exact for l_k l_j.
+#: From integrals of x^p z(x) over [0, 1] to the values at the nodes of the L2 projection of z: (1 / b_k) times the
+#: integral of l_k z, as the quadrature is exact for l_k l_j.
 PROJECT = TO_POWERS.T / LAST[:, None]
-#: Values at 0 and the nodes to the coefficients of Bernstein's polynomials, whose hull holds the polynomial.
+#: Values at 0 and the nodes to Bernstein coefficients, whose hull contains the polynomial.
 TO_BERNSTEIN = _bernstein(STAGES) @ ALL_TO_POWERS
-#: Places where it is looked at what happens off the nodes, and what is interpolated there: the start, which no node
-#: sees, and between the nodes.
+#: The places off the nodes at which the defect is tested: the start, which is no node, and between the nodes; and the
+#: matrices that interpolate there.
 PLACES = np.append(0.0, (ALL_NODES[1:] + ALL_NODES[:-1]) / 2.0)
 AT_PLACES = powers(PLACES, STAGES) @ TO_POWERS
 ALL_AT_PLACES = powers(PLACES, STAGES + 1) @ ALL_TO_POWERS

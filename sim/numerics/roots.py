@@ -9,10 +9,10 @@ import numpy as np
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import room
 
-#: The deepest halving of the unit interval in search of a root; below it two roots count as one touching
+#: The most bisections of the unit interval in the search for a root; two roots closer than that count as a touch
 _MAX_DEPTH = 44
 _MAX_DEGREE = 40
-#: Where the search keeps an interval: its coefficients, then its lower end and its width.
+#: The columns of an interval on the stack: its coefficients, then its lower end and its width.
 _LOW, _WIDTH = _MAX_DEGREE + 1, _MAX_DEGREE + 2
 _ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
 _NARROWEST = 0.5**_MAX_DEPTH
@@ -57,7 +57,7 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 def refine(coefficients, degree, low, high, rises):  # type: ignore[no-untyped-def]
     """The one root in (low, high), to rounding: Newton's method, kept inside a shrinking bracket.
 
-    Whether the polynomial rises through it is said by the caller: at an end that is a root too, its value does not.
+    The caller says whether the polynomial rises through it: at an end that is a root itself, its value does not tell.
     """
     x = 0.5 * (low + high)
     for _ in range(100):
@@ -86,10 +86,10 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
     """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
 
     By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
-    root, one change means exactly one root, more are halved. So two roots close together are both found;
-    where a polynomial only touches zero, rounding decides between a pair, one root at the touch, and none.
+    root, one change means exactly one root, more are bisected. So two roots close together are both found;
+    where a polynomial only touches zero, rounding decides between two roots, one at the touch, and none.
 
-    Returns the number of roots; their places are in `found`, and as many are looked for as it holds.
+    Returns the number of roots, which are in `found`; at most as many are looked for as fit there.
     """
     stack = room(_ROWS, _COLUMNS)
     n_found = 0
@@ -133,7 +133,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
 
 @inner
 def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
-    """Put a place among `n_marks` others in rising order; returns how many there are."""
+    """Insert a place among `n_marks` others in rising order; returns how many there are."""
     k = n_marks
     while k > 0 and marks[k - 1] > place:
         marks[k] = marks[k - 1]
@@ -144,9 +144,9 @@ def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
 
 @inner
 def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untyped-def]
-    """Put the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
+    """Insert the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
 
-    A root at the start belongs to the step before; the others count. `found` is work space.
+    A root at the start belongs to the step before, and is left out. `found` is work space.
     """
     skip = 0
     while skip < degree and poly[skip] == 0.0:

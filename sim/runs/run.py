@@ -1,4 +1,4 @@
-"""What `simulate` returns: a run, what it cost, and the state at given times."""
+"""What `simulate` returns: a run, with its cost and the state at given times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class IntegrationError(RuntimeError):
 
 @dataclass(frozen=True)
 class Stats:
-    """What a run cost: steps taken, steps rejected, products of K (and of N, see `System`) with a vector, events."""
+    """The cost of a run: steps, rejected steps, products of K (and of N, see `System`) with a vector, events."""
 
     n_steps: int
     n_rejected: int
@@ -49,12 +49,12 @@ class Samples:
 
     @classmethod
     def blank(cls, t: Floats, n: int) -> Samples:
-        """Room for the state at times `t`; NaN until it is known."""
+        """Arrays for the state at times `t`, NaN until it is known."""
         z, w = np.full((2, len(t), n), np.nan)
         return cls(t, z, w)
 
     def first(self, m: int) -> Samples:
-        """The first m of them."""
+        """The first m samples."""
         return Samples(self.t[:m], self.z[:m], self.w[:m])
 
     def __len__(self) -> int:
@@ -67,7 +67,9 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Stills:
-    """When all blocks come to stick, or one of them leaves, and where they are then; a start at rest is one.
+    """The ends of all-stuck intervals: when all blocks come to stick, or one leaves, and where they are then.
+
+    A start at which all blocks stick counts.
 
     Attributes
     ----------
@@ -98,13 +100,13 @@ class Run:
         How a run collapsed or diverged; empty for a finished run.
     stats : Stats
     t_collapse : float or None
-        From when on it is certain that no block sticks again; None if the run did not collapse.
+        The time from which on it is certain that no block sticks again; None if the run did not collapse.
     samples : Samples
         The state at those times of ``t_eval`` that the run reached.
     stills : Stills or None
-        What `stickslip.sim.episodes` needs; None if the engine does not keep it.
+        All-stuck intervals, for `stickslip.sim.episodes`; None if the engine does not record them.
     by_threshold : mapping of float to EventSeries
-        What sticks by each of the further definitions ``thresholds`` of the sigmoid engine.
+        The events by each of the further definitions of sticking, ``thresholds`` of the sigmoid engine.
     """
 
     z: Floats

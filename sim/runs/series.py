@@ -1,4 +1,4 @@
-"""What a run leaves behind: when which block entered, left or crossed the sticking mode."""
+"""The record of a run: when each block entered, left or crossed the sticking mode."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class EventSeries:
 
     @cached_property
     def by_block(self) -> NDArray[np.intp]:
-        """The order of the events by block; those of one block as they stand."""
+        """The order of the events by block; those of one block keep their order."""
         return np.argsort(self.block, kind="stable")
 
     @cached_property
@@ -75,8 +75,8 @@ class EventSeries:
     def change_points(self) -> tuple[Floats, NDArray[np.int32]]:
         """Times at which n_stick changes, and its values: n_stick[k] holds on [t[k], t[k+1]).
 
-        t[0] is `t_start`; what happens at one instant is merged, and an instant that leaves n_stick as it
-        was is no change point.
+        t[0] is `t_start`; events at one instant are merged, and an instant that does not change n_stick is no change
+        point.
         """
         found = summaries([self])[0]
         return found.t, found.n_stick
@@ -106,7 +106,7 @@ class EventSeries:
         self._known(time)
         mode = self.initial_mode.copy()
         upto = np.searchsorted(self.t, time, side="right")
-        mode[self.block[:upto]] = self.mode[:upto]  # of repeated blocks the last assignment holds
+        mode[self.block[:upto]] = self.mode[:upto]  # for a repeated block the last assignment holds
         return mode
 
     def _known(self, times: ArrayLike) -> Floats:
@@ -142,11 +142,11 @@ class Summary(NamedTuple):
 
 
 def summaries(many: Sequence[EventSeries]) -> list[Summary]:
-    """A summary of each series, all at once: with few events each, one by one they take as long as their runs."""
+    """A summary of each series, together: one by one, short series take as long as their runs."""
     if not many:
         return []
     which, lengths, sizes = np.arange(len(many)), [len(one) for one in many], [one.n for one in many]
-    # one series, whose blocks are numbered on
+    # one series, with consecutive block numbers
     mode, initial_mode = (np.concatenate([getattr(one, name) for one in many]) for name in ("mode", "initial_mode"))
     block = np.concatenate([one.block for one in many]) + np.repeat(np.cumsum(sizes) - sizes, lengths)
     enters = mode == 0
@@ -157,7 +157,7 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
         for of in (of_event[enters], of_event[leaves], which.repeat(sizes)[initial_mode == 0])
     )
 
-    # a row for each start too, where the sum of the changes begins anew
+    # a row for each start too, at which the sum of the changes starts again
     of_row = which.repeat(np.add(lengths, 1))
     is_start = _differs(of_row)
     t, change = np.empty(len(of_row)), np.empty(len(of_row), dtype=np.int32)
@@ -178,26 +178,26 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
 
 
 def _differs(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether each is another than the one before; the first one is."""
+    """Whether each value differs from the one before; True for the first."""
     found = np.ones(len(values), dtype=bool)
     np.not_equal(values[1:], values[:-1], out=found[1:])
     return found
 
 
 def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, shortest: Floats) -> EventSeries:
-    """The series without changes of mode that the same block takes back within `shortest`.
+    """The series without opposite changes of mode of one block within `shortest`.
 
-    A block that only touches the belt's speed, or the force that friction can hold, has one instant of contact:
-    whether that is two events or none is decided by rounding. So two events of a block that undo each other count
-    only if more than `shortest` lies between them, or what drives the block has a bend there.
+    A block that only touches the belt's speed, or the force that friction can hold, does so for one instant: rounding
+    decides whether that is two events or none. So two opposite events of a block count only if they are more than
+    `shortest` apart, or a force or belt speed has a bend between them.
 
     Parameters
     ----------
     series : EventSeries
     piece, s : intp and float64, shape (m,)
-        Of each event: the number of its piece between such bends, and the time since its start.
+        Of each event: the number of its piece between such bends, and the time since the start of that.
     shortest : float64, shape (m,)
-        How long what the event takes back must last.
+        The least time from the opposite event before each.
     """
     while True:
         order = series.by_block
@@ -210,7 +210,7 @@ def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, sho
             break
         kept = np.ones(len(s), dtype=bool)
         for first in np.flatnonzero(undone):
-            if kept[first]:  # not itself an undoing
+            if kept[first]:  # not itself the second of a pair
                 kept[first : first + 2] = False
         kept = np.isin(np.arange(len(s)), order[kept])
         series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])

@@ -1,6 +1,6 @@
-"""How results show themselves in a notebook: small tables, and drawings on matplotlib axes.
+"""How results are shown in a notebook: small tables, and drawings on matplotlib axes.
 
-The one room of `sim` that knows matplotlib, and it loads it only when something is drawn.
+Only this module of `sim` uses matplotlib, and it loads it only when something is drawn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: Mode -> what the block does, and a colour: distinguishable with every common form of colour blindness.
 _MODES = {0: ("sticks", "#0072B2"), 1: ("slips right", "#DDDDDD"), -1: ("slips left", "#E69F00")}
 
-#: More stays than this become pixels, also in a vector drawing.
+#: More intervals than this are drawn as pixels, also in a vector drawing.
 _VECTORS = 5000
 
 
@@ -78,7 +78,7 @@ def draw_modes(events: EventSeries, ax: Axes | None) -> Axes:
         handletextpad=0.4,
         columnspacing=1.0,
     )
-    # room for it above the last block: outside the axes it would cover what is beside them, or be cut off
+    # space for it above the last block: outside the axes it would overlap, or be cut off
     share = min(legend.get_window_extent().height / ax.get_window_extent().height, 0.5)
     ax.set_ylim(-0.5, -0.5 + events.n / (1.0 - share))
     return ax
@@ -99,7 +99,7 @@ def picture(events: EventSeries) -> str:
 
 
 def _stays(events: EventSeries) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Block, mode, start and stop of every stay of a block in a mode, block by block."""
+    """Block, mode, start and stop of every interval of a block in one mode, block by block."""
     block = np.concatenate((np.arange(events.n), events.block))
     mode = np.concatenate((events.initial_mode, events.mode))
     start = np.concatenate((np.full(events.n, events.t_start), events.t))

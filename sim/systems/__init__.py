@@ -1,1 +1,1 @@
-"""Blocks, what couples, drives and brakes them."""
+"""Systems of blocks: couplings, forces and belts, friction."""

@@ -39,12 +39,12 @@ def _springs(u: Floats) -> Floats:
 
 
 def _in_pairs(stiffness: Floats, u: Floats) -> Floats:
-    """A constant stands in K_ij and K_ji: the factor is that of the upper triangle."""
+    """K_ij and K_ji are one constant: the factor is that of the upper triangle."""
     return stiffness * (np.triu(u) + np.triu(u, 1).T)
 
 
 def _of_springs(stiffness: Floats, u: Floats) -> Floats:
-    """The diagonal is a sum: the spring to the ground, which is the sum of the row of K, and the others."""
+    """The diagonal is a sum: the spring to the ground, which is the row sum of K, and the other springs."""
     change = _in_pairs(stiffness, u)
     np.fill_diagonal(change, 0.0)
     return _on_diagonal(change, stiffness.sum(axis=1) * np.diag(u) - change.sum(axis=1))
@@ -67,9 +67,9 @@ class Coupling:
     width : int or None
         Random numbers for each block; None: n.
     readings : tuple of str
-        Those of `READINGS` that keep what K is.
+        Those of `READINGS` that keep the structure of K.
     relative : function
-        From K and U, which is uniform in [-1, 1], to what a factor 1 + U_ij on each free constant changes K by.
+        From K and U, uniform in [-1, 1], to the change of K by a factor 1 + U_ij on each free constant.
     """
 
     rule: Callable[[Floats], Floats | scipy.sparse.sparray]
@@ -78,7 +78,7 @@ class Coupling:
     relative: Callable[[Floats, Floats], Floats] = _in_pairs
 
     def shape(self, n: int) -> tuple[int, int]:
-        """That of U for n blocks."""
+        """The shape of U for n blocks."""
         return n, n if self.width is None else self.width
 
 
@@ -105,7 +105,7 @@ def _coupling(name: str) -> Coupling:
 
 def _generator(seed: int | np.random.SeedSequence) -> np.random.Generator:
     if not isinstance(seed, np.random.SeedSequence):
-        integer("seed", seed, 0, None)  # None would differ every time
+        integer("seed", seed, 0, None)  # None would draw a new system every time
     return np.random.default_rng(seed)
 
 
@@ -145,9 +145,9 @@ def draw_system(
         Of a graph: stiffness of each block's leaf spring, one number or shape (n,); mean number of neighbours in a
         network, at most n - 1.
     damping
-        R itself, as in `System`, in the place of what rho gives; K is the same as without.
+        R itself, as in `System`, in the place of a draw with rho; K does not depend on it.
     **arguments
-        ``friction``, ``belt_speed`` and whatever else `System` takes.
+        ``friction``, ``belt_speed`` and other arguments of `System`.
 
     Raises
     ------
@@ -182,9 +182,9 @@ def perturb_system(
     kappa: float = 0.2,
     rho: float = 3.5,
 ) -> System:
-    """Move every constant by the order of `size`, keeping the structure of the ensemble (figure 4 iii, iv).
+    """Perturb every constant by the order of `size`, keeping the structure of the ensemble (figure 4 iii, iv).
 
-    One seed goes the same way at every size. The paper's text allows several readings:
+    One seed gives one direction, at every size. The paper's text allows several readings:
 
     - ``"scale"``: by up to `size` of its scale. K + S(dU) with dU uniform in [-size kappa, size kappa] and S the
       ensemble's rule (signed on the diagonal); R + dR with dR uniform in [-size rho, size rho].

@@ -1,4 +1,4 @@
-"""What drives the blocks beside a belt of one constant speed: forces from outside, belts whose speeds change.
+"""The drive of the blocks, beyond a belt of one constant speed: external forces, belts whose speeds change.
 
 A force or a speed is one number for all blocks or one for each, constant, harmonic or piecewise linear in time.
 """
@@ -43,14 +43,14 @@ class Harmonic:
             object.__setattr__(self, name, array)
 
     def at(self, times: ArrayLike) -> Floats:
-        """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""
+        """Its value at times of any shape: that shape, followed by (n,) where blocks differ."""
         t = np.asarray(times, dtype=np.float64)
         differ = max(self.amplitude.ndim, self.frequency.ndim, self.phase.ndim)
         t = t.reshape(t.shape + (1,) * differ)
         return np.asarray(self.amplitude * np.cos(self.frequency * t + self.phase))
 
     def phase_at(self, t: float) -> Floats:
-        """frequency t + phase, less whole turns of the former, in shape as the two: to rounding, however late."""
+        """frequency t + phase less whole turns of the former, to rounding at any time, in the shape of the two."""
         (share, power), (of_t, power_of_t) = np.frexp(self.frequency), np.frexp(t)
         high, high_of_t = np.float64(np.float32(share)), np.float64(np.float32(of_t))
         low, low_of_t = share - high, of_t - high_of_t
@@ -60,12 +60,12 @@ class Harmonic:
         return np.asarray(np.arctan2(np.sin(turned), np.cos(turned)) + (left + self.phase))
 
     def scaled(self, factor: Floats) -> Harmonic:
-        """The same, times a factor a block."""
+        """The same, times a factor for each block."""
         return Harmonic(self.amplitude * factor, self.frequency, self.phase)
 
     @property
     def is_constant(self) -> bool:
-        """Whether time plays no part."""
+        """Whether it does not depend on time."""
         return not (self.amplitude * self.frequency).any()
 
     def __repr__(self) -> str:
@@ -112,25 +112,25 @@ class Piecewise:
             )
 
     def at(self, times: ArrayLike) -> Floats:
-        """Its value at given times, of any shape: that shape, and behind it (n,) where blocks differ."""
+        """Its value at times of any shape: that shape, followed by (n,) where blocks differ."""
         t = np.maximum(np.asarray(times, dtype=np.float64), self.times[0])
         k = np.searchsorted(self.times, t, side="right") - 1
         since = (t - self.times[k]).reshape(t.shape + (1,) * (self.values.ndim - 1))
         return np.asarray(self.values[k] + self._slopes[k + 1] * since)
 
     def slope_at(self, times: ArrayLike) -> Floats:
-        """Its derivative from given times on, in shape as `at`."""
+        """Its derivative from given times on, of the shape of `at`."""
         return np.asarray(self._slopes[np.searchsorted(self.times, times, side="right")])
 
     @cached_property
     def _slopes(self) -> Floats:
-        """Before the first of its times, from each to the next, and after the last."""
+        """Slopes before the first of its times, from each to the next, and after the last."""
         lengths = np.diff(self.times).reshape((-1,) + (1,) * (self.values.ndim - 1))
         none = np.zeros_like(self.values[:1])
         return np.concatenate([none, np.diff(self.values, axis=0) / lengths, none])
 
     def integral(self, times: ArrayLike) -> Floats:
-        """Its integral from the first of its times to given ones, of any shape: as `at`."""
+        """Its integral from the first of its times to given ones, of the shape of `at`."""
         t, x, knots = np.asarray(times, dtype=np.float64), self.values, self.times
         columns = (-1,) + (1,) * (x.ndim - 1)
         known = np.zeros_like(x)
@@ -140,31 +140,31 @@ class Piecewise:
         return np.asarray(known[before] + s * (x[before] + 0.5 * s * self.slope_at(t)))
 
     def scaled(self, factor: Floats) -> Piecewise:
-        """The same, times a factor a block."""
+        """The same, times a factor for each block."""
         return Piecewise(self.times, self.values * factor)
 
     @property
     def is_constant(self) -> bool:
-        """Whether time plays no part."""
+        """Whether it does not depend on time."""
         return bool((self.values == self.values[0]).all())
 
     def __repr__(self) -> str:
         return f"Piecewise(times={_words(self.times)}, values={_words(self.values)})"
 
 
-#: A force from outside as users give it: its sum, if it is a list of such.
+#: An external force as users give it; a list of such is a sum.
 Term: TypeAlias = Harmonic | Piecewise
 AnyTerm = TypeVar("AnyTerm", Harmonic, Piecewise)
 Force: TypeAlias = ArrayLike | Term | Iterable[ArrayLike | Term] | None
 
 
 def constant(value: Floats) -> Piecewise:
-    """What has one value at all times, shape (n,)."""
+    """A value, shape (n,), that holds at all times."""
     return Piecewise([0.0], value[np.newaxis])
 
 
 def forces(force: Force, n: int) -> tuple[Term, ...]:
-    """The terms of a force on n blocks, each by block: one constant first, if there is one, then what changes."""
+    """The terms of a force on n blocks, by block: first the constant one, if there is one, then those that change."""
     if force is None or (isinstance(force, list | tuple) and len(force) == 0):
         return ()
     is_sum = isinstance(force, list | tuple) and any(
@@ -184,7 +184,7 @@ def forces(force: Force, n: int) -> tuple[Term, ...]:
 
 
 def by_block(name: str, term: AnyTerm, n: int) -> AnyTerm:
-    """The same, one for each of n blocks: rows of shape (n,); TypeError for a subclass, whose course is not known."""
+    """The same for each of n blocks, rows of shape (n,); TypeError for a subclass, whose formula is not known."""
     if type(term) not in (Harmonic, Piecewise):
         raise TypeError(f"{name}: expected Harmonic or Piecewise itself, got its subclass {type(term).__name__}")
     if isinstance(term, Harmonic):
@@ -200,7 +200,7 @@ def by_block(name: str, term: AnyTerm, n: int) -> AnyTerm:
 
 
 def belt(belt_speed: ArrayLike | Piecewise, n: int) -> float | Floats | Piecewise:
-    """Speeds of n belts: a number where all have one that does not change, (n,) where they differ, or by block."""
+    """Speeds of n belts: a number for one constant speed, (n,) if they differ, else a `Piecewise` by block."""
     if isinstance(belt_speed, Piecewise):
         moving = by_block("belt_speed", belt_speed, n)
         if not moving.is_constant:
@@ -221,7 +221,7 @@ def belt(belt_speed: ArrayLike | Piecewise, n: int) -> float | Floats | Piecewis
 
 
 def direction(speeds: Floats) -> NDArray[np.int8]:
-    """Where belts go, by their speeds in time, shape (m,) or (m, n): -1 or +1; 0 if one rests or turns."""
+    """Direction of belts, from their speeds in time, shape (m,) or (m, n): -1 or +1; 0 if one rests or turns."""
     sides = np.sign(speeds)
     goes = np.sign(sides.sum(axis=0))
     return np.asarray(np.where((sides * goes < 0).any(axis=0), 0, goes), dtype=np.int8)
@@ -236,7 +236,7 @@ def _finite(name: str, value: ArrayLike, expected: str) -> Floats:
 
 
 def _words(array: Floats) -> str:
-    """Numbers of an array, a few of them."""
+    """An array in a few numbers."""
     if array.ndim == 0:
         return f"{float(array):g}"
     return np.array2string(array, separator=", ", threshold=6, edgeitems=2, precision=6).replace("\n", "")

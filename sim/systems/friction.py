@@ -8,6 +8,11 @@ from numpy.typing import ArrayLike
 from stickslip.sim.numerics.arguments import Floats
 
 
+def over_kinetic(lam: Floats, c: Floats | float) -> Floats:
+    """s: friction over the kinetic, of any shape."""
+    return np.asarray(lam + c * lam * (1.0 - lam * lam))
+
+
 def hidden_term(ratio: ArrayLike) -> Floats:
     """The c with which s has the largest value `ratio`, of any shape."""
     r = np.asarray(ratio, dtype=np.float64)

@@ -19,7 +19,7 @@ from stickslip.sim.numerics.arguments import Floats
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-#: Pairs of neighbours, shape (m, 2), each once and no block its own, for n blocks.
+#: Pairs of neighbours among n blocks, shape (m, 2), each once, and none of a block with itself.
 Pairs = NDArray[np.int64]
 
 
@@ -34,7 +34,7 @@ def _ring(n: int, degree: float, rng: np.random.Generator) -> Pairs:
 
 
 def _grid(n: int, _degree: float, _rng: np.random.Generator) -> Pairs:
-    """Rows of the least width whose square holds n blocks, the last row maybe shorter; four neighbours each."""
+    """Rows of the least width whose square is at least n, the last row maybe shorter; four neighbours each."""
     width = math.isqrt(n - 1) + 1
     block = np.arange(n)
     right, below = block[(block + 1) % width != 0], block[: max(0, n - width)]
@@ -43,7 +43,7 @@ def _grid(n: int, _degree: float, _rng: np.random.Generator) -> Pairs:
 
 
 def _network(n: int, degree: float, rng: np.random.Generator) -> Pairs:
-    """As many pairs as the mean degree asks for, each as likely as any; one of lower degree is a part of it."""
+    """As many pairs as the mean degree needs, all equally likely; a network of lower degree is a part of it."""
     wanted = min(round(n * degree / 2), n * (n - 1) // 2)
     found = np.empty(0, dtype=np.int64)
     drawn = np.empty((0, 2), dtype=np.int64)

@@ -2,10 +2,10 @@
 
     z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
 
-A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. Static
-friction above kinetic: a block that sticks is held while |mu_i lambda_i| is at most its static friction. Masses m_i
-stand before z_i'' (else scaled to one), forces from outside f_i(t) on the right side, and each block may have a belt
-of its own, of speed v_i(t). Everything is dimensionless.
+A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. With
+static friction above the kinetic, a block sticks while |mu_i lambda_i| is at most its static friction. Masses m_i
+multiply z_i'' (by default one), external forces f_i(t) stand on the right side, and each block may have its own belt,
+of speed v_i(t). Everything is dimensionless.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Columns(NamedTuple):
 
 @dataclass(frozen=True, eq=False, init=False)
 class System:
-    """n blocks: stiffness K, damping R, friction mu, the speed v of the belt, and what drives them (dimensionless).
+    """n blocks: stiffness K, damping R, friction mu, the belt speed v, and external forces (dimensionless).
 
     Parameters
     ----------
@@ -48,21 +48,21 @@ class System:
     damping : float or array_like, shape (n,) or (n, n)
         R, the diagonal of the damping matrix C, or C itself, dense.
     friction : float or array_like, shape (n,)
-        mu >= 0, kinetic friction; a block with mu = 0 slides freely, but to a side that is barred.
+        mu >= 0, kinetic friction; a block with mu = 0 slides freely, except to a closed side.
     belt_speed : float, array_like, shape (n,), or Piecewise
         v; the paper takes v < 0. One for all blocks or one for each, constant or piecewise linear in time.
     static : float or array_like, shape (n,), optional
-        Static friction, at least the kinetic; left out it is the kinetic.
+        Static friction, at least the kinetic; by default the kinetic.
     mass : float or array_like, shape (n,)
         m > 0.
     force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
-        The force on each block from outside; of a list that holds a `Harmonic` or a `Piecewise`, the sum.
+        The external force on each block; a list with a `Harmonic` or a `Piecewise` in it is a sum.
     weakening : Weakening, optional
         How kinetic friction falls with the speed of slip |w - v|; see `stickslip.sim.systems.weakening`.
     back_slip : bool
         Whether a block may slip either way. If not, none gets ahead of its belt (w < v for v < 0, w > v for v > 0):
-        there friction holds whatever comes, and a block that sticks leaves to the other side alone, to which the
-        belt loads it.
+        friction holds it against any force to that side, and a block that sticks leaves to the other side, to which
+        the belt loads it.
 
     Attributes
     ----------
@@ -71,11 +71,11 @@ class System:
         of shape (k, n) where they change.
     mass : ndarray, shape (n,)
     force : tuple of Harmonic and Piecewise
-        Its terms, by block: the constant one first, a `Piecewise` of one time, then what changes; empty if none.
+        Its terms, by block: first the constant one, a `Piecewise` of one time, then those that change; empty if none.
     closed : ndarray of int8, shape (n,)
         The side, -1 or +1, to which a block may not slip; 0 where it may slip either way.
     static : ndarray, shape (n,)
-        What holds a block that sticks; `friction` itself where it was left out.
+        Static friction; `friction` itself where it was left out.
     damping : ndarray, shape (n,)
         R, also of a full matrix.
     cross_damping : ndarray, shape (n, n), or None
@@ -92,7 +92,7 @@ class System:
     damping: Floats
     cross_damping: Floats | None
     friction: Floats
-    belt_speed: Any  # code for one belt of constant speed takes the number
+    belt_speed: Any  # Any: code for one belt of constant speed takes it as a number
     static: Floats
     mass: Floats
     force: tuple[Term, ...]
@@ -150,7 +150,7 @@ class System:
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether it is that of eq. (10) with a dense K: all differ from each other in numbers alone."""
+        """Whether it is that of eq. (10) with a dense K: such systems differ in their numbers alone."""
         is_driven = bool(self.force) or not self.has_one_belt
         is_plain = isinstance(self.stiffness, np.ndarray) and self.cross_damping is None and not is_driven
         return is_plain and self.weakening is None and self.back_slip and not self.is_static_above
@@ -162,7 +162,7 @@ class System:
 
     @cached_property
     def slip_friction(self) -> tuple[Floats, Floats]:
-        """Kinetic friction of a block that begins to slip, and of one whose slip has no bound, shape (n,) each."""
+        """Kinetic friction of a block that begins to slip, and at the limit of fast slip, shape (n,) each."""
         if self.weakening is None:
             return self.friction, self.friction
         return self.weakening.ends(self.friction, self.static)
@@ -195,20 +195,20 @@ class System:
         return isinstance(self.belt_speed, Piecewise) or not all(term.is_constant for term in self.force)
 
     def force_at(self, times: ArrayLike) -> Floats:
-        """The force from outside at given times, of any shape: that shape, and (n,) behind it."""
+        """The external force at times of any shape: that shape, followed by (n,)."""
         total = np.zeros((*np.shape(times), self.n))
         for term in self.force:
             total += term.at(times)
         return total
 
     def belt_speed_at(self, times: ArrayLike) -> Floats:
-        """The speeds of the belts at given times, of any shape: that shape, and (n,) behind it."""
+        """The belt speeds at times of any shape: that shape, followed by (n,)."""
         moving = isinstance(self.belt_speed, Piecewise)
         return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
 
     @cached_property
     def fastest_belt(self) -> float:
-        """The largest |v| there is at any time."""
+        """The largest |v| at any time."""
         if self.has_one_belt:
             return abs(self.belt_speed)
         speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
@@ -225,8 +225,8 @@ class System:
 
     @property
     def of_unit_mass(self) -> System:
-        """The system that moves as this one does with every mass one: each block's equation divided by its mass."""
-        return self._divided_by_mass if self.has_mass else self  # one that held itself would outlive its last user
+        """The system with the same motion and unit masses: each block's equation divided by its mass."""
+        return self._divided_by_mass if self.has_mass else self  # a reference to itself would keep it alive
 
     @cached_property
     def _divided_by_mass(self) -> System:
@@ -261,14 +261,14 @@ class System:
 
     @cached_property
     def row_sums(self) -> Floats:
-        """sum_j |K_ij|, shape (n,): bounds what rounding does to (K x)_i."""
+        """sum_j |K_ij|, shape (n,), which bounds the rounding of (K x)_i."""
         return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
 
     def holding_force(self, z: ArrayLike, w: ArrayLike | None = None, t: float | None = None) -> Floats:
-        """What friction holds while block i sticks, -mu_i lambda_i, shape (n,).
+        """The force that friction holds while block i sticks, -mu_i lambda_i, shape (n,).
 
         F_i = R_i v_i + (K z)_i + (N w)_i - f_i + m_i v_i'. The velocities `w` are needed with cross damping only;
-        that of block i does not enter F_i. The time is needed where a force or the speed of a belt depends on it.
+        that of block i does not enter F_i. The time is needed where a force or a belt speed depends on it.
 
         Raises
         ------
@@ -292,7 +292,7 @@ class System:
     def slip_matrix(self, drag: Floats | float = 0.0) -> Floats:
         """A of the all-slip system x' = A x + b, x = (z, w), each block's row divided by its mass; shape (2n, 2n).
 
-        What friction gains with speed adds `drag` to R.
+        `drag`, the slope of friction with speed, is added to R.
         """
         n = self.n
         stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
@@ -321,7 +321,7 @@ class System:
         return self.rest_under(-self.friction * per_block("slip", slip, self.n))
 
     def rest_under(self, friction: Floats) -> Floats:
-        """As `rest_state`, from the forces of friction, shape (n,), where those from outside are constant."""
+        """As `rest_state`, from the forces of friction, shape (n,), under constant external forces."""
         force = friction + self.force_at(0.0) if self.force else friction
         if isinstance(self.stiffness, np.ndarray):
             return np.asarray(np.linalg.solve(self.stiffness, force), dtype=np.float64)
@@ -334,11 +334,10 @@ class System:
 
     @cached_property
     def rates(self) -> Floats:
-        """How fast blocks can change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of those each is tied to, shape (n,).
+        """Rates of change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of the blocks connected with each, shape (n,).
 
-        Masses divide R and K. The frequency of a force on one of them counts if it is larger.
-
-        Blocks are tied if K leads from one to the other, either way and over any number of blocks.
+        Masses divide R and K. The frequency of a force on one of the blocks counts if it is larger. Blocks are
+        connected if K couples them, in either direction and over any number of other blocks.
         """
         if self.has_mass:
             return self.of_unit_mass.rates
@@ -356,9 +355,9 @@ class System:
         return np.asarray(fastest[group])
 
     def changed(self, **arguments: Any) -> System:
-        """The same blocks with other arguments, by name; a static friction that was left out stays the kinetic.
+        """The same system with other arguments, by name; a static friction that was left out stays the kinetic.
 
-        Without back slip the closed sides stay what they are, also on another belt.
+        Without back slip the closed sides stay as they are, also on another belt.
         """
         cross = self.cross_damping
         own = {
@@ -396,7 +395,7 @@ class System:
         return show.span(self.belt_speed)
 
     def _forces(self) -> str:
-        """Forces from outside in a few words."""
+        """External forces in a few words."""
         return " + ".join(
             f"{show.span(term.amplitude)} cos({show.span(term.frequency)} t)"
             if isinstance(term, Harmonic)
@@ -426,7 +425,7 @@ class System:
 
 
 def work_out(systems: Sequence[System]) -> None:
-    """Find `columns`, `row_sums`, `rates` of plain systems of as many blocks at once: one by one it takes longer."""
+    """Compute `columns`, `row_sums`, `rates` of plain systems of one size together: one by one it takes longer."""
     stiffness = np.array([system.stiffness for system in systems])
     none = np.empty(0, dtype=np.int32)
     transposed, sums = np.array(stiffness.transpose(0, 2, 1), order="C"), abs(stiffness).sum(axis=2)
@@ -435,12 +434,12 @@ def work_out(systems: Sequence[System]) -> None:
     for k, system in enumerate(systems):
         system.__dict__["columns"] = Columns(transposed[k], none, none, np.empty(0))
         system.__dict__["row_sums"] = sums[k]
-        if is_tied[k]:  # else they take a look at who is tied to whom
+        if is_tied[k]:  # else `rates` finds the connected components
             system.__dict__["rates"] = rates[k]
 
 
 def require_diagonal_damping(system: System, what: str) -> None:
-    """ValueError if the system has cross damping, naming what cannot do with it."""
+    """ValueError if the system has cross damping, naming what does not take it."""
     if system.cross_damping is not None:
         block, other = np.argwhere(system.cross_damping)[0]
         raise ValueError(
@@ -451,7 +450,7 @@ def require_diagonal_damping(system: System, what: str) -> None:
 
 
 def require_one_friction(system: System, what: str) -> None:
-    """ValueError if static friction is above the kinetic, naming what cannot do with it."""
+    """ValueError if static friction is above the kinetic, naming what does not take it."""
     if system.is_static_above:
         block = int(np.argmax(system.static - system.friction))
         raise ValueError(
@@ -461,7 +460,7 @@ def require_one_friction(system: System, what: str) -> None:
 
 
 def require_one_belt(system: System, what: str) -> None:
-    """ValueError if blocks have masses, forces from outside, or belts of several speeds, naming what cannot do so."""
+    """ValueError for masses, external forces, or belts of several speeds, naming what does not take them."""
     for name, holds, expected, got in (
         ("mass", not system.has_mass, "1", f"{show.span(system.mass)}"),
         ("force", not system.force, "none", f"{len(system.force)} of them"),
@@ -472,7 +471,7 @@ def require_one_belt(system: System, what: str) -> None:
 
 
 def require_constant_friction(system: System, what: str) -> None:
-    """ValueError if kinetic friction falls with speed, or one side is closed, naming what cannot do with it."""
+    """ValueError if kinetic friction falls with speed, or one side is closed, naming what does not take it."""
     if system.weakening is not None:
         raise ValueError(f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out")
     if not system.back_slip:
@@ -488,13 +487,13 @@ def require_plain(system: System, what: str) -> None:
 
 
 def _is_sparse(matrix: object) -> bool:
-    """As `scipy.sparse.issparse`, without loading that: who has a sparse matrix has done so."""
+    """As `scipy.sparse.issparse`, without loading that: whoever has a sparse matrix has loaded it."""
     sparse = sys.modules.get("scipy.sparse")
     return sparse is not None and bool(sparse.issparse(matrix))
 
 
 def _checked(matrix: Any) -> Any:
-    """A sparse matrix whose indices are in range, as SciPy's compiled code takes for granted."""
+    """A sparse matrix whose indices are in range, as SciPy's compiled code assumes."""
     from scipy.sparse import coo_array
 
     try:
@@ -510,7 +509,7 @@ def _checked(matrix: Any) -> Any:
 
 
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:
-    """Static friction by block, from what was given beside the kinetic."""
+    """Static friction by block, from the argument, or the kinetic."""
     if static is None:
         return friction
     held = per_block("static", static, len(friction))
@@ -524,7 +523,7 @@ def _static(static: ArrayLike | None, friction: Floats) -> Floats:
 
 
 def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakening | None:
-    """A weakening, or none, as it was given."""
+    """The weakening, checked; None if there is none."""
     if weakening is None:
         return None
     if not isinstance(weakening, Weakening):
@@ -535,7 +534,7 @@ def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakeni
 
 
 def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
-    """The side to which each block may not slip, from what was given."""
+    """The closed side of each block, 0 for none."""
     if flag("back_slip", back_slip):
         return np.zeros(n, dtype=np.int8)
     speeds = np.atleast_2d(belt_speed.values if isinstance(belt_speed, Piecewise) else belt_speed)
@@ -549,7 +548,7 @@ def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
 
 
 def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
-    """R and N of a damping given as a number, by block, or as a matrix."""
+    """R and N, from a damping given as a number, by block, or as a matrix."""
     cross = floats("damping", damping, f"a number, {n} numbers or a dense matrix")
     if cross.ndim != 2:
         return per_block("damping", cross, n), None

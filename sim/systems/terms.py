@@ -1,8 +1,8 @@
-"""The numbers that a system is given: one table, by which all floors know them.
+"""The numbers that define a system, in one table for all floors.
 
-A term is a row here, and its physics in `System` and the engines. From the row follow its key in a scene and what
-may be written there, the draws for each block and their seeds, the column of a dataset, and the words in ids, labels
-and pages. All is dimensionless.
+A term is a row here, and its physics is in `System` and the engines. The row defines its key in a scene and the
+values that it takes, the draws for each block and their seeds, the column of a dataset, and the words in ids, labels
+and pages. Everything is dimensionless.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from stickslip.sim.systems.weakening import LAWS
 
-#: Laws that a number of each block may be drawn from.
+#: Distributions that a number of each block may be drawn from.
 Draw = Literal["uniform", "normal"]
 
 BOUNDED: tuple[Draw, ...] = ("uniform",)
@@ -21,34 +21,34 @@ UNBOUNDED: tuple[Draw, ...] = ("uniform", "normal")
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A number of a system: one of all, or one a block.
+    """A number of a system: one for all blocks, or one for each.
 
     Attributes
     ----------
     name : str
-        In ids, grids and columns, as "static" or "force_amplitude"; the key of [system], behind `table` and "_".
+        In ids, grids and columns, as "static" or "force_amplitude"; its key in [system], after `table` and "_".
     words, default, example : str, object, object
         Of that key.
     column : str
-        What its column holds, if not `words`; a number, null where blocks differ.
+        Description of its column, if not `words`; a number, null where blocks differ.
     least : float or None
-        Its least value; none itself if `is_above`.
+        Its least value, excluded if `is_above`.
     draws : tuple of str
-        The laws that it may be drawn from, block by block; none: it is one number a system.
+        The distributions that it may be drawn from, block by block; none: it is one number a system.
     in_time : bool
         Whether it may change in time, linear between given times.
     purpose : int or None
-        What a draw of it is for, the first word of its seed's key. Never renumber: the data hang on it.
+        The first word of the key of its seed. Never renumber: stored data depend on it.
     argument : str
-        Of `System`, that it is given as; empty: it is part of a coupling, a force or a law.
+        The argument of `System`; empty: it is part of a coupling, a force or a friction law.
     part : str
-        Of a dataset that it is recorded with, on demand: see `stickslip.pipeline.scene.columns`. Empty: in every one.
+        The optional part of a dataset with its column; see `stickslip.pipeline.scene.columns`. Empty: every dataset.
     in_file : bool
-        Whether a file of K may hold it, as an array of its name, a number a block.
+        Whether a file of K may contain it, as an array of its name, with a number for each block.
     table : str
-        The inner table of [system] that its key stands in.
+        The inner table of [system] that contains its key.
     heading : str
-        Of its column in a report's table of groups, if not the name.
+        Heading of its column in a report's table of groups, if not the name.
     """
 
     name: str
@@ -79,12 +79,12 @@ class Term:
 
     @property
     def described(self) -> str:
-        """What its column holds."""
+        """Description of its column."""
         return self.column or self.words
 
     @property
     def field(self) -> dict[str, Any]:
-        """What a schema of scenes says of its key."""
+        """Its key in the schema of scenes."""
         examples = {} if self.example is None else {"examples": [self.example]}
         return {"default": self.default, "description": self.words, **examples}
 
@@ -215,5 +215,5 @@ TERMS = (
     ),
 )
 
-#: The arguments of `System` among them, a number a block each, which files of K may hold too.
+#: The arguments of `System` among them, a number for each block, which files of K may contain too.
 OF_BLOCKS = tuple(term.name for term in TERMS if term.in_file)

@@ -1,1 +1,1 @@
-"""What explains: folds and strata, other friction laws, the blow-up, slow time."""
+"""Theory that explains runs, and that no engine uses: folds and strata, switching laws, the blow-up, slow time."""

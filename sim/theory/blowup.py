@@ -4,8 +4,8 @@ Inside the layer lambda_j = phi((w_j - v) / eps_j), and on the fast time of eq. 
 
     lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `stickslip.sim.theory.laws`)
 
-Sticking modes are its equilibria, eq. (14). The factors move neither modes nor saddles, but they shape basins and,
-where eigenvalues are complex or there are more than two switches, can decide stability. Dimensionless.
+Sticking modes are its equilibria, eq. (14). The factors move neither modes nor saddles, but they change basins and,
+where eigenvalues are complex or there are more than two switches, can change stability. Dimensionless.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]
 
-#: 1 - |lambda| where a block enters a layer from slip: the limit to 0 is meant
+#: 1 - |lambda| where a block enters a layer from slip, in the place of the limit 0
 ENTRY_DEPTH = 1e-9
-#: what one descent of the fast system may cost; a slow passage past a lost mode takes a tenth of it
+#: limits of one run of the fast system; a slow passage past a lost mode takes a tenth of them
 MAX_EVALUATIONS = 20_000
 #: |f| / mu at which the fast system counts as caught in an unstable mode
 ON_BORDER = 1e-10
@@ -53,7 +53,7 @@ RAMP = Sigmoid(lambda u: np.clip(u, -1.0, 1.0), np.array, np.ones_like)
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A way for the blocks to go on at one state.
+    """A forward continuation of the blocks from one state.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Mode:
     kind : "node", "focus", "saddle", "degenerate" or "slip"
         Degenerate: an eigenvalue without a real part, as at a saddle-node or on a face. Slip: no block sticks.
     is_stable : bool
-        The fast system comes here from all around, within the blocks that stick.
+        Whether the fast system is attracted from all directions, within the blocks that stick.
     """
 
     lam: Floats
@@ -77,7 +77,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """Where the fast system comes to rest.
+    """The point at which the fast system comes to rest.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class Blowup:
     def sticking_modes(self, force: ArrayLike, slip: ArrayLike = 0) -> tuple[Mode, ...]:
         """All equilibria of (14) in the closed box, with the blocks of `slip` slipping and the others stuck.
 
-        Complete for the offered laws; for `SmoothLaw` as it promises.
+        Complete for the laws of `laws`; for `SmoothLaw`, as it promises.
 
         Parameters
         ----------
@@ -181,8 +181,8 @@ class Blowup:
     def continuations(self, force: ArrayLike, slip: ArrayLike = 0) -> tuple[Mode, ...]:
         """All forward continuations of blocks that are on the belt (slip_i = 0): stable modes and possible slips.
 
-        Every block sticks or slips; sticking blocks are in a stable mode, and a block that begins to slip is
-        carried away, f_i strictly in the direction of its slip. At a fold f_i = 0 and this leaves the slip out.
+        Every block sticks or slips; sticking blocks are in a stable mode, and for a block that begins to slip f_i is
+        strictly in the direction of its slip. At a fold f_i = 0, which excludes the slip.
         """
         slips, m = self._slips(slip), len(self.friction)
         load = per_block("force", force, m)
@@ -253,7 +253,7 @@ class Blowup:
         )
 
     def _at_rest(self, load: Floats, lam: Floats, slip: Slips, tol: float) -> tuple[Floats, Slips, bool] | None:
-        """The equilibrium that the fast system is about to reach, the blocks that left, and if it attracts."""
+        """The equilibrium that the fast system approaches, the blocks that left, and whether it attracts."""
         f = f_before = self.law.accelerations(load, self.friction, lam)
         scale = float(np.max(self.friction))
         leaving = (slip == 0) & (1 - np.abs(lam) < 10 * ENTRY_DEPTH) & (f * lam > tol * scale)
@@ -277,7 +277,7 @@ class Blowup:
         jacobian = self.law.jacobian(self.friction, at)[np.ix_(free, free)]
         is_stable = bool(np.linalg.eigvals(factor[:, None] * jacobian).real.max() < 0)
         if not is_stable and np.abs(f_before[free]).max() > ON_BORDER * scale:
-            return None  # it may only be passing by
+            return None  # it may be passing the equilibrium
         return at, slipping, is_stable
 
     def _slips(self, slip: ArrayLike) -> Slips:
@@ -298,8 +298,8 @@ def continuations(
 ) -> tuple[Mode, ...]:
     """All forward continuations of a state: one if the state determines its future, more if it does not.
 
-    Coulomb's law has one everywhere but at folds (-Sign is monotone). Under static friction above kinetic, ratio r, a
-    block with 1 < |F| / mu < r has two: it sticks on, or it slips. Blocks with w_i = v are on the belt.
+    Coulomb's law has one everywhere except at folds (-Sign is monotone). Under static friction above kinetic, ratio
+    r, a block with 1 < |F| / mu < r has two: it goes on sticking, or it slips. Blocks with w_i = v are on the belt.
 
     Returns
     -------

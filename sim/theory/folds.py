@@ -26,7 +26,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX
+from stickslip.sim.engines.coulomb.control import ORDER_MAX
 from stickslip.sim.numerics.arguments import Floats, floats, integer, number, per_block, sign
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.system import System, require_plain
@@ -137,7 +137,7 @@ def folds(system: System) -> Iterator[Fold]:
 
 @dataclass(frozen=True, eq=False)
 class DriftExit:
-    """The end of a time in which all blocks stick.
+    """The end of an all-stuck interval.
 
     Attributes
     ----------
@@ -160,8 +160,8 @@ class DriftExit:
 def drift_exit(system: System, z: ArrayLike) -> DriftExit | None:
     """The first exit from sticking with all blocks stuck, when z drifts with the belt: z(t) = z + v t.
 
-    F_i grows by v sum_j K_ij in unit time, so block i leaves where F_i = mu_i or -mu_i. At the exit point every
-    visible fold counts (see `visibility`), and what rounding cannot tell from a fold is on it.
+    F_i grows by v sum_j K_ij in unit time, so block i leaves where F_i = mu_i or -mu_i. At the exit point all visible
+    folds are taken together (see `visibility`); a distance from a fold within rounding counts as zero.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def drift_exit(system: System, z: ArrayLike) -> DriftExit | None:
     speed, toward = np.abs(rate[leaving]), np.sign(rate[leaving])
     times = np.maximum((system.friction[leaving] - toward * force[leaving]) / speed, 0.0)
     end = start + drift * times.min()
-    # not the first of the times alone: one that leaves can take along others that rested on their folds
+    # not the first time alone: a block that leaves can move others off their folds
     contacts = [c for c in visibility(system, end, drift, np.zeros(system.n)) if c.visibility == "visible"]
     return DriftExit(float(times.min()), end, tuple(c.block for c in contacts), tuple(c.side for c in contacts))
 
@@ -227,14 +227,14 @@ def stick_interval(system: System) -> StickInterval:
 
 @dataclass(frozen=True)
 class Contact:
-    """A block at one of its folds, and what the motion that slips in direction `side` does from there.
+    """A block at one of its folds, and the motion from there that slips in direction `side`.
 
     Attributes
     ----------
     block : int
     side : +1 or -1
     visibility : "visible", "invisible" or "degenerate"
-        It leaves, it returns, or no derivative that can be told from zero decides.
+        It leaves, it returns, or all derivatives are zero within rounding.
     order : int
         Of the first derivative of z_i that does not vanish, 3 unless that is zero; 0 if degenerate.
     derivative : float
@@ -249,11 +249,11 @@ class Contact:
 
 
 def visibility(system: System, z: ArrayLike, w: ArrayLike, mode: ArrayLike) -> tuple[Contact, ...]:
-    """Every block that is at a fold in a given state, and whether it leaves: its motion goes on with slip if visible.
+    """The blocks at a fold in a given state, and whether each leaves: a visible fold begins a slip.
 
-    A block is at a fold if it sticks, or slips with w_i = v, and |F_i| = mu_i up to rounding. There it moves alike
-    with and without slip until the first derivative of F_i that does not vanish; that one decides. All such
-    blocks are decided together, order by order: one that leaves moves the others, from its third derivative on.
+    A block is at a fold if it sticks, or slips with w_i = v, and |F_i| = mu_i up to rounding. Its motion is the
+    same with and without slip up to the first derivative of F_i that does not vanish, which decides. All such blocks
+    are decided together, order by order: one that leaves moves the others, from its third derivative on.
 
     Parameters
     ----------
@@ -279,7 +279,10 @@ def visibility(system: System, z: ArrayLike, w: ArrayLike, mode: ArrayLike) -> t
     require_plain(system, "`stickslip.sim.theory.folds`")
     z, mode = per_block("z", z, system.n), _modes(system, mode)
     v, mu, damping = system.belt_speed, system.friction, system.damping
-    now, then = z, np.where(mode == 0, v, per_block("w", w, system.n))  # Taylor coefficients of two orders in a row
+    now, then = (
+        z,
+        np.where(mode == 0, v, per_block("w", w, system.n)),
+    )  # Taylor coefficients of two consecutive orders
     force, slack = system.holding_force(z), _slack(system, z)
     _require_hold(system, "mode", force, slack, mode == 0)
     _require_slip(system, force, slack, then, mode)
@@ -310,7 +313,7 @@ def visibility(system: System, z: ArrayLike, w: ArrayLike, mode: ArrayLike) -> t
 
 
 def visibility_of(outward: float) -> Visibility:
-    """What a derivative means that is positive where it leads away from sticking."""
+    """Visibility by the sign of a derivative that is positive if it leads away from sticking."""
     if outward == 0.0:
         return "degenerate"
     return "visible" if outward > 0.0 else "invisible"
@@ -335,7 +338,7 @@ def _forces(system: System, z: ArrayLike) -> Floats:
 
 
 def _slack(system: System, z: Floats) -> Floats:
-    """What rounding may do to |F_i| - mu_i, shape (n,); the exact engine allows the same."""
+    """A bound of the rounding of |F_i| - mu_i, shape (n,), the same as in the exact engine."""
     held = np.abs(system.damping * system.belt_speed) + system.row_sums * np.abs(z).max() + system.friction
     return np.asarray(ROUNDING * held)
 
@@ -351,7 +354,7 @@ def _require_hold(system: System, name: str, force: Floats, slack: Floats, stick
 
 
 def _require_slip(system: System, force: Floats, slack: Floats, w: Floats, mode: NDArray[np.int8]) -> None:
-    """A slipping block moves the way its mode says, or is about to: w = v and friction cannot hold it."""
+    """ValueError unless slipping blocks move as their modes say, or begin to: w = v, not held by friction."""
     gap = mode * (w - system.belt_speed)
     is_held = (mode != 0) & (gap == 0.0) & (-mode * force < system.friction - slack)
     wrong = (gap < 0.0) | is_held

@@ -1,10 +1,10 @@
-"""Friction inside a discontinuity: switching laws, and all points of the box where they balance a given force.
+"""Friction within the discontinuity: switching laws, and all points of the box at which they balance a force.
 
 While w_i = v the friction of block i is mu_i s_i(lambda), lambda in [-1, 1]^m, and
 
     w_i' = f_i(F; lambda) = -F_i - mu_i s_i(lambda),    F_i = R_i w_i + (K z)_i           (eqs 1, 6, 13)
 
-A slipping block has lambda_i = +1 or -1. A law is its s. Everything is dimensionless.
+A slipping block has lambda_i = +1 or -1. A switching law is its s. Everything is dimensionless.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, floats, number
 from stickslip.sim.runs.run import IntegrationError
-from stickslip.sim.systems.friction import hidden_term, turning_point
+from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 
 Slips = NDArray[np.int8]
 
-#: a point this far outside the box counts as on its face: what rounding does to lambda
+#: a point this far outside the box counts as on its face: the rounding of lambda
 ON_FACE = 1e-12
 
 
@@ -78,12 +78,12 @@ class Coulomb(SwitchingLaw):
 class StaticAboveKinetic(SwitchingLaw):
     """s = lambda + c lambda (1 - lambda^2), each block by itself: static friction `ratio` times the kinetic.
 
-    s(+-1) = +-1. For c <= 1/2 s is monotone on [-1, 1] and the outcome is Coulomb's; for c > 1/2 it turns at
-    lambda_* = sqrt((1 + c) / (3 c)) < 1, where it is largest, s = 2 c lambda_*^3. That this be the ratio r asks
+    s(+-1) = +-1. For c <= 1/2 s is monotone on [-1, 1] and the motion is Coulomb's; for c > 1/2 it turns at
+    lambda_* = sqrt((1 + c) / (3 c)) < 1, where it is largest, s = 2 c lambda_*^3. This is the ratio r if
     4 (1 + c)^3 = 27 r^2 c, whose root with c > 1/2 is 1 + c = 3 r cos(arccos(-1 / r) / 3). r = 1 is Coulomb, c = 0.
 
-    For 1 < |F| / mu < r a stable sticking mode and the slip that F asks for exist at once, a saddle between
-    them: an exit is no longer determined by the state (see `stickslip.sim.theory.blowup.continuations`).
+    For 1 < |F| / mu < r a stable sticking mode and the slip in the direction of -F both exist, with a saddle between
+    them: the state no longer determines an exit (see `stickslip.sim.theory.blowup.continuations`).
 
     Raises
     ------
@@ -108,7 +108,7 @@ class StaticAboveKinetic(SwitchingLaw):
         return float(turning_point(self.c))
 
     def resistance(self, lam: Floats) -> Floats:
-        return np.asarray(lam + self.c * lam * (1 - lam**2))
+        return over_kinetic(lam, self.c)
 
     def slope(self, lam: Floats) -> Floats:
         return np.diag(1 + self.c - 3 * self.c * lam**2)
@@ -131,8 +131,8 @@ class StaticAboveKinetic(SwitchingLaw):
 class Modified(SwitchingLaw):
     """s_1 = lambda_1 - lambda_2 (1 - lambda_1^2), s_2 = lambda_2 - lambda_1 (1 - lambda_2^2): section 5, figure 6(b).
 
-    Nothing changes where a block slips (lambda_i = +-1). Of a sticking block beside a slipping one,
-    lambda_2 = L, s_1 = lambda_1 - L (1 - lambda_1^2) reaches -5 L / 4: friction holds more on one side.
+    It is Coulomb's law where a block slips (lambda_i = +-1). Of a sticking block beside a slipping one,
+    lambda_2 = L, s_1 = lambda_1 - L (1 - lambda_1^2) reaches -5 L / 4: friction is larger on one side.
     """
 
     size = 2
@@ -149,7 +149,7 @@ class Modified(SwitchingLaw):
 
             P(x) = -x^5 - b x^4 + 2 x^3 + (2 b - a) x^2 + a^2 x - (a + b),    (a, b) = target
 
-        in exact rational arithmetic. P is what y = (x - a) / (1 - x^2) from s_1 = a makes of s_2 = b; it loses
+        in exact rational arithmetic. P is s_2 = b with y = (x - a) / (1 - x^2) from s_1 = a inserted; it loses
         only x = +-1, which needs a = +-1 and is then a quadratic in y.
         """
         if slip.all():
@@ -173,7 +173,7 @@ class Modified(SwitchingLaw):
         return np.unique(_in_box(np.array([self._polish(lam, target) for lam in found]).reshape(-1, 2)), axis=0)
 
     def _polish(self, lam: Floats, target: Floats) -> Floats:
-        """One Newton step, where the root is simple enough that it can only gain."""
+        """One Newton step, where the root is simple enough that it can only improve."""
         slope = self.slope(lam)
         if abs(np.linalg.det(slope)) < 1e-5:
             return lam
@@ -186,8 +186,8 @@ class SmoothLaw(SwitchingLaw):
     """A user's own smooth s, whose zeros are found by subdivision of the box.
 
     Promise: given that `curvature` bounds every |d2 s_i / dlambda_j dlambda_k| on the box and 1/16 beyond, `zeros`
-    returns every zero in the closed box, once, or raises. A cell goes when the bound excludes a zero; it is settled
-    when Newton-Kantorovich, with the same bound, leaves room for one zero only. What stays undecided at cells
+    returns every zero in the closed box, once, or raises. A cell is discarded when the bound excludes a zero; it is
+    decided when Newton-Kantorovich, with the same bound, allows one zero only. A case that is undecided in cells
     `resolution` wide, a zero whose Jacobian is singular or nearly so (|J^-1| above about
     1 / (8 m^2 curvature resolution)), raises IntegrationError. Not promised: anything if the bound is too small, or
     s of order 1e4 (residuals are judged at 1e-12); zeros within 1e-12 of a face may count as on it; the arithmetic
@@ -246,7 +246,7 @@ def canopy(corners: ArrayLike, lam: ArrayLike) -> Floats:
 
 
 def _combine(roots: list[Floats], slip: Slips) -> Floats:
-    """Zeros of a law without coupling: the product of each component's own."""
+    """Zeros of a law without coupling: all combinations of the zeros of the components."""
     sides = [_in_box(r[:, None])[:, 0] if not s else np.array([float(s)]) for r, s in zip(roots, slip, strict=True)]
     return np.array(list(product(*sides)), dtype=np.float64).reshape(-1, len(slip))
 

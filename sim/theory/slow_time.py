@@ -1,6 +1,6 @@
-"""Hidden dynamics in slow time: modes followed to jumps and exits, and runs of one and two blocks under any law.
+"""Hidden dynamics in slow time: modes followed to jumps and exits; runs of one or two blocks by any switching law.
 
-Between events z and w move with lambda on its mode, f(F; lambda) = 0, eq. (14); at an event the fast system of
+Between events z and w move while lambda stays on its mode, f(F; lambda) = 0, eq. (14); at an event the fast system of
 `stickslip.sim.theory.blowup` decides which mode comes next. Dimensionless.
 """
 
@@ -21,18 +21,18 @@ from stickslip.sim.theory.blowup import TANH, Blowup, Sigmoid, total_force
 from stickslip.sim.theory.laws import Slips, SwitchingLaw
 
 EventKind = Literal["exit", "entry", "crossing", "jump"]
-#: what ended a phase: a slipping block reached the belt, a mode met a face, a saddle, or a Hopf point, or time was up
+#: the end of a phase: a slipping block reached the belt, a mode met a face, a saddle, or a Hopf point, or `t_end`
 Cause = Literal["arrival", "face", "fold", "focus", "end"]
 
-#: how near a fold is left behind, in lambda
+#: the distance from a fold, in lambda, at which it is left
 FOLD_DEPTH = 1e-3
-#: what counts as one instant, in w and in lambda
+#: the distances in w and in lambda within which events are at one instant
 TOGETHER = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch of slow time in one mode: state at its start, and lambda at both ends."""
+    """An interval of slow time in one mode: the state at its start, and lambda at both ends."""
 
     t_start: float
     t_end: float
@@ -58,7 +58,7 @@ class LawEvent:
     block : int
         Index of the block; -1 for a jump, which has none.
     slip : int8, shape (n,)
-        Modes of all blocks from t on: the new mode of the block, and so which way it left, is slip[block].
+        Modes of all blocks from t on; the new mode of the block, and so the direction of an exit, is slip[block].
     lam_before, lam : float64, shape (n,)
         lambda just before, and where the fast system settles.
     """
@@ -92,7 +92,7 @@ class _State:
     slip: Slips
 
 
-Watch: TypeAlias = Callable[[float, Floats], float]
+EventFunction: TypeAlias = Callable[[float, Floats], float]
 #: a segment, the events that end it, and the state after them
 _Stretch: TypeAlias = tuple[Segment, list[LawEvent], _State]
 
@@ -204,7 +204,7 @@ def _collect(marching: Iterator[_Stretch], until_exit: bool = False) -> LawRun:
 
 
 def _march(system: System, blowup: Blowup, z: Floats, w: Floats, entry: Floats, t_end: float) -> Iterator[_Stretch]:
-    """Phases and what happens between them, up to t_end."""
+    """Phases and the events between them, up to t_end."""
     slip = np.sign(w - system.belt_speed).astype(np.int8)
     state = _decide(system, blowup, _State(0.0, z, w, np.where(slip == 0, entry, slip), slip))
     n_still = 0
@@ -239,7 +239,7 @@ def _decide(system: System, blowup: Blowup, state: _State) -> _State:
 
 
 def _at_event(system: System, blowup: Blowup, state: _State, cause: Cause) -> _State:
-    """The state as the fast system takes it over: blocks freed or caught, a lost mode left behind."""
+    """The state from which the fast system goes on: with blocks that leave or arrive, or off a lost mode."""
     w, lam, slip = state.w.copy(), state.lam.copy(), state.slip.copy()
     if cause == "arrival":
         arrived = (slip != 0) & (np.abs(w - system.belt_speed) < TOGETHER)
@@ -254,7 +254,7 @@ def _at_event(system: System, blowup: Blowup, state: _State, cause: Cause) -> _S
         values, right = np.linalg.eig(jacobian)
         along = right[:, np.argmax(values.real)].real
         along, depth = along / np.abs(along).max(), FOLD_DEPTH
-        if cause == "fold":  # no mode is left ahead, so lambda leaves to the side to which the drift of F pushes it
+        if cause == "fold":  # no mode exists beyond, so lambda leaves to the side to which the drift of F pushes it
             values, left = np.linalg.eig(jacobian.T)
             across = left[:, np.argmax(values.real)].real
             along *= -np.sign((across @ (factor * (system.stiffness @ w)[free])) * (across @ along))
@@ -266,7 +266,7 @@ def _at_event(system: System, blowup: Blowup, state: _State, cause: Cause) -> _S
 def _fold_depth(
     blowup: Blowup, force: Floats, lam: Floats, free: NDArray[np.intp], along: Floats, across: Floats
 ) -> float:
-    """How far from a fold to start: near a cusp further, where the fast system is not too slow to be followed."""
+    """The distance from a fold at which to start: larger near a cusp, where the fast system is slow."""
     depth = FOLD_DEPTH
     while depth < 0.1:
         ahead = lam.copy()
@@ -282,7 +282,7 @@ def _events(before: _State, after: _State, cause: Cause) -> list[LawEvent]:
         return LawEvent(after.t, kind, cause, block, after.slip, before.lam, after.lam)
 
     changed = np.flatnonzero(before.slip != after.slip)
-    if not len(changed):  # a block that grazes the belt speed slips on: no event
+    if not len(changed):  # a block that grazes the belt speed goes on slipping: no event
         return [event("jump", -1)] if cause in ("fold", "focus") else []
     return [
         event("exit" if before.slip[j] == 0 else "entry" if after.slip[j] == 0 else "crossing", int(j))
@@ -315,29 +315,36 @@ def _phase(system: System, blowup: Blowup, state: _State, t_end: float) -> tuple
         rate = blowup.law.accelerations(total_force(system, z, w), blowup.friction, lam)[moving]
         return np.concatenate([tangent, tangent[m] * w, tangent[m] * rate])
 
-    def at(index: int, level: float) -> Watch:
+    def at(index: int, level: float) -> EventFunction:
         return lambda _, x: float(x[index] - level)
 
-    watched: list[tuple[Cause, Watch, float]] = [("end", at(m, t_end), 1.0)]
-    watched += [("arrival", at(m + 1 + n + k, v), -float(slip[j])) for k, j in enumerate(moving)]
-    watched += [("face", at(k, side), side) for k in range(m) for side in (1.0, -1.0)]
+    functions: list[tuple[Cause, EventFunction, float]] = [("end", at(m, t_end), 1.0)]
+    functions += [("arrival", at(m + 1 + n + k, v), -float(slip[j])) for k, j in enumerate(moving)]
+    functions += [("face", at(k, side), side) for k in range(m) for side in (1.0, -1.0)]
     if m:
-        watched.append(("fold", lambda _, x: float(np.linalg.det(slope(x))), -1.0))
+        functions.append(("fold", lambda _, x: float(np.linalg.det(slope(x))), -1.0))
     if m > 1:
-        watched.append(("focus", lambda _, x: _pair_growth(blowup, slope(x), x[:m], free), 1.0))
-    for _, function, direction in watched:
+        functions.append(("focus", lambda _, x: _pair_growth(blowup, slope(x), x[:m], free), 1.0))
+    for _, function, direction in functions:
         function.terminal, function.direction = True, direction  # type: ignore[attr-defined]
 
     x0 = np.concatenate([state.lam[free], [state.t], state.z, state.w[moving]])
     stiffness = np.linalg.norm(system.stiffness @ np.eye(n), 2)
     longest = 0.05 / max(float(np.sqrt(stiffness)), float(np.abs(system.damping).max()), 0.05 / t_end)
     run = solve_ivp(
-        rhs, (0.0, np.inf), x0, "DOP853", events=[f for _, f, _ in watched], rtol=1e-12, atol=1e-13, max_step=longest
+        rhs,
+        (0.0, np.inf),
+        x0,
+        "DOP853",
+        events=[f for _, f, _ in functions],
+        rtol=1e-12,
+        atol=1e-13,
+        max_step=longest,
     )
     if run.status != 1:
         raise IntegrationError(f"t = {run.y[m, -1]:.12g}: {run.message} The state may be growing without bound.")
     x = run.y[:, -1]
-    cause = next(c for (c, _, _), hits in zip(watched, run.t_events, strict=True) if len(hits))
+    cause = next(c for (c, _, _), hits in zip(functions, run.t_events, strict=True) if len(hits))
     unpack(x)
     return _State(float(x[m]), x[m + 1 : m + 1 + n].copy(), w, lam, slip), cause
 

@@ -3,7 +3,7 @@
 With r of n blocks stuck, folds of k of them meet in C(r, k) 2^k strata of dimension 2n - r - k (section 4, counts
 corrected); they are points, corners of the sticking region, only for r = k = n. See `sim.theory.folds` for one fold.
 
-The damping is diagonal throughout; another is refused (ValueError). Blocks are numbered from 0. Everything is
+The damping must be diagonal; a full one is refused (ValueError). Blocks are numbered from 0. Everything is
 dimensionless.
 """
 
@@ -73,7 +73,7 @@ class Stratum:
     def point(self) -> Floats:
         """The point of the stratum with the least norm, shape (n,): the corner itself if k = n.
 
-        Other blocks that stick need not be able to stick there: `inner_point` is one where they can.
+        The other sticking blocks may not be able to stick there: `inner_point` is a point at which they can.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Stratum:
 
     @cached_property
     def inner_point(self) -> Floats:
-        """The least-norm point of the stratum at which nothing pulls the other sticking blocks, F = 0; shape (n,).
+        """The least-norm point of the stratum at which the other sticking blocks have F = 0; shape (n,).
 
         Raises
         ------
@@ -161,8 +161,8 @@ class Stratum:
 def n_strata(n_stuck: int, n_folds: int) -> int:
     """How many strata there are where folds of k of r sticking blocks meet: C(r, k) 2^k, exactly.
 
-    Every one exists if the rows of K of the sticking blocks are independent; a block without friction has its two
-    folds in one place, and both are counted.
+    All exist if the rows of K of the sticking blocks are independent; the two folds of a block without friction
+    coincide, and both are counted.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def n_strata(n_stuck: int, n_folds: int) -> int:
 
 
 def strata(system: System, n_folds: int, stuck: Sequence[int] | None = None) -> Iterator[Stratum]:
-    """The strata where the folds of `n_folds` of the sticking blocks meet, one after the other; see `n_strata`.
+    """Iterate over the strata where the folds of `n_folds` of the sticking blocks meet; see `n_strata`.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def strata(system: System, n_folds: int, stuck: Sequence[int] | None = None) -> 
     Returns
     -------
     iterator of Stratum
-        In lexicographic order of the blocks, then of the sides with +1 first. Each is solved when asked to.
+        In lexicographic order of the blocks, then of the sides with +1 first. Each is solved on demand.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def parallelogram(system: System) -> tuple[Stratum, Stratum, Stratum, Stratum]:
     """
     require_blocks(system, 2)
     first, clockwise, counter, last = corners(system)  # ++, +-, -+, --
-    if np.linalg.det(stiffness_rows(system, (0, 1))) < 0.0:  # lambda runs round the other way than z
+    if np.linalg.det(stiffness_rows(system, (0, 1))) < 0.0:  # lambda runs the other way round than z
         clockwise, counter = counter, clockwise
     return first, counter, last, clockwise
 
@@ -257,14 +257,14 @@ def _meet(rows: Floats, offsets: Floats, blocks: tuple[int, ...]) -> tuple[Float
 
 
 def _unit(rows: Floats) -> tuple[Floats, Floats]:
-    """Rows scaled to norm one (zero rows stay), and their norms: angles, not sizes, are to tell the rank."""
+    """Rows scaled to norm one (zero rows stay), and their norms, so that angles, not sizes, decide the rank."""
     norms = np.asarray(np.linalg.norm(rows, axis=1), dtype=np.float64)
     norms[norms == 0.0] = 1.0
     return rows / norms[:, None], norms
 
 
 def _rank(sizes: NDArray[np.floating[Any]], n: int) -> int:
-    """Number of singular values that rounding does not explain."""
+    """Number of singular values that are above rounding."""
     return int(np.count_nonzero(sizes > n * np.finfo(np.float64).eps * sizes.max()))
 
 

@@ -41,7 +41,9 @@ def drawn(n_cases):
 def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monkeypatch):
     """Only systems of some size are worth them; here all have them."""
     n_changed = 0
-    for trial, unit in drawn(3):
+    for n_before, (trial, unit) in enumerate(drawn(40)):  # of three, by chance none may change
+        if n_before >= 3 and n_changed > 0:
+            break
         case, runs = trial.case, []
         system = made(case)
         for smallest in (1, 1000):

@@ -87,8 +87,8 @@ def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(l
     monkeypatch.setattr(certificates.Collapse, "certify", lambda *state: asked.append(1) or ask(*state))
     runs = [simulate(system, -0.7, -0.4, 200.0, **law) for system in systems]
     n_asked = len(asked)
-    first = property(lambda self: vars(self)["first"], lambda self, watch: vars(self).setdefault("first", watch))
-    monkeypatch.setattr(certificates.Collapse, "watch", first, raising=False)
+    first = property(lambda self: vars(self)["first"], lambda self, found: vars(self).setdefault("first", found))
+    monkeypatch.setattr(certificates.Collapse, "precheck", first, raising=False)
     for run, system in zip(runs, systems, strict=True):
         other = simulate(system, -0.7, -0.4, 200.0, **law)
         assert (run.outcome, run.t_collapse, run.stats) == (other.outcome, other.t_collapse, other.stats)

@@ -1,6 +1,7 @@
-"""When a block's mode ends: the first roots of its event functions, and which blocks need no search.
+"""When a block's mode ends: the first root of its event functions, and the fast exclusion check.
 
-A bound by the sum of |coefficients| dismisses most blocks; the rest go to `sim.numerics.roots`, which misses no root.
+A bound by the sum of |coefficients| excludes most blocks; the others go to `sim.numerics.roots`, which misses no
+root.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from stickslip.sim.numerics.roots import roots
 
 @inner
 def enclose(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
-    """How far the event functions of n blocks can stray in h from their tangents, by the sizes of their terms."""
+    """Bounds of how far the event functions of n blocks deviate in h from their tangents, from their coefficients."""
     for i in range(n):
         reach[i] = 0.0
     power = h * h
@@ -28,9 +29,9 @@ def enclose(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyp
 def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
     """The fast exclusion check: whether a block's event functions have no root within h.
 
-    `face` is its mode, zeros and side (see `Expansion`), `motion` w, half its slope, (K z)_i and its slope, `bounds`
-    v, R v, static friction and the closed side; they stray by at most `reach` from their tangents. It takes numbers,
-    not the model: what is not inlined is passed field by field, for each block.
+    `face` has its mode, zeros and side (see `Expansion`), `motion` w, half its slope, (K z)_i and its slope, `bounds`
+    v, R v, static friction and the closed side; the functions deviate by at most `reach` from their tangents. It
+    takes numbers, not the model: a call that is not inlined passes the model field by field, for each block.
     """
     mode, zeros, side = face
     w, half_slope, pull, pull_slope = motion
@@ -46,7 +47,8 @@ def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
 def root(model, i, series, forces, at, face, horizon, room):  # type: ignore[no-untyped-def]
     """Time to the first root of block i's event functions within h, and whether there is one; see `excluded` first.
 
-    Its series are the columns `at`; `face` is its mode, zeros and side, `horizon` the order and h, `room` to work in.
+    Its series are the columns `at`; `face` has its mode, zeros and side, `horizon` the order and h; `room` is
+    workspace.
     """
     mode, zeros, side = face
     order, h = horizon

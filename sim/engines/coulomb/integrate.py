@@ -1,4 +1,4 @@
-"""A run of the exact engine: checks, the loop that its structure asks for, and what is said where it stalls."""
+"""A run of the exact engine: its checks, the choice of its loop, and its errors and warnings."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.coulomb import sparse, step
+from stickslip.sim.engines.coulomb import control, sparse, step
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, SPAN, Expansion
-from stickslip.sim.engines.coulomb.windows import STALL, Goal, Search
+from stickslip.sim.engines.coulomb.taylor import Expansion
+from stickslip.sim.engines.coulomb.windows import Goal, Search
 from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.numerics.arguments import Floats
@@ -25,17 +25,15 @@ from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import require_diagonal_damping
 
-#: A touch w - v = a s^2 / 2, off by the tolerance, reads as two events 2 (2 tol |v| / a)^(1/2) apart, a being about
-#: |v| rate^2, or as none: this many tol^(1/2) / rate are taken for a touch.
+#: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
+#: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
 _TOUCH = 4.0
-#: So many steps are announced.
+#: More steps than this are warned of.
 _MANY = 1e8
-#: The loosest tolerance that is worked with. A looser one leaves events undecided: they end windows, and cost more.
-_LOOSEST = 1e-3
-#: The motion after a collapse is that of the modes if a bound of their rounding, some hundred times what it comes to,
-#: is below the tolerance, or below this.
+#: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
+#: actual one, is below the tolerance, or below this.
 _FOLLOWED = 1e-10
-#: So many tolerances, of its terms, F may be off at an event where a run was cut.
+#: The error of F at an event at which a run was cut, in tolerances of its terms.
 _AT_EVENTS = 100.0
 
 
@@ -45,19 +43,19 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
     Raises
     ------
     ValueError
-        Of a run: if the system has cross damping, or a block starts ahead of its belt where that is barred.
+        Of a run: if the system has cross damping, or a block starts ahead of its belt without back slip.
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
-    tol, systems = min(tol, _LOOSEST), [task.system for task in tasks]
-    # from here on by task and block
+    tol, systems = min(tol, control.LOOSEST), [task.system for task in tasks]
+    # arrays from here on are by task and block
     rates, static, near, row_sums = (
         np.array(rows)
         for rows in zip(
             *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
         )
     )
-    # with static friction above the kinetic a touch sticks, for as long as F takes from the one to the other
+    # with static friction above the kinetic a touch sticks, until F has gone from the kinetic to the static
     is_touch = (rates > 0) & (static == near)
     shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
     of_runs = zip(
@@ -71,10 +69,10 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
 
 
 def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
-    """Run a task. `rate` bounds |eigenvalues|; how far the series of a force is of use, `expand` sees for itself."""
+    """Run a task. `rate` bounds |eigenvalues|; `expand` itself limits a step to where the series of a force holds."""
     system = task.system
     require_diagonal_damping(system, "engine='coulomb'")
-    drive = Drive(system, task.t_start, task.t_end, ORDER_MAX + 1)
+    drive = Drive(system, task.t_start, task.t_end, control.ORDER_MAX + 1)
     model, v = Model.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction
     if model.weakening is not None:
@@ -99,18 +97,18 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     def advance(events: Events, bound: float) -> tuple[int, int]:
         goal = Goal(drive.length, drive.is_last, tol, rate, bound)
         if is_local:
-            found = sparse.advance(model, goal, state, expansion, search, room, events, collapse.watch)
+            found = sparse.advance(model, goal, state, expansion, search, room, events, collapse.precheck)
         else:
-            found = step.advance(model, goal, state, expansion, search, slow, events, collapse.watch)
+            found = step.advance(model, goal, state, expansion, search, slow, events, collapse.precheck)
         if task.modes is not None:
             _require_modes(task, task.modes, search.initial_mode, tol)
         return found
 
     if is_local:
-        room = sparse.Nearby.of(system.n, float(system.row_sums.max()))
+        room = sparse.Local.of(system.n, float(system.row_sums.max()))
     plan = loop.Plan(
         advance,
-        stalled=f"more than {STALL} instants that rounding cannot tell apart; this start is degenerate:"
+        stalled=f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate:"
         " perturb it, or use engine='sigmoid'",
         events_a_step=system.n,
         initial_modes=search.initial_mode[np.newaxis],
@@ -121,12 +119,12 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:
-    """RuntimeWarning if blocks that move at this rate throughout make a run as long as few would wait for."""
-    n_steps = rate * (task.t_end - task.t_start) / SPAN
+    """RuntimeWarning if blocks that slip throughout, at this rate, take more steps than most would wait for."""
+    n_steps = rate * (task.t_end - task.t_start) / control.SPAN
     if n_steps > _MANY:
         fastest = f"damping up to {task.system.damping.max():g}, stiffness up to {task.system.row_sums.max():g} a row"
         warnings.warn(
-            f"system: {fastest} allow steps of {SPAN / rate:.0e} while blocks slip, {n_steps:.0e} of them to"
+            f"system: {fastest} allow steps of {control.SPAN / rate:.0e} while blocks slip, {n_steps:.0e} of them to"
             f" t = {task.t_end:g}: a minute or more for each 1e8; engine='sigmoid' takes long ones under damping",
             RuntimeWarning,
             stacklevel=2,
@@ -134,7 +132,7 @@ def _warn_of_short_steps(task: Task, rate: float) -> None:
 
 
 def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8], tol: float) -> None:
-    """ValueError if a block cannot start in the mode that was asked for, by more than the tolerance."""
+    """ValueError if a block cannot start in the mode that was asked for, within the tolerance."""
     if (asked == found).all():
         return
     s, z, t = task.system, task.z0, task.t_start
@@ -143,7 +141,7 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
     size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + np.abs(s.force_at(t)) + s.static
     allowed = _AT_EVENTS * tol * size
     is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (np.abs(np.abs(force) - s.static) <= allowed)
-    # but friction does not push, and no block slips to a side that is barred
+    # but friction drives no block, and none slips to a side that is closed
     is_at_edge &= (asked * s.closed <= 0) & ((asked * force <= 0.0) | (s.static <= allowed))
     if ((asked != found) & ~is_at_edge).any():
         block = int(np.argmax((asked != found) & ~is_at_edge))
@@ -155,7 +153,7 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
 
 
 def _refuse_closed(beyond: Floats, allowed: float) -> None:
-    """ValueError if a block starts ahead of its belt by more than is allowed: no force can have brought it there."""
+    """ValueError if a block starts ahead of its belt by more than is allowed: no motion leads there."""
     if (beyond > allowed).any():
         block = int(np.argmax(beyond))
         raise ValueError(

@@ -27,9 +27,9 @@ class SpeedWeakening(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What is constant in a piece of a run. Named tuples are typed by position by numba, and compiled away.
+    """What is constant in a piece of a run. numba types its fields by position.
 
-    What is None is compiled away too: a function that is given it asks first whether it is.
+    A field that is None is compiled away, with all that depends on it: functions test for None first.
     """
 
     columns: Columns

@@ -1,14 +1,14 @@
-"""Heavily damped blocks in the exact engine: their slow motion, in the place of steps as short as 1 / R.
+"""Heavily damped blocks in the exact engine: their slow motion, without steps as short as 1 / R.
 
-A slipping block with w' = -R w + G(t) has a transient, exp(-R t) times what w is off at the start, and beside it a
-motion as slow as G. In the coefficients of series that is
+A slipping block with w' = -R w + G(t) has a transient, exp(-R t) times the deviation of w at the start, and a motion
+as slow as G. The coefficients of the latter are
 
-    w_k = (G_k - (k + 1) w_{k+1}) / R,    G = -(K z) - mu sigma, and a force from outside.
+    w_k = (G_k - (k + 1) w_{k+1}) / R,    G = -(K z) - mu sigma plus an external force.
 
-Where R is far above all other rates, this recurrence settles in a few iterations, w_{k+1} being that of the last:
-each brings a factor of those rates over R. A block is taken to move so once what it is off is below the tolerance.
-Until then, when a block leaves the belt, and where they do not settle, the step is that of `taylor.expand`. A block
-with a transient counts as one that is not heavily damped: those far above it move slowly all the same.
+Where R is far above all other rates, this recurrence converges in a few iterations, with w_{k+1} from the last one:
+each gains a factor of those rates over R. A block follows its slow motion once its deviation from it is below the
+tolerance. Until then, when a block leaves the belt, and where the iteration does not converge, the step is that of
+`taylor.expand`. A block with a transient counts as not heavily damped; blocks of far larger R still move slowly.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX, ORDER_MIN, SPAN
 from stickslip.sim.engines.forcing import begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -29,27 +29,20 @@ from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.products import one_product
 from stickslip.sim.systems.system import System
 
-#: A block is heavily damped if R is this many times all rates without it: below, short steps cost no more.
-_HEAVY = 100.0
-#: Series have settled when an iteration changes w by this share of what it may err by.
-_SETTLED = 0.01
-_ITERATIONS = 15
-#: A step whose series do not end by the highest order is made this much shorter, so many times.
-_SHORTER, _SHORTER_MAX = 0.6, 4
-#: After a failure so many steps of `expand` come first: those left, and what it will be the next time, up to a most.
-_LEFT, _NEXT, _PATIENCE_MAX = 0, 1, 64
+#: Places in `patience`: the steps of `expand` still to take, and how many come after the next failure.
+_LEFT, _NEXT = 0, 1
 
 
 class Slow(NamedTuple):
-    """What it takes to follow heavily damped blocks."""
+    """What is known of heavily damped blocks."""
 
     damping: Floats
     pull: Floats  #: row sums of |K|
     fastest: float  #: the largest frequency of a force
     most: float  #: the largest damping
-    rate: float  #: of the motion that is left if all blocks move
-    moves: NDArray[np.bool_]  #: which blocks do now
-    decays: NDArray[np.bool_]  #: which have a transient
+    rate: float  #: of the slow motion if all blocks move
+    moves: NDArray[np.bool_]  #: whether a block moves now
+    decays: NDArray[np.bool_]  #: whether it has a transient
     patience: NDArray[np.int64]
 
     @classmethod
@@ -58,7 +51,7 @@ class Slow(NamedTuple):
         damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
         decays = np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
-        if not (damping > _HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
+        if not (damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
             return None
         slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
         _, rate = _pace_of(slow)
@@ -66,21 +59,22 @@ class Slow(NamedTuple):
 
 
 def _pace_of(slow: Slow) -> tuple[float, float]:
-    """The damping from which on blocks are heavily damped, while some move, and the rate of the motion that is left.
+    """The least R of a heavily damped block, with the blocks that move now, and the rate of the slow motion.
 
-    Heavy is what is far above that rate, to which all belong that are not heavy: it is found from below.
+    A block is heavily damped if its R is far above that rate, which is the largest of all blocks that are not: it is
+    found from below.
     """
-    damping, pull, least = slow.damping, slow.pull, _HEAVY * slow.fastest
+    damping, pull, least = slow.damping, slow.pull, control.HEAVY * slow.fastest
     while True:
         rate = slow.fastest
         for i in range(len(damping)):
             if slow.moves[i] or slow.decays[i]:
                 own = math.sqrt(pull[i])
-                is_heavy = damping[i] >= least and damping[i] > _HEAVY * own and not slow.decays[i]
+                is_heavy = damping[i] >= least and damping[i] > control.HEAVY * own and not slow.decays[i]
                 rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
-        if _HEAVY * rate <= least:
+        if control.HEAVY * rate <= least:
             return least, rate
-        least = _HEAVY * rate
+        least = control.HEAVY * rate
 
 
 _pace = inner(_pace_of)
@@ -88,15 +82,16 @@ _pace = inner(_pace_of)
 
 @inner
 def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
-    """The series of all blocks anew, from what heavily damped ones have of the iteration before.
+    """Iterate the series of all blocks, with those of heavily damped ones from the iteration before.
 
-    Returns the order at which they end to what w may err by, 0 if they do not, and by how much w changes within h.
+    Returns the order at which they are truncated to the error allowed in w, 0 if there is none, and the change of w
+    within h.
     """
     damping, friction, mode, forcing = model.damping, model.friction, expansion.mode, model.forcing
     series, forces, slips = expansion.series, expansion.forces, expansion.slips
     begin(forcing, t)
     n_small, change, power = 0, 0.0, 1.0
-    for k in range(ORDER_MAX - 1):
+    for k in range(control.ORDER_MAX - 1):
         one_product(model.columns, series[k], forces[k], model.pairs.columns)
         pushed = take_off(forcing, t, k, forces[k])
         for i in range(len(mode)):
@@ -111,7 +106,7 @@ def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignor
         if pushed > 0.0:  # as in `expand`: where it moves a block, and where friction holds it
             term = max(term, power * pushed * max(h / (k + 1), 1.0 / (h * slow.rate * slow.rate)))
         n_small = n_small + 1 if term <= allowed else 0  # two in a row, since one can vanish by chance
-        if n_small >= 2 and k + 1 >= max(ORDER_MIN, rate * h):
+        if n_small >= 2 and k + 1 >= max(control.ORDER_MIN, rate * h):
             return k + 1, change
         power *= h
     return 0, change
@@ -119,7 +114,7 @@ def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignor
 
 @inner
 def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
-    """Whether by their series blocks that rest stay at rest, and those with |F| = m stay there."""
+    """Whether, by their series, blocks at rest stay at rest, and blocks with |F| = m keep it."""
     series, forces, zeros = expansion.series, expansion.forces, expansion.zeros
     for k in range(1, order - 1):
         c_max = largest(series[k])
@@ -134,7 +129,7 @@ def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
 
 @inner
 def _passed(series, mode, v):  # type: ignore[no-untyped-def]
-    """Whether by its series a block is past the belt's speed that by its w it is yet to reach: no root would tell."""
+    """Whether the series of a block begins beyond the belt's speed, where no root would be found."""
     is_past = False
     for i in range(len(mode)):
         is_past = is_past or (mode[i] != 0 and mode[i] * (series[1, i] - v[i]) <= 0.0)
@@ -143,12 +138,12 @@ def _passed(series, mode, v):  # type: ignore[no-untyped-def]
 
 @inner
 def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore[no-untyped-def]
-    """As `follow`, with the number of products, order 0 if they do not settle, -1 if blocks were found to decay."""
+    """As `follow`, for a given pace; order 0 if the series do not converge, -1 if transients were found."""
     series, mode, moves, v = expansion.series, expansion.mode, slow.moves, model.belt_speed
     z, w, t, tol, (least, rate) = state.z, state.w, state.clock[loop.TIME], goal.tol, pace
     n, n_products, n_shorter = len(z), 0, 0
-    h = min(target, SPAN / rate) if rate > 0.0 else target
-    for k in range(2, ORDER_MAX + 1):
+    h = min(target, control.SPAN / rate) if rate > 0.0 else target
+    for k in range(2, control.ORDER_MAX + 1):
         for i in range(n):
             series[k, i] = 0.0
     copy(z, series[0])
@@ -156,9 +151,9 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
     allowed = tol * max(largest(w), largest(v))
     # if nothing moves yet
     allowed = max(allowed, tol * h * may_change(model.forcing, t, h) / (1.0 + h * largest(model.damping)))
-    for _ in range(_ITERATIONS):
+    for _ in range(control.MOST_ITERATIONS):
         order, change = _iterate(model, expansion, slow, least, t, h, rate, allowed)
-        n_products += order if order > 0 else ORDER_MAX - 1
+        n_products += order if order > 0 else control.ORDER_MAX - 1
         allowed = max(allowed, tol * 2.0 * largest(series[2]) * h)
         is_transient = False
         for i in range(n):
@@ -166,12 +161,12 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
                 slow.decays[i], is_transient = True, True
         if is_transient:
             return -1, 0.0, 0.0, n_products
-        if n_shorter == _SHORTER_MAX:
+        if n_shorter == control.MOST_SHORTER:
             break
         if order == 0:
-            h *= _SHORTER
+            h *= control.SHORTER
             n_shorter += 1
-        elif change <= _SETTLED * allowed:
+        elif change <= control.SETTLED * allowed:
             if not _stays(model, expansion, moves, order) or _passed(series, mode, v):
                 break
             return order, h, allowed, n_products
@@ -180,7 +175,7 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
 
 @inner
 def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
-    """As `expand`, if no heavily damped block that slips has a transient, and none leaves the belt; else order 0."""
+    """As `expand`, if no heavily damped block that slips has a transient or leaves the belt; else of order 0."""
     if slow is None:
         return 0, 0.0, 0.0, 0
     v, mode, touching, forcing = model.belt_speed, expansion.mode, expansion.touching, model.forcing
@@ -220,5 +215,5 @@ def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-unty
             break
         least, rate = _pace(slow)
     patience[_LEFT] = patience[_NEXT]
-    patience[_NEXT] = min(2 * patience[_NEXT], _PATIENCE_MAX)
+    patience[_NEXT] = min(2 * patience[_NEXT], control.MOST_PATIENCE)
     return (*failed, n_products)

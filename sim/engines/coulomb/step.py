@@ -6,49 +6,37 @@ a linear equation: `stickslip.sim.engines.coulomb.taylor` expands them all. The 
     sigma (w - v)     of a slipping block,
     m + sigma F       of a sticking one, F = R v + K z = -mu lambda, for either sigma;
 
-m is the static friction, mu if there is no other.
+m is the static friction, mu if no other is given.
 
-At an event every block with w = v is decided anew from |F| against m; when they are equal (every exit
-starts there) the first coefficient of F that does not vanish decides, order by order, while the series is
-being built: until a block is decided its motion is the same under either mode, so simultaneous events, folds,
-cusps and tangencies of any order need no case of their own.
+At an event every block with w = v is decided anew from |F| and m. Where the two are equal, as at every exit, the
+first coefficient of F that does not vanish decides, order by order, while the series is built. Until a block is
+decided its motion is the same in either mode, so simultaneous events, folds, cusps and tangencies of any order need
+no special cases.
 
 An event changes the equation of one block. That block's own series changes from the second order on, those of the
 others from the fourth, by a column of K: `taylor.correct` carries most events over in O(n), without a product, and
 one expansion serves a window of several events.
 
-The series are explicit: R h is about 5 at most. Blocks of far larger R are followed on their slow motion, once they
-are there: `stickslip.sim.engines.coulomb.overdamped`.
+The series are explicit: R h is about 5 at most. Blocks with far larger R are followed on their slow motion, once they
+have reached it: `stickslip.sim.engines.coulomb.overdamped`.
 """
 
 from __future__ import annotations
 
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import SPAN, correct, expand, shift
-from stickslip.sim.engines.coulomb.windows import (
-    CRAWL,
-    CUTS,
-    DECAY,
-    EXPOSURE,
-    REACH,
-    evaluate,
-    record,
-    sample,
-    stalls,
-)
+from stickslip.sim.engines.coulomb.taylor import correct, expand, shift
+from stickslip.sim.engines.coulomb.windows import evaluate, record, sample, stalls
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
-
-#: What is left of a window is used if it is more than this share of the mean length.
-_WORTH = 0.1
 
 
 @inner
 def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped-def]
-    """Time to the first root of any block's event function within h, and the block; (h, -1) if there is none."""
+    """Time to the first root of any event function within h, and its block; (h, -1) if there is none."""
     series, forces, mode, room = expansion.series, expansion.forces, expansion.mode, (search.poly, search.found)
     zeros, side, reach = expansion.zeros, expansion.side, search.reach
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
@@ -65,9 +53,9 @@ def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped
 
 @inner
 def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: ignore[no-untyped-def]
-    """Find the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
+    """Mark the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
-    With the forces of this instant known, sticking blocks with |F| = mu count too.
+    If the forces at this instant are known, sticking blocks with |F| = m count too.
     """
     v, mode, touching = model.belt_speed, expansion.mode, expansion.touching
     count = 0
@@ -86,11 +74,11 @@ def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: 
 
 
 @kernel
-def advance(model, goal, state, expansion, search, slow, events, watch):  # type: ignore[no-untyped-def]
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again.
+def advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
+    """Take steps until the end, or until Python has something to do; a second call goes on from there.
 
-    A window is the reach of one expansion. An event inside it is carried over by `correct` where that can be done,
-    else it ends the window.
+    A window is the time over which one expansion holds. An event in it is carried over by `correct` where that is
+    possible, else it ends the window.
     """
     t_end, rate, v = goal.t_end, goal.rate, model.belt_speed
     z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
@@ -107,14 +95,14 @@ def advance(model, goal, state, expansion, search, slow, events, watch):  # type
         t = clock[loop.TIME]
         remaining = t_end - t
         if remaining <= 0.0 and not goal.is_last:
-            return loop.DONE, n_recorded  # what sticks from here on, the next piece decides
+            return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
         if not is_open:
-            target = min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
+            target = control.next_window(clock, remaining)
             order, h, allowed, n_products = follow(slow, model, expansion, goal, state, target)
             counters[loop.N_PRODUCTS] += n_products
             is_slow = order > 0
             if not is_slow:
-                target = min(target, SPAN / rate) if rate > 0.0 else target
+                target = min(target, control.SPAN / rate) if rate > 0.0 else target
                 order, h, allowed, n_products = expand(model, expansion, goal, state, target)
                 counters[loop.N_PRODUCTS] += n_products
             span = h
@@ -126,19 +114,22 @@ def advance(model, goal, state, expansion, search, slow, events, watch):  # type
         n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
-            sample(series, None, order, t, t, state)  # of a run that has no length
+            sample(series, None, order, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
         if same and loop.is_check_due(clock, mode):
-            if loop.may_collapse(state, mode, watch):
+            if loop.may_collapse(state, mode, precheck):
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:
                 return loop.PAUSED, n_recorded
-            n_left, is_open = loop.STEPS_A_SLICE, False  # as a slice begins: no result depends on the slicing
+            n_left, is_open = (
+                loop.STEPS_A_SLICE,
+                False,
+            )  # as at the start of a slice: the result does not depend on the slicing
             continue
 
         step, block = _first_event(model, expansion, search, order, h)
         if not goal.is_last and remaining - step <= ROUNDING * t_end:
-            step = remaining  # what rounding cannot tell from the end, the next piece decides
+            step = remaining  # an event that rounding cannot tell from the end belongs to the next piece
         counters[loop.N_STEPS] += 1
         if block >= 0:
             counters[loop.LAST_BLOCK] = block
@@ -147,7 +138,9 @@ def advance(model, goal, state, expansion, search, slow, events, watch):  # type
         t_next = t_end if step == remaining else min(t + step, t_end)
         sample(series, None, order, t, t_next, state)
         left = h - step
-        is_inside = block >= 0 and left > 0.0 and model.weakening is None and not is_slow  # else it ends the window
+        is_inside = (
+            block >= 0 and left > 0.0 and model.weakening is None and not is_slow
+        )  # else the event ends the window
         if is_inside:
             shift(series, order, step)
             shift(expansion.forces, order - 2, step)
@@ -156,25 +149,20 @@ def advance(model, goal, state, expansion, search, slow, events, watch):  # type
             h = 0.0
             if _on_the_edge(model, expansion, near, largest(z), w, block, is_inside) == 1:
                 h = correct(model, expansion, block, order, span, left, allowed, rate)
-                touching[block] = mode[block] != 0  # should a new expansion come first, it decides the same
+                touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
             is_cut = is_cut or h < left
-            is_open = h > _WORTH * clock[EXPOSURE] / clock[CUTS]
+            is_open = control.is_worth_using(clock, h)
         else:
             evaluate(series, None, order, step, z, w)
             _on_the_edge(model, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[loop.TIME] = t_next
-        clock[EXPOSURE] += step
+        clock[control.EXPOSURE] += step
         if not is_open:
-            clock[EXPOSURE] *= DECAY
-            clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
-        # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
-        unseen = CRAWL / rate if rate > 0.0 and n_recorded == before else 0.0
-        if stalls(counters, clock[loop.TIME] - t, max(ROUNDING * max(min(1.0, t_end), t), unseen)):
+            control.note_window(clock, is_cut)
+        if stalls(goal, counters, clock[loop.TIME] - t, t, n_recorded == before):
             return loop.STALLED, n_recorded
-        if not (
-            largest(z) <= goal.bound and largest(w) <= goal.bound
-        ):  # in a maximum one that is not a number may be lost
+        if not loop.is_within(state, goal.bound):
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

@@ -1,10 +1,10 @@
-"""Which blocks stick: those at the belt's speed, decided from |F| against mu, all at once.
+"""Which blocks stick: those at the belt's speed, all decided together from |F| and the static friction m.
 
-In the place of mu stands the static friction m, if that is above the kinetic. Where |F| = m, as at every exit, the
-first coefficient of the series of F that does not vanish decides. A block whose m is the kinetic friction leaves with
-w' = 0, as it sticks; one with m above leaves with a jump of w', which the others feel from the second order of F on.
-If that is found there or later, all that is at the edge is decided anew, with that block gone: so those that leave
-while the others stick leave together, and those that stay are then asked what they do without them.
+Where |F| = m, as at every exit, the first coefficient of the series of F that does not vanish decides. A block whose
+m is the kinetic friction leaves with w' = 0, as if it stuck; one with m above it leaves with a jump of w', which the
+others feel from the second order of F on. If such an exit is found there or later, all blocks with |F| = m are
+decided anew with that block slipping: blocks that leave while the others stick leave together, and the others are
+decided again without them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 @inner
 def known(forcing, k, i):  # type: ignore[no-untyped-def]
-    """The size of what the k-th coefficient of forces from outside on block i is summed up from."""
+    """The sum of the magnitudes of the terms of the k-th coefficient of the external force on block i."""
     if forcing is None:
         return 0.0
     return forcing.noise[k, i]
@@ -26,22 +26,22 @@ def known(forcing, k, i):  # type: ignore[no-untyped-def]
 
 @inner
 def force_rounding(drag, pull, most, forcing):  # type: ignore[no-untyped-def]
-    """What rounding may do to |F| - m of a block, from the sizes of its terms.
+    """A bound of the rounding of |F| - m of a block, from the magnitudes of its terms.
 
-    It takes numbers, not the model: what is not inlined is passed field by field, for each block.
+    It takes numbers, not the model: a call that is not inlined passes the model field by field, for each block.
     """
     return ROUNDING * (abs(drag) + pull + most + forcing)
 
 
 @inner
 def push(closed, force):  # type: ignore[no-untyped-def]
-    """What of F drives a block that sticks to a side that is open to it: |F|, where both are."""
+    """The force that pushes a sticking block towards an open side: |F| if both sides are open."""
     return abs(force) if closed == 0 else closed * force
 
 
 @inner
 def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide every block with w = v from |F| against m; returns how many have |F| = m and stay undecided."""
+    """Decide every block with w = v from |F| and m; returns how many have |F| = m and stay undecided."""
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
     zeros, side, leaves = expansion.zeros, expansion.side, expansion.leaves
@@ -53,14 +53,14 @@ def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
             slack = force_rounding(damping[i] * v[i], model.row_sums[i] * z_max, most, known(model.forcing, 0, i))
-            drive = push(closed[i], force)
-            if (leaves[i] != 0 and drive > model.friction[i]) or drive > most + slack:
+            outward = push(closed[i], force)
+            if (leaves[i] != 0 and outward > model.friction[i]) or outward > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
                 zeros[i] = 1
                 side[i] = leaves[i]
             else:
                 mode[i] = 0
-                if drive >= most - slack:
+                if outward >= most - slack:
                     n_undecided += 1
                     zeros[i] = IDENTICALLY_ZERO
                     if closed[i] != 0:
@@ -72,9 +72,9 @@ def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
 
 @inner
 def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
-    """Decide blocks with |F| = m whose F has its first coefficient at order k.
+    """Decide the blocks with |F| = m whose F has its first coefficient that is not zero at order k.
 
-    Returns how many that are, and whether to begin again because one of them leaves with a jump.
+    Returns how many they are, and whether to begin again since one of them leaves with a jump of w'.
     """
     forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
     friction, static, leaves = model.friction, model.static, expansion.leaves
@@ -92,7 +92,7 @@ def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
                     if static[i] > friction[i]:
                         zeros[i] = 1
                         expansion.series[2, i] = 0.5 * (static[i] - friction[i]) * side[i]
-                        if k > 1 and leaves[i] == 0:  # else `settle` found it so far out that rounding decides
+                        if k > 1 and leaves[i] == 0:  # else `settle` found it at the edge, where rounding decides
                             leaves[i] = side[i]
                             again = True
                 else:

@@ -1,16 +1,16 @@
-"""The Taylor series of all blocks between events: built, moved, and carried over an event.
+"""The Taylor series of all blocks between events: expanded, shifted, and carried over an event.
 
 With z(t0 + s) = sum_k c_k s^k, a slipping block has
 
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
-and a sticking one c_1 = v and no more; of a force from outside each coefficient is taken off K c_k. Where friction
-falls with the speed of slip, mu is a series too, near (f + (1 - f) S(x)), f = far / near, x = a sigma (w - v), a the
-steepness; S_k follow from x_0 .. x_k, x_j = a sigma (j + 1) c_{j+1}, by the recurrence of the law.
+and a sticking one c_1 = v and no more; the coefficients of an external force are subtracted from K c_k. Where
+friction falls with the speed of slip, mu is a series too, near (f + (1 - f) S(x)), f = far / near, x = a sigma (w -
+v), a the steepness; S_k follow from x_0 .. x_k, x_j = a sigma (j + 1) c_{j+1}, by the recurrence of the law.
 
 `expand` builds the series with one product an order, two to a pass over K, and decides on the way which blocks with
-w = v stick. `correct` carries them over an event of one block without a product, if friction does not fall: what it
-adds to the others is the response of linear equations.
+w = v stick. `correct` carries them over an event of one block without a product if friction does not fall: the others
+then respond by linear equations.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.model import SERIES_OF
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import begin, may_change, take_off
@@ -30,68 +31,59 @@ from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.panels import SINGLE_ERROR
 from stickslip.sim.numerics.products import two_products, two_single_products
 
-#: Highest order of the series, and the longest step in units of 1 / |eigenvalue|. There the last term is below
-#: 1e-13 and rounding is amplified by less than exp(5); a longer step loses more to rounding than it gains.
-ORDER_MAX = 32
-SPAN = 5.0
-ORDER_MIN = 4
-#: The share of the tolerance that each event carried over may leave out: the truncation of a series stays about as
-#: far below the tolerance.
-PASSED_ON = 0.002
-
-#: The share of the tolerance that products in single precision may leave out. Below _TINY is beyond its range.
-_ROUNDED_OFF = 0.05
-_TINY = 1e-200
-#: A coefficient of this size is not used, nor those behind it: they would leave float64.
-_HUGE = 1e250
-
-#: An event is decided by a series if the force is this many times its error away from another decision.
-_DOUBT = 10.0
-UNDECIDED = 2  #: what is no mode
+UNDECIDED = 2  #: in the place of a mode
 
 
 class Window(NamedTuple):
-    """What is known of the series of a window."""
+    """The series of a window: their order, how far they hold, and their error."""
 
     order: int
-    span: float  #: its length, over which an error `allowed` of w becomes one of z
+    span: float  #: its length, over which an error `allowed` of w grows into one of z
     allowed: float
     z_max: float  #: bounds |z|
 
 
+class Shape(NamedTuple):
+    """The series of S for n blocks."""
+
+    series: Floats  #: S_k by rows, shape (1, orders, n), followed by the other series that the law keeps
+    scale: Floats  #: of x: the steepness times the direction of slip
+    x0: Floats
+
+
 class Expansion(NamedTuple):
-    """The series of n blocks about the present instant, who sticks from then on, and room to work in."""
+    """The series of n blocks about the present instant, which of them stick from then on, and workspace."""
 
     series: Floats  #: c_k by rows
-    forces: Floats  #: K c_k, less the coefficients of forces from outside
+    forces: Floats  #: K c_k, less the coefficients of external forces
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
-    touching: NDArray[np.bool_]  #: whether it slips with w = v, and so is to be decided
-    leaves: NDArray[np.int8]  #: the side to which a block that could stick is known to leave, else 0
-    zeros: NDArray[np.int64]  #: how many leading coefficients of its event function vanish, if it sticks on this side
-    side: NDArray[np.int64]  #: of its stick interval at which |F| = mu; 0 if at none
+    touching: NDArray[np.bool_]  #: whether a block slips with w = v, so that it is to be decided
+    leaves: NDArray[np.int8]  #: the side to which a block that could stick leaves, if that is known, else 0
+    zeros: NDArray[
+        np.int64
+    ]  #: how many leading coefficients of its event function vanish; of a sticking block that on this `side`
+    side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
     column: Floats
     last: Floats
     change: Floats
     sizes: Floats
-    # empty if friction does not fall with speed
-    shape: Floats  #: S_k by rows, and behind them the other series that the law keeps
-    scale: Floats  #: of x: the steepness times the direction of slip
-    x0: Floats
+    shape: Shape | None  #: None if friction does not fall with speed
 
     @classmethod
     def blank(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
         """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps."""
         n = len(mode)
         # NaN: a coefficient used before it was computed would show
-        series, forces = np.full((2, ORDER_MAX + 1, n), np.nan)
+        series, forces = np.full((2, control.ORDER_MAX + 1, n), np.nan)
         zeros, side = np.zeros((2, n), np.int64)
         slips, column, last = np.zeros((3, n))
-        rows = column, last, np.zeros(ORDER_MAX + 1), np.zeros(2)
+        rows = column, last, np.zeros(control.ORDER_MAX + 1), np.zeros(2)
         leaves = np.zeros(n, np.int8)
-        shape = np.full((n_shapes, ORDER_MAX + 1, n), np.nan)
-        scale, x0 = np.zeros((2, n if n_shapes else 0))
-        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape, scale, x0)
+        shape = None
+        if n_shapes:
+            shape = Shape(np.full((n_shapes, control.ORDER_MAX + 1, n), np.nan), *np.zeros((2, n)))
+        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
 
 
 _recurrence, _shape_of = one_of([law.recurrence for law in SERIES_OF]), one_of([law.shape for law in SERIES_OF])
@@ -99,9 +91,9 @@ _recurrence, _shape_of = one_of([law.recurrence for law in SERIES_OF]), one_of([
 
 @inner
 def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
-    """Whether what a block's friction may fall by is lost in the rounding of its other forces.
+    """Whether the most that a block's friction may fall by is below the rounding of its other forces.
 
-    Such a block passes its belt in so short a time that friction, as a series in time, leaves float64.
+    Such a block passes its belt in so short a time that the series of friction in time leaves float64.
     """
     force = model.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
     return model.friction[i] * (1.0 - weakening.far[i]) <= ROUNDING * abs(force)
@@ -110,7 +102,7 @@ def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
 @inner
 def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
     """S_k of all blocks."""
-    series, shape, scale, x0 = expansion.series, expansion.shape, expansion.scale, expansion.x0
+    series, shape, scale, x0 = expansion.series, expansion.shape.series, expansion.shape.scale, expansion.shape.x0
     for i in range(len(scale)):
         scale[i] = weakening.steepness * expansion.mode[i]
     if k > 0:
@@ -120,43 +112,44 @@ def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-de
         x0[i] = scale[i] * (series[1, i] - model.belt_speed[i])
         shape[0, 0, i] = _shape_of(weakening.law, x0[i])
         if _is_lost(weakening, model, expansion, i):
-            shape[0, 0, i] = 0.0  # and with it all others
+            shape[0, 0, i] = 0.0  # and by the recurrence all other S_k
 
 
 @inner
 def _resist(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
-    """What of friction is at order k beyond the constant one that `_expand` has: into the coefficients k + 2."""
+    """Add friction at order k, less the constant part that `_expand` has, to the coefficients k + 2."""
     if weakening is None:
         return
-    series, shape, mode, slips = expansion.series, expansion.shape, expansion.mode, expansion.slips
+    series, mode, slips = expansion.series, expansion.mode, expansion.slips
     _extend_shape(weakening, model, expansion, k)
+    shape = expansion.shape
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape[0, k, i] - (1.0 if k == 0 else 0.0))
+        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape.series[0, k, i] - (1.0 if k == 0 else 0.0))
         series[k + 2, i] += slips[i] * factor * less * mode[i]
 
 
 @inner
 def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
-    """How far the series of S may be of use: until x, with the slope that it has, has gone half of the way to a pole.
+    """The time over which the series of S is of use: until x, at its present slope, is half of the way to a pole.
 
-    Where S has none, until what is left of friction to fall would change by half of what S(0) is.
+    If S has no pole, until S would change by half of S(0), as exp(-x) at its present slope would.
     """
     time = np.inf
     if weakening is None:
         return time
     for i in range(len(expansion.mode)):
-        left = expansion.shape[0, 0, i]
-        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.x0[i])
+        left = expansion.shape.series[0, 0, i]
+        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.shape.x0[i])
         rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
-        if rise * time > 0.5:
-            time = 0.5 / rise
+        if rise * time > control.TO_POLE:
+            time = control.TO_POLE / rise
     return time
 
 
 @inner
 def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
-    """Whether terms of an S without a pole beyond an order are on their way down, or too small to matter, up to h.
+    """Whether, up to h, the terms of an S without a pole fall beyond this order, or are too small to matter.
 
     Where x is large the first terms of exp(-x) are far below any tolerance, yet x may fall by more than the order.
     """
@@ -173,7 +166,7 @@ def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: igno
             change += (k + 1) * abs(series[k + 1, i]) * power
         x = weakening.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
         least = max(x - change, 0.0)
-        if change > 0.5 * order and drop * _shape_of(weakening.law, least) > PASSED_ON * allowed:
+        if change > control.RISING * order and drop * _shape_of(weakening.law, least) > control.PASSED_ON * allowed:
             return False
     return True
 
@@ -182,20 +175,20 @@ def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: igno
 def _may_be_single(model, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
     """Whether products of K with c_k and c_{k+1}, of these sizes, may be in single precision.
 
-    An error e of K c_k, relative to the row sums of K, is one of h^k e in F, and of h^(k + 1) e in w; F is wanted to
-    what w, off by `allowed`, makes of it.
+    An error e of K c_k, relative to the row sums of K, is one of h^k e in F and of h^(k + 1) e in w. The error of F
+    may be what an error `allowed` of w makes it.
     """
     if len(model.pairs.single_panels) == 0:
         return False
     power = SINGLE_ERROR * h**k * max(1.0 / h, largest(model.row_sums) * h)
     low, high = sizes[0], h * sizes[1]
-    fits = (low == 0.0 or low > _TINY) and (high == 0.0 or high > _TINY)
-    return fits and power * max(low, high) <= _ROUNDED_OFF * allowed
+    fits = (low == 0.0 or low > control.TINY) and (high == 0.0 or high > control.TINY)
+    return fits and power * max(low, high) <= control.ROUNDED_OFF * allowed
 
 
 @inner
 def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
-    """Series of all blocks at the present instant, deciding the modes of those with w = v on the way.
+    """Expand the series of all blocks at the present instant, and decide the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
     the number of products.
@@ -211,7 +204,7 @@ def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-de
 
 @inner
 def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
-    """As `expand`; the order is 0 if it is to begin again with what is now known to leave."""
+    """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
     damping, friction, v = model.damping, model.friction, model.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     touching, sizes = expansion.touching, expansion.sizes
@@ -234,7 +227,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
     _resist(weakening, model, expansion, 0)
     target = min(target, _known_within(weakening, expansion))
-    # what w may err in this step, by what w and the belt are, or w becomes in it; z then errs less
+    # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
     allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
     allowed = max(allowed, tol * target * may_change(forcing, t, target))
 
@@ -242,7 +235,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     last = 0.0
     sizes[1] = largest(series[2])
     is_single = False
-    for k in range(1, ORDER_MAX - 1):
+    for k in range(1, control.ORDER_MAX - 1):
         if k % 2 == 0:
             if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
                 is_single = True
@@ -269,21 +262,21 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
-        if order > ORDER_MIN and not size < _HUGE:  # the step is then as short as the terms before make it
+        if order > control.ORDER_MIN and not size < control.HUGE:  # the terms before it determine the step
             order -= 1
             break
-        if pushed > 0.0:  # what a force leaves out counts where it moves a block, and where friction holds it
+        if pushed > 0.0:  # the truncated series of a force counts where it moves a block, and where friction holds it
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
-        # the last term's share of w decides; two in a row, since one can vanish by chance
-        if size == 0.0 and last == 0.0 and order >= ORDER_MIN:
-            # a polynomial: exact however far
+        # the last term of w decides; two in a row, since one can vanish by chance
+        if size == 0.0 and last == 0.0 and order >= control.ORDER_MIN:
+            # a polynomial, exact at any distance
             is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
             return order, goal.t_end - t if is_exact else target, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
-            # before order = rate * target the terms of a small state may still be on their way up
-            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(ORDER_MIN, rate * target)
+            # below order = rate * target the terms of a small state may still rise
+            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, rate * target)
             if is_enough and _weakens_less(weakening, model, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
@@ -296,13 +289,13 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
     while h > 0.0 and not _weakens_less(weakening, model, expansion, order, h, allowed):
-        h *= 0.7
+        h *= control.SHRINK
     return order, h, allowed, n_products
 
 
 @inner
 def shift(series, order, step):  # type: ignore[no-untyped-def]
-    """Move the origin of all series by a step: Horner's scheme, repeated (c_k <- sum_m C(m, k) c_m step^(m - k))."""
+    """Shift the origin of all series by a step: repeated Horner scheme (c_k <- sum_m C(m, k) c_m step^(m - k))."""
     n = series.shape[1]
     for k in range(order):
         for m in range(order - 1, k - 1, -1):
@@ -312,15 +305,15 @@ def shift(series, order, step):  # type: ignore[no-untyped-def]
 
 @inner
 def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-untyped-def]
-    """Mode of block i after its event, from F and its slope; UNDECIDED if the series are not accurate enough."""
+    """Mode of block i after its event, from F and its slope; UNDECIDED if that takes more accurate series."""
     span, allowed, z_max = window.span, window.allowed, window.z_max
     most, row_sum = model.static[i], model.row_sums[i]
     rate_error = row_sum * allowed if model.forcing is None else max(row_sum, rate * rate) * allowed
     drag, noise = model.damping[i] * model.belt_speed[i], known(model.forcing, 0, i)
-    doubt = _DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
+    doubt = control.DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
     new = -1 if force > 0.0 else 1
     if was_stuck:
-        if abs(abs(force) - most) > doubt or -slope * new <= _DOUBT * rate_error:
+        if abs(abs(force) - most) > doubt or -slope * new <= control.DOUBT * rate_error:
             new = UNDECIDED
     elif push(model.closed[i], force) < most - doubt:
         new = 0
@@ -333,12 +326,12 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
 def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
-    From the event on, block i moves by its new equation, z_i + delta; delta starts at second order. The others feel
-    K_ji delta, from fourth order on. What they pass on in turn is left out, and bounded: its effect on w grows
-    like h^5, and cuts h to where it stays below the tolerance. Returns that h; 0 if the event cannot be decided
+    From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
+    feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
+    like h^5, and h is cut to where that stays below the tolerance. Returns that h; 0 if the event cannot be decided
     to the accuracy of the series (then nothing has changed, and a new expansion decides).
 
-    `span` is the length of the window, over which an error `allowed` of w becomes one of z.
+    `span` is the length of the window, over which an error `allowed` of w grows into one of z.
     """
     columns, row_sums, damping, v = model.columns, model.row_sums, model.damping, model.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
@@ -391,9 +384,9 @@ def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ig
         passed_on += largest(last) * power
         power *= h
     error = largest(row_sums) * passed_on * h / 5.0
-    if error > PASSED_ON * allowed:
-        h *= (PASSED_ON * allowed / error) ** 0.2
-    for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
+    if error > control.PASSED_ON * allowed:
+        h *= (control.PASSED_ON * allowed / error) ** 0.2
+    for k in (order, order - 1):  # two, since one can vanish by parity, as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
             h *= (allowed / tail) ** (1.0 / (k - 1))

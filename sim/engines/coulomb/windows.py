@@ -1,4 +1,4 @@
-"""What the dense and the sparse loop share: how far a window reaches, and what of it is recorded."""
+"""What the dense and the sparse loop share: evaluating series, samples, recorded events, stalls."""
 
 from __future__ import annotations
 
@@ -8,42 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.coulomb.taylor import ORDER_MAX
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import copy
-
-#: A window aims at this many mean lengths: what lies beyond is cut off before it pays.
-REACH = 1.2
-#: Memory of that mean.
-DECAY = 0.9
-
-#: This many instants in a row, each closer to the last than rounding can tell, are an accumulation of events.
-STALL = 1000
-#: So are as many steps in a row without an event, each below this share of the shortest time scale.
-CRAWL = 1e-6
-
-# behind the common clocks: decaying sums for the mean length of a window, time and number of windows cut short
-EXPOSURE, CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
+from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 
 
 class Goal(NamedTuple):
-    """How far to go, whether the run ends there, how closely, and the fastest rate there is."""
+    """What a piece is run to: its end, the tolerance, and bounds."""
 
     t_end: float  #: from the start of the piece
     is_last: bool
     tol: float
-    rate: float
-    bound: float  #: of |z_i| and |w_i|: beyond it Python decides whether the run diverges
+    rate: float  #: bounds |eigenvalues|
+    bound: float  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
 class Search(NamedTuple):
-    """What the search for events keeps of n blocks, and room to work in."""
+    """The modes recorded so far, and the workspace of the search for events, for n blocks."""
 
     known_mode: NDArray[np.int8]  #: as recorded so far
     initial_mode: NDArray[np.int8]
-    reach: Floats  #: how far a block's event function can stray in a step from its tangent at the start
-    near: Floats  #: what rounding does to w - v in a step
+    reach: Floats  #: how far a block's event function can deviate in a step from its tangent at the start
+    near: Floats  #: the rounding of w - v in a step
     poly: Floats
     found: Floats
 
@@ -51,12 +38,12 @@ class Search(NamedTuple):
     def of(cls, mode: NDArray[np.int8]) -> Search:
         n = len(mode)
         reach, near = np.zeros((2, n))
-        return cls(mode.copy(), mode.copy(), reach, near, np.zeros(ORDER_MAX + 1), np.zeros(1))
+        return cls(mode.copy(), mode.copy(), reach, near, np.zeros(control.ORDER_MAX + 1), np.zeros(1))
 
 
 @inner
 def _since(origin, s, i):  # type: ignore[no-untyped-def]
-    """From the instant about which block i's series is, to s; without an origin s is counted from there."""
+    """The time from the origin of block i's series to s; without an origin that is s."""
     if origin is None:
         return s
     return s - origin[i]
@@ -64,7 +51,7 @@ def _since(origin, s, i):  # type: ignore[no-untyped-def]
 
 @inner
 def evaluate(series, origin, order, s, z, w):  # type: ignore[no-untyped-def]
-    """z and w at an instant; each block's series is about its `origin`, if there is one."""
+    """z and w at an instant; each block's series is about its own `origin`, if that is given."""
     n = len(z)
     copy(series[order], z)
     for i in range(n):
@@ -80,7 +67,7 @@ def evaluate(series, origin, order, s, z, w):  # type: ignore[no-untyped-def]
 
 @inner
 def sample(series, origin, order, t, t_next, state):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times up to t_next, s being counted from t."""
+    """Record the state at all sample times up to t_next; s is the time since t."""
     samples = state.samples
     k = state.counters[loop.N_SAMPLED]
     while k < len(samples.t) and samples.t[k] <= t_next:
@@ -91,7 +78,7 @@ def sample(series, origin, order, t, t_next, state):  # type: ignore[no-untyped-
 
 @inner
 def record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Write down, by block, which modes are not those known; returns the events recorded, and whether all agree."""
+    """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
     same = True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
@@ -105,7 +92,17 @@ def record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-
 
 
 @inner
-def stalls(counters, moved, least):  # type: ignore[no-untyped-def]
-    """Whether too many steps in a row were too short."""
+def instant(goal, t):  # type: ignore[no-untyped-def]
+    """The distance at which rounding cannot tell two times near t apart."""
+    return ROUNDING * max(min(1.0, goal.t_end), t)
+
+
+@inner
+def stalls(goal, counters, moved, t, is_without_event):  # type: ignore[no-untyped-def]
+    """Whether too many steps in a row were too short; the last one, at t, had the length `moved`."""
+    least = instant(goal, t)
+    if is_without_event and goal.rate > 0.0:
+        # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
+        least = max(least, control.CRAWL / goal.rate)
     counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if moved <= least else 0
-    return counters[loop.N_STALLED] > STALL
+    return counters[loop.N_STALLED] > control.STALL

@@ -29,7 +29,7 @@ def integrate(task: Task, longest: float) -> Run:
     n, span = system.n, task.t_end - task.t_start
     n_steps = whole_steps(span, longest)
     h = span / n_steps if n_steps else longest
-    law = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
+    model = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
     z, w = task.z0.copy(), task.w0.copy()
     mode = np.sign(w - system.belt_speed).astype(np.int8)
     initial_mode = mode.copy()
@@ -47,7 +47,7 @@ def integrate(task: Task, longest: float) -> Run:
     is_within = True
     while counters[DONE] < n_steps and is_within:
         recorded, is_within = advance(
-            law, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
+            model, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
             (at, block, to, all_stuck), counters,
         )  # fmt: skip
         n_all_stuck = counters[N_ALL_STUCK]

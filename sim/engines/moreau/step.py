@@ -21,9 +21,9 @@ def whole_steps(span: float, longest: float) -> int:
 
 
 @inner
-def step_of(law, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
+def step_of(model, z, w, h, middle, pull, moving):  # type: ignore[no-untyped-def]
     """One step in place; False if the state passed `BEYOND`. A block that ends on the belt has w == v exactly."""
-    columns, damping, friction, static, v = law
+    columns, damping, friction, static, v = model
     n = len(z)
     for i in range(n):
         middle[i] = z[i] + 0.5 * h * w[i]
@@ -50,13 +50,13 @@ def _note_all_stuck_at(is_all_stuck, step, z, all_stuck, counters):  # type: ign
 
 
 @kernel(counts=True)
-def advance(law, state, grid, samples, events, counters):  # type: ignore[no-untyped-def]
+def advance(model, state, grid, samples, events, counters):  # type: ignore[no-untyped-def]
     """Steps until the end, until the state passes `BEYOND`, or until one more might not fit what is recorded."""
     z, w, mode = state
     h, n_steps = grid
     times, sampled_z, sampled_w = samples
     at, block, to, all_stuck = events
-    v, n = law[4], len(z)
+    v, n = model[4], len(z)
     middle, pull, moving = np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
     z_before, w_before = np.empty(n), np.empty(n)
     recorded = 0
@@ -65,7 +65,7 @@ def advance(law, state, grid, samples, events, counters):  # type: ignore[no-unt
             return recorded, True
         z_before[:] = z
         w_before[:] = w
-        is_within = step_of(law, z, w, h, middle, pull, moving)
+        is_within = step_of(model, z, w, h, middle, pull, moving)
         if not is_within:
             return recorded, False
         counters[DONE] = step + 1

@@ -2,13 +2,13 @@
 
     z' = w,    w' = -R w - N w - K z - mu phi((w - v) / delta)        (N: off the diagonal of the damping, if given)
 
-What couples the blocks, F = R v + K z + N w, is smooth, since z is two integrals behind the friction; all stiffness,
-up to mu / delta, sits in each block alone. With F the polynomial through the nodes of the Radau IIA method of five
+The coupling force, F = R v + K z + N w, is smooth, since z is friction integrated twice; all stiffness, up to
+mu / delta, is within the blocks. With F the polynomial through the nodes of the Radau IIA method of five
 stages, known there by the waveform iteration (`step.py`), each block by itself solves
 
     u' = -R u - F - mu phi(u / delta),    u = w - v,
 
-in one step of that method where this is accurate enough, else in substeps (`substeps.py`), which are tested alike.
+in one step of that method where it is accurate enough, else in substeps (`substeps.py`) with the same error test.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from stickslip.sim.numerics.radau import (
 
 
 def _friction(block: Any, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
-    """The law of these blocks."""
+    """The friction law of these blocks."""
     if law is Plain:
         return smooth_sign
     c = block.hidden
@@ -45,7 +45,7 @@ def _friction(block: Any, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
 
 
 def _stiff(slope: Lane, law: Law) -> Lane:
-    """What of a slope of friction holds a block back: nothing beyond a peak."""
+    """The slope of friction where it damps, and zero beyond a peak."""
     return slope if law is Plain else greater(slope, 0.0)
 
 
@@ -54,13 +54,16 @@ def _is_near_peak(block: Any) -> Lane:
 
 
 def _allowed(block: Any, law: Law) -> Lane:
-    """What a step may err by."""
+    """The error allowed in a step."""
     tolerance = block.tolerance
     return tolerance if law is Plain else tolerance * where(_is_near_peak(block), block.fine, 1.0)
 
 
 def _newton(block: Any, law: Law) -> Lane:
-    """One iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0. Gives who is done."""
+    """One Newton iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0.
+
+    Returns the mask of blocks that are done.
+    """
     h, u0, steep, mu, done = block.h, block.u0, block.steep, block.friction, block.done
     stages = range(STAGES)
     u, f = block.u, block.f
@@ -78,7 +81,9 @@ def _newton(block: Any, law: Law) -> Lane:
         matrix.append(row)
         nearest = less(nearest, absolute(u[k]))
     pivots: list[Lane] = []
-    for k in stages:  # no pivoting: the diagonal only grows; beyond a peak a step that this fails is too long anyway
+    for (
+        k
+    ) in stages:  # no pivoting: the diagonal only grows; beyond a peak a step for which this fails is too long anyway
         pivots.append(1.0 / matrix[k][k])  # type: ignore[arg-type]
         for i in range(k + 1, STAGES):
             factor = pivots[k] * matrix[i][k]
@@ -99,7 +104,7 @@ def _newton(block: Any, law: Law) -> Lane:
     block.u = [where(still, u[k] + residual[k], u[k]) for k in stages]
     x = change * steep
     out_of_layer = nearest * steep - x > control.OUT_OF_LAYER
-    if law in SHAPES:  # it is bent there too
+    if law in SHAPES:  # it has curvature there too
         bend = x * block.weakening
         out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
     inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)
@@ -110,12 +115,12 @@ def _newton(block: Any, law: Law) -> Lane:
 
 
 def _error(rate: list[Lane]) -> Lane:
-    """Size of the last Legendre coefficients of what is given at the nodes."""
+    """Magnitude of the last Legendre coefficients of a function given at the nodes."""
     return greater(absolute(dot(TO_LEGENDRE[-1], rate)), absolute(dot(TO_LEGENDRE[-2], rate)) * control.LAST_BUT_ONE)
 
 
 def _finish(block: Any, law: Law) -> Lane:
-    """From u at the nodes: z there, and the error by the nodes. Gives the mask of those that are done within it."""
+    """From u at the nodes: z there, and the error by the nodes. Returns the mask of the accepted blocks."""
     h, u0, z0, belt = block.h, block.u0, block.z0, block.belt
     stages = range(STAGES)
     u = block.u
@@ -128,16 +133,16 @@ def _finish(block: Any, law: Law) -> Lane:
 
 
 def _probe(block: Any, law: Law) -> Lane:
-    """The error off the nodes, and whether u may have strayed unseen. Gives the mask of the accepted.
+    """The error off the nodes, and whether u may have passed the layer undetected. Returns the mask of the accepted.
 
-    Off the nodes the friction is not what the nodes make of it: the error is this defect divided by the stiffness
-    there; with a peak by the least stiffness of the step, since beyond a peak errors grow. What a step that jumped
-    the layer errs by is the same at its end, where otherwise it is far less than between the nodes.
+    Off the nodes friction differs from its polynomial through the nodes: the error is this defect divided by the
+    stiffness there, or, with a peak, by the least stiffness of the step, since beyond the peak errors grow. The error
+    of a step that jumped the layer is as large at its end, where it is otherwise far less than between the nodes.
 
-    A polynomial is suspect whose hull goes deeper into the layer than any place that was looked at; and one that
-    comes to a peak and errs by more than a share of it, or of the distance. Where |F| lies between kinetic and static
-    friction the layer holds a block, but behind it nothing contradicts a step that missed it. A force beside which
-    friction is rounding is held by none.
+    A polynomial is suspect if its hull goes deeper into the layer than any place at which it was evaluated, or if it
+    comes near a peak with an error of more than a share of that, or of the distance. Where |F| lies between kinetic
+    and static friction the layer holds a block, but a step that missed it shows no defect behind it. A force next to
+    which friction is rounding is not held.
     """
     h, u0, steep, mu, damping = block.h, block.u0, block.steep, block.friction, block.damping
     stages = range(STAGES)
@@ -186,7 +191,7 @@ def _probe(block: Any, law: Law) -> Lane:
 
 
 def _force(is_change: bool) -> Callable[[Any, Law], None]:
-    """F from the products of K, of all of z or of what it changed by; what w may change by, and the tail of F."""
+    """F from the products of K with z or with its change; the changes of w by that of F and by its tail."""
 
     def formula(block: Any, law: Law) -> None:
         drag, before, product = block.drag, block.f, block.product
@@ -210,7 +215,7 @@ def _force(is_change: bool) -> Callable[[Any, Law], None]:
 
 
 def _bounds(values: list[Lane]) -> tuple[Lane, Lane]:
-    """Of the polynomial with these values at the start and the nodes, by the hull of its Bernstein coefficients."""
+    """Bounds of the polynomial with these values at the start and the nodes, by its Bernstein coefficients."""
     low, high = values[0], values[0]
     for j in range(1, STAGES + 1):
         coefficient = dot(TO_BERNSTEIN[j], values)
@@ -225,7 +230,7 @@ def _view(block: Any, _: Law) -> None:
 
 
 def _predict(block: Any, shared: Any) -> None:
-    """Begin a macro step: its tolerance, and F and u at the nodes by the polynomials of the last."""
+    """Begin a macro step: its tolerance, and F and u at the nodes, extrapolated from the last step."""
     h, atol, rtol, weights = shared.h, shared.atol, shared.rtol, shared.weights
     block.h = h
     speed = greater(absolute(block.u0 + block.belt), block.speed_before)
@@ -262,7 +267,7 @@ def _prepare(block: Any, law: Law) -> None:
 
 
 def _add_moments(block: Any, moments: list[Lane], change: list[Lane]) -> list[Lane]:
-    """The integrals of x^p y(x) over the macro step, with those over an accepted substep, from y at its nodes."""
+    """The integrals of x^p y(x) over the macro step, plus those over an accepted substep, from y at its nodes."""
     start, length, taken = block.start, block.length, block.taken
     for k in range(STAGES):
         x = start + length * float(NODES[k])
@@ -274,9 +279,9 @@ def _add_moments(block: Any, moments: list[Lane], change: list[Lane]) -> list[La
 
 
 def _gather(block: Any, _: Law) -> None:
-    """Add what an accepted substep has of the integrals of x^p (z(x) - z(0)).
+    """Add the part of an accepted substep to the integrals of x^p (z(x) - z(0)).
 
-    Of the change alone: from moments to the values at the nodes rounding grows a thousandfold.
+    Of the change alone: from moments to values at the nodes rounding grows a thousandfold.
     """
     since = block.z_macro
     block.moment = _add_moments(block, block.moment, [z - since for z in block.z])

@@ -1,8 +1,8 @@
-"""The control of steps: all constants that their lengths and errors depend on, and how one follows from the last.
+"""The control of steps: all constants that their lengths and errors depend on, and how one step follows another.
 
-A constant without a unit is a share or a number. Where nothing else is said, it was not measured alone: all together
-are held against a method of order 13 on random systems (`tests/sim/test_sigmoid_accuracy.py`; the figures are in
-`docs/guide/sigmoid-engine.md`).
+A constant without a unit is a share or a number. Where nothing else is said, it was chosen and not measured alone:
+all together are tested against a method of order 13 on random systems (`tests/sim/test_sigmoid_accuracy.py`; the
+figures are in `docs/guide/sigmoid-engine.md`).
 """
 
 from __future__ import annotations
@@ -16,136 +16,139 @@ from stickslip.sim.numerics.radau import STAGES
 
 # ------------------------------------------------------------------------------------------------- tolerances inside
 
-#: The tolerances inside over those asked for: so chosen that random systems err by what was asked for.
+#: The internal tolerances over those of the settings, such that errors of random systems are about the latter.
 CALIBRATION = 5.0
-#: A substep has the tolerance SUBSTEP tol^POWER, over tol the safety factor: superconvergence makes the error at its
-#: end far less than that of the polynomial.
+#: A substep has the tolerance SUBSTEP tol^POWER, and the safety factor is that over tol: by superconvergence the
+#: error at its end is far less than that of the polynomial.
 SUBSTEP, POWER = 3.0, 0.85
-#: The share of tolerance that K in single precision may cost in w.
+#: The error of w allowed for K in single precision, over tolerance.
 SINGLE_SHARE = 0.05
-#: So many units in the last place of F, and of what K z is a sum of, may be rounding.
+#: The rounding of F, over F and the sum of the magnitudes of the terms of K z: eight units in the last place.
 ROUNDING = 8.0 * 2.0**-52
 
 # ----------------------------------------------------------------------------------------------- waveform iteration
 
-#: The most iterations of F, and Newton's of a macro step in each.
+#: The most waveform iterations, and the most Newton iterations of a macro step in each.
 MOST_ITERATIONS, MOST_NEWTON = 8, 5
-#: Of tolerance: what the leading coefficient of F may change w by in a step.
+#: In tolerances: the change of w in a step allowed for the leading coefficient of F.
 TAIL = 3.0
-#: Of tolerance: what the iteration of F may leave, as (ITERATED / safety factor)^2. What it leaves has one sign, that
-#: of what a prediction errs by: on a cycle of stick and slip it adds up step by step, and the steps for tight
-#: tolerances are many.
+#: The residual allowed in the waveform iteration is (ITERATED / safety factor)^2 tolerances. It has the sign of the
+#: error of the prediction, always the same: on a stick-slip cycle it adds up step by step, over the many steps of
+#: tight tolerances.
 ITERATED = 3.0
-#: The share of that for a first iteration to be the last: what a prediction errs by has one sign, step by step.
+#: The share of that at which the first iteration is the last, since the error of a prediction keeps its sign.
 AT_ONCE = 0.1
-#: No iteration is taken to leave more than this of a change.
+#: The contraction of an iteration counts as at most this.
 SLOWEST = 0.9
 
 # ------------------------------------------------------------------------------------------------------ macro steps
 
-#: A step aims at this share of what its error allows.
+#: The usual safety factor of step sizes: a step aims at this share of the one that its error allows.
 SAFETY = 0.9
-#: A step changes by these factors at most. A prediction is good for little more than its own length: GROW_FAST is for
-#: steps whose tail is below FAR_BELOW of what is allowed.
+#: A step changes by these factors at most. A prediction is good for little more than the length of the last step:
+#: GROW_FAST is for steps whose tail is below FAR_BELOW of the one allowed.
 SHRINK, GROW, GROW_FAST = 0.2, 1.25, 2.0
 FAR_BELOW = 1e-2
-#: By how much a step is cut that failed for another reason than its tail.
+#: The factor of a step that failed for another reason than its tail.
 HALVE = 0.5
-#: A step that covers this share of what is left of a piece takes all of it; one of more than half takes half.
+#: A step that covers this share of the rest of a piece takes all of it; one that covers more than half takes half.
 TAKES_ALL = 0.999
-#: Shorter, over the time itself (at most 1 before t = 1), steps are lost in rounding.
+#: The shortest step, over the time (of at most 1 before t = 1): shorter ones are lost in rounding.
 SHORTEST = 1e-14
-#: The first step, and the first after a jump of F: FIRST atol^(1 / 5) over the fastest change, and LONGEST_FIRST, in
-#: units of time, at most. A substep is FIRST_SUBSTEP of that.
+#: The first step, and the first after a jump of F, is FIRST atol^(1 / 5) over the fastest change, and at most
+#: LONGEST_FIRST (units of time). The first substep is FIRST_SUBSTEP of that.
 FIRST, LONGEST_FIRST, FIRST_SUBSTEP = 0.3, 0.1, 0.25
-#: Of friction: by how much F jumps where a belt's speed begins to change by another rate, if it is no rounding.
+#: Over friction: a jump of F, where the slope of a belt's speed changes, that is more than rounding.
 JUMP = 1e-9
 
 # --------------------------------------------------------------------------------------------------------- substeps
 
-#: Newton's iterations of a substep, and by how much one may be longer than the one before, or shorter.
+#: The most Newton iterations of a substep, and the largest and smallest ratio to the one before.
 MOST_NEWTON_OF_SUBSTEP = 8
 GROW_SUBSTEP, SHRINK_SUBSTEP = 5.0, 0.1
-#: By how much a substep is cut whose iteration failed; one that erred is cut by HALVE at least.
+#: The factor of a substep whose iteration failed; one that failed the error test is cut by HALVE at least.
 SHRINK_UNSOLVED = 0.25
 #: As `TAKES_ALL`, of the macro step.
 SUBSTEP_TAKES_ALL = 0.97
-#: Of the macro step: shorter is no step, and what is left by rounding none either.
+#: Over the macro step: a substep that is too short, and a rest that is rounding.
 SHORTEST_SUBSTEP, NOTHING_LEFT = 1e-13, 1e-12
 
 # --------------------------------------------------------------------------------------------- the error of one step
 
-#: The share of a step's tolerance that Newton's method may leave.
+#: The error left by Newton's method, over the tolerance of a step.
 SOLVED = 0.05
-#: Newton's method is done, of the size of its terms, at a change by rounding; and, in units of delta, at one that
-#: leaves a block this far out of its layer, or, within, at one that is this small.
+#: Newton's method has converged at a change within rounding, over the size of its terms; with a quadratic error that
+#: is small enough, also at a change that leaves a block so many delta out of its layer, or, within the layer, at one
+#: of less than so many delta.
 NEWTON_ROUNDING, OUT_OF_LAYER, IN_LAYER = 1e-15, 20.0, 0.1
-#: The weight of the last but one coefficient: by parity the last may vanish.
+#: The weight of the last but one coefficient in the error, since the last may vanish by parity.
 LAST_BUT_ONE = 0.05
-#: The weight of the defect at the start: extrapolated to there from the nodes, it is larger than between them.
+#: The weight of the defect at the start, where it is extrapolated from the nodes and larger than between them.
 AT_START = 0.3
-#: A step that begins within so many delta of the belt's speed, or on the other side, and ends beyond so many has
-#: passed the layer. Its error counts by PASSED times the safety factor.
+#: A step that begins within IN delta of the belt's speed, or on its other side, and ends beyond OUT delta has jumped
+#: the layer. The weight of its error is PASSED times the safety factor.
 IN, OUT, PASSED = 2.0, 10.0, 3.0
 
 # ---------------------------------------------------------------------------------------------- at a peak of friction
 
 #: A block nearer to the belt's speed than so many times its peak may be about to leave stick. At the peak F, which
-#: changes by a dt, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): what w - v errs by then,
-#: the time of leaving errs by delta^(-2/3) times as much, and what F errs by, by 1 / a times.
+#: changes at a rate a, moves w - v on the scale delta^(4/3) for a time of the scale delta^(2/3): an error of w - v
+#: becomes one of the exit time, delta^(-2/3) times as large, and an error of F becomes one that is 1 / a times as
+#: large.
 NEAR_PEAK = 3.0
-#: The share of a step's tolerance that is for leaving a peak of friction, over delta^(2/3).
+#: The error allowed in a step that leaves a peak of friction, over its tolerance and delta^(2/3).
 FINE = 0.1
-#: But a force that is beyond static friction by so much or more takes it past the peak, in this over the force.
+#: But a force that exceeds static friction by this or more takes the block past the peak, in this over the force.
 SWIFT = 1e3
-#: What a step that comes near to a peak may err by, over the peak: more, and it may pass the layer unseen. Of 40,000
-#: sets of blocks that come to their layer at speed two were off, whose F was within the tolerance of static friction.
+#: The error allowed in a step that comes near a peak, over the peak: a larger one may pass the layer undetected. Of
+#: 40,000 sets of blocks that reach their layer at speed two were wrong, whose F was within the tolerance of static
+#: friction.
 OF_PEAK = 0.05
-#: And over the distance of u from there, as far beyond which a block is let go;
+#: Also over the distance of u from the peak;
 OF_DISTANCE = 0.1
-#: but at least this over the root of what was asked for: F there is within the square of static friction.
+#: but at least this, over the root of the tolerance: F is then within the square of that of static friction.
 OF_ROOT = 0.5
-#: Slower than at this rate, in units of time, what has left a peak of friction by weakening alone is no matter.
+#: The rate (per unit of time) below which the peak of a law that peaks by weakening alone does not matter.
 STEEP = 10.0
 
-#: Clocks behind those that every engine keeps: the next step to try, the one whose polynomials are kept, what an
-#: iteration leaves of a change, and whether F has jumped since the last step.
+#: Clocks behind those that every engine keeps: the next step to try, the one whose polynomials are kept, the
+#: contraction of an iteration, and whether F has jumped since the last step.
 STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 
 class Control(NamedTuple):
-    """How far to go, and how closely."""
+    """The end of a piece, and the tolerances."""
 
     t_end: float  #: from the start of the piece
-    instant: float  #: from 0 on: take one step to see what happens by then, and leave the state as it is
-    longest: float  #: step, by the frequencies of forces
-    atol: float  #: inside, of w
+    instant: float  #: if not negative: take one step to record the events by then, and keep the state
+    longest: float  #: the longest step, by the frequencies of forces
+    atol: float  #: internal, of w
     safety: float  #: the safety factor, tolerance of a substep over that of the run
-    single_rate: float  #: what single precision makes K z err by, over a change of z
+    single_rate: float  #: the error of K z in single precision, over the change of z
 
 
 class Found(NamedTuple):
-    """What came of a macro step."""
+    """The result of a macro step."""
 
     converged: bool
-    tail: float  #: what the leading coefficient of F may change w by, over tolerance
-    contraction: float  #: what an iteration leaves of a change
+    tail: float  #: the change of w by the leading coefficient of F, at most, over tolerance
+    contraction: float  #: of an iteration
     n_substeps: int  #: or -1 - i if block i could not be solved
 
 
 def safety_factor(tolerance: float) -> float:
-    """The safety factor, from atol + rtol inside."""
+    """The safety factor, from the internal atol + rtol."""
     return max(1.0, SUBSTEP * tolerance ** (POWER - 1.0))
 
 
 def first_step(atol: float, speed: float) -> float:
-    """The length of a step of which is known only how fast something changes."""
+    """The length of a step before which only a rate of change is known."""
     return (atol**0.2) * FIRST / speed if speed > 0 else float("inf")
 
 
 @inner
 def next_step(control, clock):  # type: ignore[no-untyped-def]
-    """Length of the next macro step: no rest of a piece is much shorter than the step before it."""
+    """Length of the next macro step, such that no rest of a piece is much shorter than the step before it."""
     remaining = control.t_end - clock[loop.TIME]
     h = min(clock[STEP], control.longest)
     if h >= TAKES_ALL * remaining:
@@ -161,7 +164,7 @@ def single_limit(control, h):  # type: ignore[no-untyped-def]
 
 @inner
 def shrink(clock, h, tail):  # type: ignore[no-untyped-def]
-    """Set the step to try after one that failed; the tail of F goes with h^3 there."""
+    """Set the step to try after one that failed; the tail of F scales with h^3 there."""
     factor = max(SAFETY * (TAIL / tail) ** (1.0 / 3.0), SHRINK) if tail > TAIL else HALVE
     clock[STEP], clock[CONTRACTION] = h * factor, 0.0
 
@@ -176,5 +179,5 @@ def grow(clock, h, found, may_grow):  # type: ignore[no-untyped-def]
 
 
 def single_rate(pull: float) -> float:
-    """What single precision makes K z err by, over a change of z, from the largest row sum of |K|."""
+    """The error of K z in single precision, over the change of z, from the largest row sum of |K|."""
     return SINGLE_ERROR * pull

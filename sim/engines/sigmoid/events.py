@@ -1,7 +1,7 @@
-"""Who sticks under the smoothed law, and when that changes: events and samples on a macro step.
+"""Which blocks stick under the smoothed law, and when that changes: events and samples on a macro step.
 
-`stickslip.sim.engines.sigmoid.settings` says what the definitions of sticking are. u = w - v and F are polynomials of
-degree five on a macro step, u of a block that takes substeps on each of these.
+`stickslip.sim.engines.sigmoid.settings` defines sticking. u = w - v and F are polynomials of degree five on a macro
+step; u of a block that takes substeps is one on each of these.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.radau import ALL_NODES, ALL_TO_POWERS, BARYCENTRIC, NODES, STAGES, TO_BERNSTEIN, WEIGHTS
 from stickslip.sim.numerics.roots import horner, insert, insert_roots, refine
 
-#: Places on the bounds of a band that a block can pass in a step: eleven polynomials of degree five, and the start.
+#: The most crossings of bounds by a block in a step: the roots of eleven polynomials of degree five, and the start.
 PASSES = 11 * STAGES + 1
 _MARKS, _NODES = PASSES + 1, STAGES + 1
 
 
 class Span(NamedTuple):
-    """A step, or a substep, in time from the start of the piece."""
+    """The times of a step, or a substep, from the start of the piece."""
 
     start: float
     length: float
@@ -39,7 +39,7 @@ class Hold(NamedTuple):
     """What holds a block, by one definition of sticking."""
 
     band: float  #: it sticks below this |u|
-    by_force: bool  #: and below static friction
+    by_force: bool  #: and, if this is set, below static friction
     static: float
     closed: float  #: the side to which it does not slip; 0: none
 
@@ -52,22 +52,28 @@ class Motion(NamedTuple):
 
 
 @inner
+def _hold_of(model, block, d, i):  # type: ignore[no-untyped-def]
+    """What holds block i by definition d."""
+    return Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+
+
+@inner
 def mode_of(mode, gap, force, hold, kinetic, peak):  # type: ignore[no-untyped-def]
     """Mode of a block under the smoothed law, from its mode before, w - v and F.
 
     `peak` is the w - v at which the law has its peak: a block that slips beyond it is not held while F, above kinetic
-    friction, drives it on.
+    friction, pushes it on.
     """
     if kinetic > 0.0 and abs(gap) < hold.band and (not hold.by_force or abs(force) < hold.static):
-        is_driven = mode != 0 and abs(gap) > peak and -force * math.copysign(1.0, gap) > kinetic
-        if not (hold.by_force and is_driven):
+        is_pushed = mode != 0 and abs(gap) > peak and -force * math.copysign(1.0, gap) > kinetic
+        if not (hold.by_force and is_pushed):
             return 0
     return 1 if gap > 0.0 else (-1 if gap < 0.0 else 0)
 
 
 @inner
 def _hull(values, bernstein):  # type: ignore[no-untyped-def]
-    """Coefficients of Bernstein's polynomials from values at the start and the nodes; their bounds."""
+    """Bernstein coefficients, from values at the start and the nodes; returns their bounds."""
     low, high = values[0], values[0]
     bernstein[0] = values[0]
     for j in range(1, STAGES + 1):
@@ -81,7 +87,7 @@ def _hull(values, bernstein):  # type: ignore[no-untyped-def]
 
 @inner
 def _powers(values, poly):  # type: ignore[no-untyped-def]
-    """Coefficients of powers from values at the start and the nodes."""
+    """Coefficients of powers, from values at the start and the nodes."""
     for p in range(STAGES + 1):
         poly[p] = 0.0
         for k in range(STAGES + 1):
@@ -90,7 +96,7 @@ def _powers(values, poly):  # type: ignore[no-untyped-def]
 
 @inner
 def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-untyped-def]
-    """Add the places in (0, 1] where a polynomial passes a bound, in rising order."""
+    """Insert the places in (0, 1] at which a polynomial passes a bound into `marks`, which rise."""
     above, below, changes = False, False, 0
     for j in range(STAGES + 1):
         above, below = above or bernstein[j] >= bound, below or bernstein[j] <= bound
@@ -122,7 +128,7 @@ def _at(values, x):  # type: ignore[no-untyped-def]
 
 @inner
 def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
-    """w - v and F, without what they are beyond the belt's speed or push to on a side that is closed."""
+    """w - v and F, with w - v cut off at zero on a closed side, and F where it pushes there."""
     if closed < 0.0:
         return max(gap, 0.0), min(force, 0.0)
     if closed > 0.0:
@@ -132,7 +138,7 @@ def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
 
 @inner
 def _keeps(hold, gaps, forces, mode):  # type: ignore[no-untyped-def]
-    """Whether u and F between these bounds keep to the mode."""
+    """Whether the mode cannot change while u and F are between these bounds."""
     low, low_force = _to_open(hold.closed, gaps[0], forces[0])
     high, high_force = _to_open(hold.closed, gaps[1], forces[1])
     band, static = hold.band, hold.static
@@ -147,7 +153,7 @@ def _keeps(hold, gaps, forces, mode):  # type: ignore[no-untyped-def]
 
 @inner
 def _all_marks(hold, mu, peak, bears, scratch):  # type: ignore[no-untyped-def]
-    """Places where u or F pass a bound that may change the mode, in rising order; returns how many."""
+    """Find the places, in rising order, at which u or F pass a bound that may change the mode; returns how many."""
     of_u, of_force, poly_u, poly_force, marks, found = (
         scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
     )  # fmt: skip
@@ -168,13 +174,13 @@ def _all_marks(hold, mu, peak, bears, scratch):  # type: ignore[no-untyped-def]
 def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: ignore[no-untyped-def]
     """Record the changes of mode of block i by definition d on a step or substep; returns how many are recorded.
 
-    Only a force above what friction and damping bear at the edge of the band drives a block out of it: what seems to
-    leave it with less, and no farther than a step may err by, is an overshoot of the polynomial.
+    Only a force above friction and damping at the edge of the band pushes a block out of it: an exit with less force,
+    by no more than the error allowed in a step, is an overshoot of the polynomial.
     """
     block, scratch = blocks(work.table), room(6, _MARKS)
     poly_u, poly_force, marks = scratch[2], scratch[3], scratch[4]
     mode = np.int64(work.modes[d, i])
-    hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+    hold = _hold_of(model, block, d, i)
     mu, peak, band = block.friction[i], block.peak[i], hold.band
     gaps, forces = _hull(motion.u, scratch[0]), _hull(motion.force, scratch[1])
     if _keeps(hold, gaps, forces, mode):
@@ -193,7 +199,8 @@ def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: igno
         new = mode_of(mode, gap, pull, hold, mu, peak)
         is_borne = mode == 0 and mu > 0.0 and -new * pull < bears and (not hold.by_force or abs(pull) < hold.static)
         if new != mode and not (is_borne and abs(gap) < band + block.tolerance[i]):
-            events.t[n_recorded] = min(span.start + span.length * left, span.end)  # rounding may pass the piece's end
+            # rounding may pass the end of the piece
+            events.t[n_recorded] = min(span.start + span.length * left, span.end)
             events.block[n_recorded] = d * len(work.is_split) + i
             events.mode[n_recorded] = new
             mode = new
@@ -206,7 +213,7 @@ def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: igno
 def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
     """Record all changes of mode on a macro step, by every definition of sticking; returns how many are recorded.
 
-    Of definition d blocks are labelled i + d n.
+    By definition d, block i is labelled i + d n.
     """
     block, n, substeps = blocks(work.table), len(work.is_split), work.substeps
     nodes = room(4, _NODES)
@@ -216,7 +223,7 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
     copy(work.modes[0], work.modes_before)
     for d in range(len(model.bands)):
         for i in range(n):
-            hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+            hold = _hold_of(model, block, d, i)
             gaps, forces = (block.low[i], block.high[i]), (block.low_force[i], block.high_force[i])
             if work.is_split[i] or _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
                 continue
@@ -227,7 +234,7 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
         last = -1
         for k in range(n_substeps):
             i, start, length = substeps.block[k], substeps.start[k], substeps.length[k]
-            hold = Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
+            hold = _hold_of(model, block, d, i)
             gaps, forces = _hull(substeps.u[k], bernstein), (block.low_force[i], block.high_force[i])
             if _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
                 continue
@@ -245,7 +252,7 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
 
 @inner
 def until(instant, first, n_recorded, events):  # type: ignore[no-untyped-def]
-    """Of events from the first on, keep those up to an instant; returns how many are recorded then."""
+    """Drop the events, from the first on, that are after an instant; returns how many are recorded then."""
     n_kept = first
     for k in range(first, n_recorded):
         if events.t[k] <= instant:
@@ -256,7 +263,7 @@ def until(instant, first, n_recorded, events):  # type: ignore[no-untyped-def]
 
 @inner
 def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
-    """Of the events from the first on, the one that is next to k by time; -1: none. The first is next to -1."""
+    """The event that follows k in time, among those from the first on, or -1; the earliest follows -1."""
     t, best = events.t, -1
     for j in range(first, n_recorded):
         is_later = k < 0 or t[j] > t[k] or (t[j] == t[k] and j > k)
@@ -267,9 +274,9 @@ def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
 
 @inner
 def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):  # type: ignore[no-untyped-def]
-    """Keep where the blocks are when all come to stick, or one leaves, among the events of a macro step from `first`.
+    """Record where the blocks are when all come to stick, or one leaves, at the events of a macro step from `first`.
 
-    The modes before it become those after it.
+    The modes before the step become those after it.
     """
     mode, n, count = work.modes_before, len(work.is_split), 0
     for i in range(n):
@@ -297,7 +304,7 @@ def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):
 
 @inner
 def sample(work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
-    """Keep the state at all sample times of a macro step, from the one numbered m on; returns which is next."""
+    """Record the state at all sample times of a macro step, from number m on; returns the next number."""
     block, substeps = blocks(work.table), work.substeps
     weights = room(1, _NODES)[0]
     while m < len(samples.t) and samples.t[m] <= span.end:

@@ -1,7 +1,7 @@
-"""Friction laws, as the smoothed engine takes them: phi(x) and its derivative, x = (w - v) / delta.
+"""Friction laws of the sigmoid engine: phi(x) and its derivative, x = (w - v) / delta.
 
-A law is written once, for numbers of `lanes`, and friction is mu phi. What the steps ask of phi: it is odd, and
-smooth on the scale of 1. Which law a kernel is compiled for, the type of what it is given says: `Plain`, `Peaked`,
+A law is written once, for numbers of `lanes`, and friction is mu phi; phi is odd, and smooth on the scale of 1. A
+kernel is compiled for one law, which the type of its argument names: `Plain`, `Peaked`,
 `Steady`, or the kind of a law of `stickslip.sim.systems.weakening`.
 """
 
@@ -19,11 +19,11 @@ class Plain(NamedTuple):
 
 
 class Peaked(NamedTuple):
-    """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic; see `StaticAboveKinetic`."""
+    """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic."""
 
 
 class Steady(NamedTuple):
-    """As `Peaked`, with a side that may be closed: `open_sign` with a shape that is constant."""
+    """As `Peaked`, with a side that may be closed: `open_sign` without weakening."""
 
 
 #: A friction law: one of these, or the kind of one that weakens, `open_sign` with its shape.
@@ -49,8 +49,8 @@ def peaked_sign(x: Lane, c: Lane) -> tuple[Lane, Lane]:
 def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: Lane) -> tuple[Lane, Lane]:
     """s(tanh x) (f + (1 - f) S(b |x|)), and its derivative; on a side that is closed, its tangent at x = 0.
 
-    f is `far`, b is `weakening`, and `closed` is the sign of x on that side, or 0. On the closed side |x| then grows
-    with the force, so w - v = delta x tends to 0 as delta does: nothing slips there.
+    f is `far`, b is `weakening`, and `closed` is the sign of x on the closed side, or 0. There |x| grows with the
+    force, and w - v = delta x tends to 0 with delta: no block slips to that side.
     """
     value, slope = peaked_sign(x, c)
     if law in SHAPES:

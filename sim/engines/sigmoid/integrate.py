@@ -1,4 +1,4 @@
-"""A run of the engine `sigmoid`: the model and workspace of its kernels, from a system and the engine's settings."""
+"""A run of the sigmoid engine: the model and workspace of its kernels, from a system and the settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from stickslip.sim.engines.sigmoid.step import advance
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.runs.run import Run
-from stickslip.sim.systems.friction import hidden_term, turning_point
+from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.weakening import require_form
 
@@ -37,7 +37,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     ------
     ValueError
         If there is not one ratio a block, the layer is too wide for its definition of sticking, or a block has
-        static friction alone.
+        static friction but no kinetic.
     IntegrationError
         Of a run: if the step shrinks to rounding.
     """
@@ -46,14 +46,14 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
 
 
 class _Layer(NamedTuple):
-    """The smoothed law of a system, and the first definition of sticking; where it is no number, shape (n,)."""
+    """The smoothed friction law of a system, and the first definition of sticking; arrays have shape (n,)."""
 
     law: NamedTuple
     delta: Floats
     hidden: Floats  #: c of the law
     peak: Floats  #: the |w - v| at which friction has its peak
     band: Floats  #: a block sticks below this |w - v|
-    is_manifold: bool  #: and by its force
+    is_manifold: bool  #: whether |F| must also be below static friction
 
     @classmethod
     def of(cls, system: System, engine: Sigmoid) -> _Layer:
@@ -72,7 +72,7 @@ class _Layer(NamedTuple):
 
 
 class _Inside(NamedTuple):
-    """The tolerances inside; see `control`."""
+    """The internal tolerances; see `control`."""
 
     atol: float
     rtol: float
@@ -85,12 +85,12 @@ class _Inside(NamedTuple):
 
 
 class _Prepared:
-    """The runs of some tasks, set up at once: arrays are by task and block, or by task, definition and block."""
+    """The runs of some tasks, set up together: arrays are by task and block, or by task, definition and block."""
 
     def __init__(self, tasks: Sequence[Task], engine: Sigmoid) -> None:
         self.tasks, self.engine = tasks, engine
         systems = self.systems = [task.system for task in tasks]
-        system = systems[0]  # where it is not plain, it is the only one
+        system = systems[0]  # if it is not plain, it is the only one
         layer = self.layer = _Layer.of(system, engine)
         self.inside = _Inside.of(engine)
         self.allowed = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
@@ -118,10 +118,10 @@ class _Prepared:
         changes = np.abs(np.array([w, block.damping * (w - v) + pull, [one.friction for one in systems]]))
         self.fastest, self.widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
         self.pulls, self.matrices = block.row_sum.max(axis=1).tolist(), _matrices(systems)
-        self.smoothed = cache(partial(_smoothed, layer))  # it does not hold this, or all would wait for the collector
+        self.smoothed = cache(partial(_smoothed, layer))  # no method of self, which would be a reference cycle
 
     def _fill_in_the_law(self, block: Blocks, near: Floats, far: Floats) -> None:
-        """What formulas need of the smoothed law."""
+        """Fill in the rows of the smoothed friction law."""
         system, layer, (atol, _, safety) = self.systems[0], self.layer, self.inside
         block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
         block.passed = limits.PASSED * safety
@@ -131,7 +131,7 @@ class _Prepared:
         if system.weakening is not None:
             block.weakening = system.weakening.steepness * layer.delta
             block.far = np.divide(far, near, out=np.ones_like(near), where=near > 0)
-        # how deep in the layer friction differs from kinetic by what counts
+        # beyond this friction is kinetic, to the tolerance
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
 
     def run(self, k: int) -> Run:
@@ -154,7 +154,7 @@ class _Prepared:
         def slice_of_run(events: loop.Events, bound: float) -> tuple[int, int]:
             end = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
             control = Control(*end, longest, atol, safety, rate)
-            found: tuple[int, int] = advance(model, work, control, state, events, bound, collapse.watch)
+            found: tuple[int, int] = advance(model, work, control, state, events, bound, collapse.precheck)
             return found
 
         engine = self.engine
@@ -171,12 +171,12 @@ class _Prepared:
 
 
 def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
-    """The law as certificates have it, under a belt of that |v|; `widest` is the largest band of all."""
+    """The friction law for certificates, under a belt of speed |v|; `widest` is the largest band of all."""
     return certificates.Smoothed(speed, layer.delta, layer.hidden, float(layer.band.max()), widest)
 
 
 def _jumped(state: loop.State, work: Workspace) -> None:
-    """F is not what friction was: blocks in the layer settle there, or leave it, in a time of its own."""
+    """Note a jump of F: blocks in the layer settle there, or leave it, on the time scale of the layer."""
     state.clock[limits.JUMPED] = 1.0
     block = Blocks(work.table[:, : len(state.z)])
     steep = block.steep
@@ -185,7 +185,7 @@ def _jumped(state: loop.State, work: Workspace) -> None:
 
 
 def _go_on(system: System, drive: Drive, state: loop.State, work: Workspace, atol: float) -> None:
-    """At the start of a piece: u is what it was; F jumps where belts' speeds change by another rate."""
+    """Begin a piece: u is continuous, F jumps where the slopes of belt speeds change."""
     block = Blocks(work.table[:, : len(state.z)])
     before = block.force0.copy()
     block.z0, block.belt = state.z, drive.belt_speed
@@ -199,7 +199,7 @@ def _go_on(system: System, drive: Drive, state: loop.State, work: Workspace, ato
 
 
 def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """What belts give F by damping, and F, at the start of a piece."""
+    """The part of F from damping at the belts' speeds, and F, at the start of a piece."""
     v, cross = drive.belt_speed, system.cross_damping
     drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
     if cross is not None:
@@ -246,14 +246,14 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
 
 
 def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
-    """The x at which a law that weakens with speed has its peak; infinite where that counts for nothing."""
+    """The x at which a law with weakening has its peak; infinite where that does not matter."""
     assert system.weakening is not None
     near, far = system.slip_friction
     low, high = np.zeros(system.n), np.full(system.n, 20.0)
     for _ in range(6):  # to some 1e-8
         x = np.linspace(low, high, 64)
         lam = np.tanh(x)
-        best = ((lam + hidden * lam * (1.0 - lam * lam)) * system.kinetic(delta * x)).argmax(axis=0)
+        best = (over_kinetic(lam, hidden) * system.kinetic(delta * x)).argmax(axis=0)
         step = (high - low) / 63
         low, high = low + step * np.maximum(best - 1, 0), low + step * np.minimum(best + 1, 63)
     is_steep = (near - far) * system.weakening.steepness > limits.STEEP
@@ -261,7 +261,7 @@ def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
 
 
 def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
-    """Who sticks at the start, by each definition, shape (tasks, definitions, n)."""
+    """Modes at the start, by each definition, shape (tasks, definitions, n)."""
     u, pull, closed = block.u0, block.force0, block.closed
     if closed.any():
         u, pull = np.where(u * closed > 0, 0.0, u), np.where(pull * closed < 0, 0.0, pull)
@@ -269,7 +269,7 @@ def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
     if is_manifold:
         is_driven = (np.abs(u) > block.peak) & (-pull * np.sign(u) > block.friction)
         held[:, 0] &= (np.abs(pull) < block.static) & ~is_driven
-    side = np.where(u != 0, np.sign(u), -np.sign(pull))  # on the belt's speed, where it goes next
+    side = np.where(u != 0, np.sign(u), -np.sign(pull))  # at the belt's speed, the side to which it goes next
     return np.where(held, 0, side[:, np.newaxis]).astype(np.int8)
 
 
@@ -287,7 +287,7 @@ def _matrices(systems: Sequence[System]) -> list[tuple[Matrix, Matrix, bool]]:
 
 
 def _matrix(matrix: Any) -> Matrix:
-    """Its panels if it is dense, or those of dense ones, shape (m, n, n); else its rows."""
+    """The panels of a dense matrix, or of several, shape (m, n, n); the rows of a sparse one."""
     if isinstance(matrix, np.ndarray):
         no_index = np.empty(0, dtype=np.int32)
         dense, single = panels(matrix, HEIGHT, np.float64), panels(matrix, SINGLE_HEIGHT, np.float32)
@@ -299,5 +299,5 @@ def _matrix(matrix: Any) -> Matrix:
 
 
 _NONE = _matrix(np.empty((0, 0)))
-#: Of systems that are run by themselves, as large ones are, from many starts: panels take as long as 30 products.
+#: Of systems run one by one, as large ones are, from many starts: making panels takes as long as 30 products.
 _MATRICES: WeakKeyDictionary[System, tuple[Matrix, Matrix, bool]] = WeakKeyDictionary()

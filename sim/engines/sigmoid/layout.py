@@ -1,6 +1,6 @@
-"""What the kernels work on: the numbers of each block by name, what a run keeps constant, and what changes.
+"""The data of the kernels: the numbers of each block, by name; the model, constant in a run; the workspace.
 
-Shapes are for n blocks, p = n rounded up to whole vectors, m definitions of sticking; a step has five nodes.
+There are n blocks, p is n rounded up to whole vectors, and m definitions of sticking; a step has five nodes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.forcing import Forcing
-from stickslip.sim.engines.loop import Room
+from stickslip.sim.engines.loop import Buffers
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
@@ -20,7 +20,7 @@ from stickslip.sim.numerics.tables import Nodes, Row, Table, named
 
 
 class Blocks(Table, nodes=STAGES):
-    """What formulas read and write of each block, by columns, on the step that it is taking; u = w - v."""
+    """The numbers that formulas read and write of each block, by columns, on its present step; u = w - v."""
 
     # of the step
     h: Row  #: its length
@@ -31,14 +31,14 @@ class Blocks(Table, nodes=STAGES):
     steep: Row  #: 1 / delta
     friction: Row  #: kinetic friction of a block that begins to slip
     belt: Row  #: v
-    drag: Row  #: what belts give F by damping
+    drag: Row  #: the part of F from damping at the belts' speeds
     # of the step
-    tolerance: Row  #: what it may err by
-    reach: Row  #: of the block: |u| / delta up to which friction differs from kinetic by what counts
-    done: Row  #: 1 if Newton's method has converged, or is not to be used
+    tolerance: Row  #: the error allowed
+    reach: Row  #: of the block: |u| / delta beyond which friction is kinetic, to the tolerance
+    done: Row  #: 1 if Newton's method has converged, or is not used
     error: Row
-    allowed: Row  #: what `error` may be: the tolerance, and less of it near a peak of friction
-    suspect: Row  #: 1 if u may have gone through the layer unseen
+    allowed: Row  #: the `error` allowed: the tolerance, or less near a peak of friction
+    suspect: Row  #: 1 if u may have passed the layer undetected
     low: Row  #: bounds of u on a macro step
     high: Row
     low_force: Row  #: bounds of F
@@ -46,8 +46,8 @@ class Blocks(Table, nodes=STAGES):
     force0: Row  #: F at the start
     speed_before: Row  #: |w| a step before
     was_split: Row  #: 1 if the block took substeps in the last macro step
-    moved: Row  #: what the last change of F may change w by, over tolerance
-    tail: Row  #: what the leading coefficient of F may change w by, over tolerance
+    moved: Row  #: the change of w by the last change of F, at most, over tolerance
+    tail: Row  #: the change of w by the leading coefficient of F, at most, over tolerance
     # of a substep: where it starts, and its length, as shares of the macro step
     start: Row
     length: Row
@@ -55,18 +55,18 @@ class Blocks(Table, nodes=STAGES):
     peak: Row  #: the u at which friction has its peak; infinite if it has none
     hidden: Row  #: c of the law
     static: Row  #: static friction, that of the peak
-    fine: Row  #: the share of tolerance that a step near the peak may err by
-    far: Row  #: friction of a slip without bound, over `friction`
-    weakening: Row  #: how steeply friction weakens, over 1 / delta
+    fine: Row  #: the error allowed in a step near the peak, over tolerance
+    far: Row  #: friction at the limit of fast slip, over `friction`
+    weakening: Row  #: steepness of the weakening, over 1 / delta
     closed: Row  #: the side to which the block does not slip; 0: none
     # of a substep: its length if it is accepted, else 0
     taken: Row
     # of the block
     passed: Row  #: the weight of the error of a step that jumped the layer
-    at_peak: Row  #: what a step may err by at the peak, over its u
+    at_peak: Row  #: the error allowed in a step at the peak, over its u
     row_sum: Row  #: of |K|
     # of the step
-    noise: Row  #: F is known to no more than this
+    noise: Row  #: the rounding of F
     z_macro: Row  #: z at the start of the macro step
     u_macro: Row
     # at the nodes
@@ -84,7 +84,7 @@ class Blocks(Table, nodes=STAGES):
     moment_u: Nodes
 
 
-#: Rows that a block takes with it into substeps.
+#: Rows that are copied into a lane when a block begins substeps.
 OF_BLOCK = tuple(
     Blocks.places[name][0]
     for name in (
@@ -95,9 +95,9 @@ OF_BLOCK = tuple(
 
 
 class Shared(Table, nodes=STAGES):
-    """Numbers that formulas read, the same for all blocks: the first of a row, or square."""
+    """Numbers that formulas read, the same for all blocks: the first of a row, or a square of rows."""
 
-    weights: Nodes  #: by which values at the nodes of the last step predict those of this one
+    weights: Nodes  #: from values at the nodes of the last step to predictions at those of this one
     h: Row  #: the macro step
     atol: Row  #: inside
     rtol: Row
@@ -110,7 +110,7 @@ blocks, shared = named(Blocks), named(Shared)
 
 
 class Matrix(NamedTuple):
-    """A matrix to be multiplied with: in panels if it is dense, else its rows."""
+    """A matrix for products: in panels if it is dense, else by sparse rows."""
 
     panels: Floats  #: shape (panels, n, height), as the next
     single_panels: NDArray[np.float32]
@@ -120,16 +120,16 @@ class Matrix(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What is constant in a run, beside what `Blocks` has of each block."""
+    """What is constant in a run, except the numbers of each block in `Blocks`."""
 
-    law: NamedTuple  #: kernels are compiled for it
+    law: NamedTuple  #: the friction law; kernels are compiled for its type
     stiffness: Matrix  #: K
     cross: Matrix  #: N
     has_cross: bool
     forcing: Forcing | None
-    bands: Floats  #: shape (m, n): by each definition a block sticks below this |u|
+    bands: Floats  #: shape (m, n): by each definition, the |u| below which a block sticks
     borne: Floats  #: shape (m, n): kinetic friction there
-    by_force: NDArray[np.bool_]  #: shape (m,): and below static friction
+    by_force: NDArray[np.bool_]  #: shape (m,): whether |F| must also be below static friction
 
 
 class Substeps(NamedTuple):
@@ -144,7 +144,7 @@ class Substeps(NamedTuple):
 
 
 class Repeated(NamedTuple):
-    """Those of the last iteration, as `Substeps` has them."""
+    """Substeps of the last iteration, as `Substeps` has them."""
 
     after: NDArray[np.int64]
     length: Floats
@@ -156,12 +156,12 @@ class Lanes(NamedTuple):
 
     table: Floats  #: see `Blocks`
     block: NDArray[np.int64]  #: -1: the lane is free
-    again: NDArray[np.int64]  #: the substep of the last iteration to be taken again; -1: none
+    again: NDArray[np.int64]  #: the substep of the last iteration to repeat; -1: none
     last: NDArray[np.int64]  #: the last substep; -1: none
 
 
 class Workspace(NamedTuple):
-    """What changes in a run, beside its state, and room to work in."""
+    """What changes in a run, beside its state, and scratch arrays."""
 
     table: Floats  #: see `Blocks`, shape (rows, p)
     shared: Floats  #: see `Shared`
@@ -173,7 +173,7 @@ class Workspace(NamedTuple):
     modes: NDArray[np.int8]  #: by each definition of sticking, shape (m, n)
     modes_before: NDArray[np.int8]  #: by the first, shape (n,)
     is_split: NDArray[np.bool_]  #: whether a block takes substeps, shape (n,)
-    split: NDArray[np.int64]  #: those that do
+    split: NDArray[np.int64]  #: the blocks that do
     next_h: Floats  #: a block's next substep, shape (n,)
     next_h_before: Floats  #: at the start of the macro step
     end_u: Floats  #: u and z at the end of a block's last substep, shape (n,)
@@ -181,11 +181,11 @@ class Workspace(NamedTuple):
     begins: NDArray[np.int64]  #: a block's first substep; -1: none, shape (n,)
     substeps: Substeps
     repeated: Repeated
-    there: Room  #: the state at an instant at which all blocks come to stick, or one leaves
+    there: Buffers  #: the state at an instant at which all blocks come to stick, or one leaves
 
     @classmethod
     def of(cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int) -> Workspace:
-        """A workspace for a table and the modes at the start, with room for so many substeps."""
+        """A workspace for a table and the modes at the start, for at most so many substeps."""
         n, wide = modes.shape[1], -(-modes.shape[1] // SINGLE_HEIGHT) * SINGLE_HEIGHT
         return cls(
             table=table,
@@ -213,12 +213,12 @@ class Workspace(NamedTuple):
                 np.empty((most, STAGES + 1)),
             ),
             repeated=Repeated(np.empty(most, np.int64), np.empty(most), np.empty((most, STAGES + 1))),
-            there=Room(np.empty(1), np.empty((1, n)), np.empty((1, n))),
+            there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
         )
 
 
 def blank_tables(several: int, n: int) -> Floats:
-    """Tables of n blocks, shape (several, rows, p); columns that are no block have numbers that are harmless."""
+    """Tables of n blocks, shape (several, rows, p); columns beyond the last block have harmless numbers."""
     tables = np.zeros((several, Blocks.n_rows, -(-n // HEIGHT) * HEIGHT))
     block = Blocks(tables)
     block.steep = block.h = block.done = block.tolerance = 1.0

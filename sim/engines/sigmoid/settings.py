@@ -17,9 +17,9 @@ from stickslip.sim.runs.run import Run
 class Sigmoid(Engine):
     """The sign smoothed to tanh((w - v) / (ratio eps)).
 
-    With static friction above the kinetic, to s(lambda) = lambda + c lambda (1 - lambda^2) of that lambda, whose c
-    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`. With weakening
-    mu(|w - v|) stands for mu; on a side that is barred stands the law's tangent at w = v.
+    With static friction above the kinetic it is s(lambda) = lambda + c lambda (1 - lambda^2) of that lambda, where c
+    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`. With weakening, mu is
+    mu(|w - v|); on a closed side the law is its tangent at w = v.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ class Sigmoid(Engine):
 
         - "manifold": |F_i| < mu_i, F = R v + K z + N w, and |w_i - v| < delta_i ln(1 / delta_i). The slow manifold is
           w - v = delta atanh(lambda), so this is the definition whose entries and exits tend to those of the Coulomb
-          law as eps -> 0. With static friction above mu_i that stands in its place; but a block that slips beyond the
-          peak of friction goes on slipping while F, above mu_i, drives it on.
+          law as eps -> 0. A static friction above mu_i takes the place of mu_i; but a block that slips beyond the
+          peak of friction goes on slipping while F, above mu_i, pushes it on.
         - "threshold": |w_i - v| < c delta_i, that is |lambda| < tanh c: the plain reading, which does not.
 
         A block without friction never sticks (unless it rests on the belt, with no force: there it has no side).
@@ -110,7 +110,7 @@ class Sigmoid(Engine):
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:
-        # what does not depend on tolerances, and steps of order five; in thinner layers more substeps
+        # a part that does not depend on tolerances, and steps of order five; thinner layers take more substeps
         rate *= 0.1 + 0.16 * (1e-6 / (settings["rtol"] * settings["atol"]) ** 0.5) ** 0.2
         rate *= max((0.03 / settings["eps"]) ** 0.18, 0.6)
         if settings["ratio"] == "uniform":

@@ -1,8 +1,8 @@
 """Macro steps of the sigmoid engine: predict, solve, test, complete.
 
-All blocks share a macro step with the nodes of the Radau IIA method of five stages, at which F, all that couples
-them, is predicted. Each block by itself is solved with it (`substeps.py`); its z at the nodes gives a new F, by one
-product of K with all nodes at once, and that is iterated until F has converged. A. Logg, SIAM J. Sci. Comput. 24
+All blocks share a macro step with the nodes of the Radau IIA method of five stages, at which F, the coupling force,
+is predicted. Each block is solved by itself with that F (`substeps.py`); its z at the nodes gives a new F, by one
+product of K with all nodes at once, and this is iterated until F has converged. A. Logg, SIAM J. Sci. Comput. 24
 (2003) 1879-1902, doi:10.1137/S1064827501389722, calls such methods multi-adaptive; the iteration is waveform
 relaxation.
 """
@@ -31,7 +31,7 @@ _products, _single_products = products(STAGES), products(STAGES, single=True)
 
 @inner(inlined=True)
 def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
-    """Begin a macro step at the end of the one that is kept: F and u at the nodes, and who takes substeps anyway."""
+    """Begin a macro step after the last one: predict F and u at the nodes, and mark blocks that take substeps."""
     block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
     for k in range(STAGES):
         x = 1.0 + NODES[k] * h / clock[limits.KEPT_STEP]
@@ -44,7 +44,7 @@ def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
     for k in range(len(work.forcing)):
         value_at(model.forcing, clock[loop.TIME] + NODES[k] * h, work.forcing[k])
     copy(work.next_h, work.next_h_before)
-    for i in range(n):  # what a step that leaves a layer errs by, no layer takes back
+    for i in range(n):  # no layer damps the error of a step that leaves one
         work.is_split[i] = clock[limits.JUMPED] > 0.0 and abs(block.u0[i]) * block.steep[i] < block.reach[i]
         work.begins[i] = -1
 
@@ -70,7 +70,7 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
 
 @inner
 def _product_of_change(model, work, limit):  # type: ignore[no-untyped-def]
-    """K times the change of z, in single precision; False, and nothing, if the change is not below the limit."""
+    """K times the change of z in single precision; False, with no result, if the change is not below the limit."""
     block, single, single_product = blocks(work.table), work.single, work.single_product
     n, product = len(work.is_split), block.product
     for k in range(STAGES):
@@ -106,7 +106,7 @@ def _add_cross(model, work):  # type: ignore[no-untyped-def]
 
 @inner
 def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
-    """F from z (and u) at the nodes. Returns what w may change by, and the tail of F, both over tolerance."""
+    """F from z (and u) at the nodes. Returns the changes of w by that of F and by its tail, over tolerance."""
     block, n = blocks(work.table), len(work.is_split)
     may_add = not is_first and len(model.stiffness.single_panels) > 0 and not model.has_cross
     is_change = may_add and _product_of_change(model, work, limit)
@@ -131,10 +131,10 @@ def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
 
 @inner(inlined=True)
 def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
-    """Solve the blocks, and F from them, until F has converged.
+    """Iterate: solve the blocks, and compute F from them, until F has converged.
 
-    The last iteration needs no product if what it leaves of the last change of F does not count. If the tail is too
-    large the step is given up: iterations hardly change it.
+    The last iteration takes no product if the contraction makes the next change of F too small to matter. If the tail
+    is too large the step is given up: iterations hardly change it.
     """
     most_left = min(1.0, (limits.ITERATED / control.safety) ** 2)
     tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
@@ -165,7 +165,7 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
 
 @inner
 def _reject(work, clock, counters, found, h):  # type: ignore[no-untyped-def]
-    """Shorten the step, note which block was to blame, and take back what it changed."""
+    """Shorten the step, note which block caused its failure, and undo its changes."""
     counters[loop.N_REJECTED] += 1
     counters[loop.LAST_BLOCK] = _worst(work) if found.n_substeps >= 0 else -1 - found.n_substeps
     shrink(clock, h, found.tail)
@@ -174,11 +174,11 @@ def _reject(work, clock, counters, found, h):  # type: ignore[no-untyped-def]
 
 @inner
 def _worst(work):  # type: ignore[no-untyped-def]
-    """The block whose F is least known."""
+    """The block whose F has the largest error."""
     block, worst, most = blocks(work.table), 0, 0.0
     for i in range(len(work.is_split)):
         here = max(block.moved[i], block.tail[i])
-        if not here <= most and most == most:  # what is not a number is worst
+        if not here <= most and most == most:  # NaN is worst
             worst, most = i, here
     return worst
 
@@ -204,7 +204,7 @@ def _accept(work, state, h):  # type: ignore[no-untyped-def]
 
 @inner
 def _all_slip(mode):  # type: ignore[no-untyped-def]
-    """Whether all blocks slip to one side."""
+    """Whether all blocks slip in one direction."""
     same = mode[0] != 0
     for i in range(len(mode)):
         same = same and mode[i] == mode[0]
@@ -212,28 +212,26 @@ def _all_slip(mode):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance(model, work, control, state, events, bound, watch):  # type: ignore[no-untyped-def]
-    """Steps until the end, or until Python has something to do; goes on where it stopped when called again."""
+def advance(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
+    """Take steps until the end, or until Python has something to do; a second call goes on from there."""
     clock, counters, mode = state.clock, state.counters, work.modes[0]
     most_events = PASSES * (len(mode) + len(work.substeps.block)) * len(model.bands)
     n_recorded, n_left, may_grow = np.int64(0), loop.STEPS_A_SLICE, True
     while n_left > 0:
         n_left -= 1
         t = clock[loop.TIME]
-        if control.t_end - t <= 0.0:  # a run of no length may want its samples
+        if control.t_end - t <= 0.0:  # a run of no length may have samples
             counters[loop.N_SAMPLED] = sample(work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
             return loop.DONE, n_recorded
         if n_recorded + most_events > len(events.t):
             return loop.BUFFER_FULL, n_recorded
         if loop.is_check_due(clock, mode) and _all_slip(mode):
-            if loop.may_collapse(state, mode, watch):
+            if loop.may_collapse(state, mode, precheck):
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:
                 return loop.PAUSED, n_recorded
-            n_left, may_grow = (
-                loop.STEPS_A_SLICE,
-                True,
-            )  # as a slice begins: the result does not depend on the slicing
+            # as at the start of a slice: the result does not depend on the slicing
+            n_left, may_grow = loop.STEPS_A_SLICE, True
         h = next_step(control, clock)
         _predict_step(model, work, clock, h)
         found = _solve_waveform(model, work, control, clock, counters, h)
@@ -256,6 +254,6 @@ def advance(model, work, control, state, events, bound, watch):  # type: ignore[
         _accept(work, state, h)
         grow(clock, h, found, may_grow)
         clock[loop.TIME], may_grow = span.end, True
-        if not (largest(state.z) <= bound and largest(state.w) <= bound):  # a maximum of floats may lose a NaN
+        if not loop.is_within(state, bound):
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

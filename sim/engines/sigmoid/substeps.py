@@ -1,7 +1,7 @@
-"""How one block is solved on a macro step, its F given: in the step itself, or in substeps of its own.
+"""How one block is solved on a macro step with F given: in one step, or in substeps of its own.
 
-`step.py` asks for `solve_blocks` and `probe_blocks`, and takes from them u and z at the nodes, which blocks took
-substeps, and where those led. The formulas are those of `collocation.py`, on blocks side by side.
+`step.py` calls `solve_blocks` and `probe_blocks`, which give u and z at the nodes, the blocks that took substeps, and
+where those ended. The formulas are those of `collocation.py`, on blocks side by side.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stickslip.sim.numerics.radau import PROJECT, STAGES, TO_POWERS
 
 @inner
 def _split(work, first, accepted, n_split, anew):  # type: ignore[no-untyped-def]
-    """List those of `WIDTH` blocks that are not accepted, and if `anew` those listed before; returns how many are."""
+    """List those of `WIDTH` blocks that are not accepted, if `anew` with those listed before; returns how many."""
     is_split = work.is_split
     for lane in range(min(WIDTH, len(is_split) - first)):
         i = first + lane
@@ -32,7 +32,7 @@ def _split(work, first, accepted, n_split, anew):  # type: ignore[no-untyped-def
 
 @inner(inlined=True)
 def _in_one_step(law, work):  # type: ignore[no-untyped-def]
-    """All blocks in one step; returns how many are listed for substeps, those marked before among them."""
+    """Solve all blocks in one step; returns how many are listed for substeps, including those marked before."""
     block, n = blocks(work.table), len(work.is_split)
     n_split, some = np.int64(0), False
     for i in range(n):
@@ -50,7 +50,7 @@ def _in_one_step(law, work):  # type: ignore[no-untyped-def]
 
 @inner
 def probe_blocks(law, work, n_split):  # type: ignore[no-untyped-def]
-    """List too the blocks whose one step does not do off the nodes; returns how many are listed."""
+    """List also the blocks whose step fails the error test off the nodes; returns how many are listed."""
     block = blocks(work.table)
     for first in range(0, len(work.is_split), WIDTH):
         accepted = probe(block, first, law)
@@ -63,8 +63,8 @@ def probe_blocks(law, work, n_split):  # type: ignore[no-untyped-def]
 def solve_blocks(model, work, h, is_last):  # type: ignore[no-untyped-def]
     """Solve every block on a macro step, F at the nodes given.
 
-    Returns how many blocks took substeps, and how many substeps, or -1 - i if block i cannot be solved. In the last
-    iteration all is tested off the nodes.
+    Returns the number of blocks that took substeps, and of substeps, or -1 - i if block i cannot be solved. In the
+    last iteration all blocks are tested off the nodes.
     """
     n_split = _in_one_step(model.law, work)
     if is_last:
@@ -85,7 +85,7 @@ def keep_substeps(work, n_substeps):  # type: ignore[no-untyped-def]
 
 @inner
 def _clear(lanes):  # type: ignore[no-untyped-def]
-    """Free all lanes, with numbers in them that are harmless."""
+    """Free all lanes, and fill them with harmless numbers."""
     table, own = lanes.table, blocks(lanes.table)
     for lane in range(WIDTH):
         for row in range(len(table)):
@@ -116,7 +116,7 @@ def _enter(work, i, lane, h):  # type: ignore[no-untyped-def]
 
 @inner
 def _set_lengths(lanes, before, h):  # type: ignore[no-untyped-def]
-    """Lengths of the next substeps: as in the iteration before, or so that no rest is short."""
+    """Set the lengths of the next substeps: as in the iteration before, or such that no rest is short."""
     own = blocks(lanes.table)
     for lane in range(WIDTH):
         own.done[lane] = 1.0 if lanes.block[lane] < 0 else 0.0
@@ -135,7 +135,7 @@ def _set_lengths(lanes, before, h):  # type: ignore[no-untyped-def]
 
 @inner
 def _solve(lanes, before, model):  # type: ignore[no-untyped-def]
-    """Take a substep in every lane, from where the one of the iteration before led, and test it."""
+    """Take a substep in every lane, with the result of the iteration before as first guess, and test it."""
     own = blocks(lanes.table)
     prepare(own, 0, model.law)
     for lane in range(WIDTH):
@@ -158,7 +158,7 @@ def _solve(lanes, before, model):  # type: ignore[no-untyped-def]
 
 @inner
 def _factor(own, lane):  # type: ignore[no-untyped-def]
-    """By how much the next substep may be longer."""
+    """The ratio of the next substep to this one."""
     if own.done[lane] < 0.5:
         return control.SHRINK_UNSOLVED
     factor = control.SAFETY * (own.allowed[lane] / max(own.error[lane], 1e-300)) ** (1.0 / STAGES)
@@ -167,7 +167,7 @@ def _factor(own, lane):  # type: ignore[no-untyped-def]
 
 @inner
 def _move_on(work, lane, place):  # type: ignore[no-untyped-def]
-    """Keep an accepted substep, in this place, and go to its end."""
+    """Store an accepted substep in this place, and go to its end."""
     lanes, own, substeps = work.lanes, blocks(work.lanes.table), work.substeps
     i, last, again = lanes.block[lane], lanes.last[lane], lanes.again[lane]
     start, length = own.start[lane], own.length[lane]
@@ -192,7 +192,7 @@ def _move_on(work, lane, place):  # type: ignore[no-untyped-def]
 
 @inner
 def _project(moments, since, lane, values, i):  # type: ignore[no-untyped-def]
-    """The L2 projection, at the nodes of the macro step, of what a lane has the moments of."""
+    """The L2 projection, at the nodes of the macro step, from the moments in a lane."""
     for k in range(STAGES):
         value = since[lane]
         for p in range(STAGES):
@@ -202,7 +202,7 @@ def _project(moments, since, lane, values, i):  # type: ignore[no-untyped-def]
 
 @inner
 def _leave(model, work, lane, h):  # type: ignore[no-untyped-def]
-    """Free the lane of a block that is at the end of the macro step, and note what came of it."""
+    """Free the lane of a block that has reached the end of the macro step, and store its result."""
     lanes, own, block = work.lanes, blocks(work.lanes.table), blocks(work.table)
     i = lanes.block[lane]
     work.end_u[i], work.end_z[i] = own.u0[lane], own.z0[lane]
@@ -220,9 +220,9 @@ def _leave(model, work, lane, h):  # type: ignore[no-untyped-def]
 
 @inner
 def _substep(model, work, n_split, h):  # type: ignore[no-untyped-def]
-    """The listed blocks in substeps, side by side. Returns how many substeps, or -1 - i if block i cannot.
+    """Solve the listed blocks in substeps, side by side. Returns the number of substeps, or -1 - i if block i fails.
 
-    A block takes the substeps of the last iteration again, from where they led, as long as they will do.
+    A block repeats the substeps of the last iteration, with their results as first guesses, as long as they pass.
     """
     lanes, own, before = work.lanes, blocks(work.lanes.table), work.repeated
     n_substeps, n_entered, n_left = np.int64(0), 0, n_split

@@ -17,7 +17,7 @@ LAWS: dict[str, type[Weakening]] = {
 
 
 def require_form(weakening: Weakening, form: str, engine: str) -> None:
-    """TypeError if a system's law is none of `LAWS`, or has not the form that an engine needs."""
+    """TypeError if a system's law is not in `LAWS`, or lacks the form that an engine needs."""
     if type(weakening) not in LAWS.values() or getattr(weakening, form) is None:
         known = " or ".join(law.__name__ for law in LAWS.values() if getattr(law, form) is not None)
         missing = f", which has no `{form}`" if type(weakening) in LAWS.values() else ""

@@ -1,4 +1,4 @@
-"""What a law of weakening is: kinetic friction that falls as a block slips faster on its belt.
+"""What a weakening law is: kinetic friction that falls as a block slips faster on its belt.
 
     mu(u) = far + (near - far) S(x),    x = steepness |u|,    u = w - v
 
@@ -36,26 +36,26 @@ class Weakening(ABC):
     Attributes
     ----------
     name : str
-        In scenes.
+        Its name in scenes.
     formula : str
-        Of kinetic friction, in scenes.
+        Kinetic friction, in the words of scenes.
     falls_from_static : bool
-        Whether it means nothing where no static friction is given.
+        Whether it needs a static friction to fall from.
     on_lanes : function or None
-        For the sigmoid engine: S and its derivative, of a `Lane` x >= 0. What is imported from
-        `stickslip.sim.numerics.lanes` is imported inside: systems load no numba.
+        For the sigmoid engine: S and its derivative, of a `Lane` x >= 0. It imports from
+        `stickslip.sim.numerics.lanes` inside, since systems load no numba.
     recurrence : function or None
-        For the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the coefficients S_k of all blocks, k >= 1,
-        into ``series[0, k]``, and what else it needs into the ``series`` behind, all of shape (n_series, orders, n).
-        x has the coefficients x_0 = `x0` and x_j = `scale` (j + 1) z_{j+1}; `x0` and `scale` have shape (n,). Where
-        S_0 is zero all S_k are to be. Loops over orders are `while` loops: with `for`, LLVM does not vectorise the
-        loop over blocks inside, which takes twice as long.
+        For the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the Taylor coefficients S_k of all blocks,
+        k >= 1, into ``series[0, k]``. `series` has shape (n_series, orders, n); the law may keep others behind the
+        first. x has the coefficients x_0 = `x0` and x_j = `scale` (j + 1) z_{j+1}; `x0` and `scale` have shape (n,).
+        Where S_0 is zero, all S_k must be. Loops over orders are `while` loops: inside a `for` loop LLVM does not
+        vectorise the loop over blocks, which then takes twice as long.
     n_series : int
-        Coefficients of how many series `recurrence` keeps.
+        The number of series that `recurrence` keeps.
     is_entire : bool
         Whether S has no pole at all, as exp(-x): its terms may then rise before they fall.
     kind : empty named tuple
-        The law, for kernels: what they are compiled for.
+        The type that stands for the law in kernels of the sigmoid engine, which are compiled for it.
     """
 
     name: ClassVar[str]
@@ -79,7 +79,7 @@ class Weakening(ABC):
     @property
     @abstractmethod
     def steepness(self) -> float:
-        """What the speed is multiplied by in the shape."""
+        """The factor of the speed of slip in x."""
 
     @abstractmethod
     def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
@@ -92,7 +92,7 @@ class Weakening(ABC):
 
     @classmethod
     def parameters(cls) -> dict[str, dict[str, Any]]:
-        """What is said of each of its parameters, by name."""
+        """Words, column and example of each parameter, by name."""
         return {one.name: dict(one.metadata) for one in fields(cls)}
 
     @classmethod

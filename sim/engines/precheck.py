@@ -1,4 +1,4 @@
-"""How far blocks that all slip are from a certain collapse: what kernels see for themselves, not asking Python."""
+"""The pre-check of collapse: kernels see for themselves that a state is too far out to be certified."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 
 
-class Watch(NamedTuple):
-    """The modes of the all-slip system, as `Collapse` has them, and what every |w_i| must stay below by them."""
+class Precheck(NamedTuple):
+    """The eigenmodes of the all-slip system, as `Collapse` has them, and the bound that |w_i| must stay below."""
 
-    inverse: Floats  #: T^-1, its real part and its imaginary one: complex numbers take a second to compile
+    inverse: Floats  #: T^-1, its real and imaginary parts: complex numbers take a second to compile
     sizes: Floats  #: |T_{w_i, j}|, shape (n, 2n)
     rest: Floats
     slip: int  #: the direction in which blocks may slip for ever; 0: in none
-    limit: float  #: 0: not known yet
+    limit: float  #: that bound; 0: not known yet
     growth: float
     room: Floats  #: shape (2n,)
 
     @classmethod
-    def blank(cls, slip: int) -> Watch:
+    def blank(cls, slip: int) -> Precheck:
         """Before more than the direction is known."""
         return cls(_NO_INVERSE, _NO_SIZES, _NO_ROW, slip, 0.0, 0.0, _NO_ROW)
 
     @classmethod
     def of(
         cls, inverse: NDArray[np.complex128], sizes: Floats, rest: Floats, slip: int, limit: float, growth: float
-    ) -> Watch:
+    ) -> Precheck:
         """With all that is known: T^-1, and the rest as the attributes have it."""
         return cls(np.array([inverse.real, inverse.imag]), sizes, rest, slip, limit, growth, np.empty(len(inverse)))
 
@@ -40,13 +40,13 @@ _NO_INVERSE, _NO_SIZES, _NO_ROW = np.empty((2, 0, 0)), np.empty((0, 0)), np.empt
 
 
 @inner
-def too_far(watch, z, w, slip):  # type: ignore[no-untyped-def]
-    """After how long to ask again, if no collapse can be certain of this state; else 0. See `Collapse.certify`."""
-    if slip != watch.slip:
+def too_far(precheck, z, w, slip):  # type: ignore[no-untyped-def]
+    """The time after which to ask again if no collapse can be certified of this state, else 0; see `Collapse`."""
+    if slip != precheck.slip:
         return np.inf
-    if watch.limit == 0.0:
+    if precheck.limit == 0.0:
         return 0.0
-    inverse, rest, sizes, n = watch.inverse, watch.rest, watch.room, len(z)
+    inverse, rest, sizes, n = precheck.inverse, precheck.rest, precheck.room, len(z)
     for j in range(2 * n):
         real, imaginary = 0.0, 0.0
         for k in range(n):
@@ -57,6 +57,6 @@ def too_far(watch, z, w, slip):  # type: ignore[no-untyped-def]
     for i in range(n):
         bound = 0.0
         for j in range(2 * n):
-            bound += watch.sizes[i, j] * sizes[j]
+            bound += precheck.sizes[i, j] * sizes[j]
         reach = max(reach, bound)
-    return 0.25 * math.log(reach / watch.limit) / -watch.growth if reach > watch.limit else 0.0
+    return 0.25 * math.log(reach / precheck.limit) / -precheck.growth if reach > precheck.limit else 0.0
