@@ -17,7 +17,7 @@ from distributed import Client, Future, KilledWorker, as_completed, fire_and_for
 from distributed.comm import CommClosedError
 
 from stickslip.pipeline.dataset.result import Result, program
-from stickslip.pipeline.dataset.status import Began, Follower, Status, Tally
+from stickslip.pipeline.dataset.status import Began, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
@@ -139,7 +139,7 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
-    with Store(out, scene, scene.source, retry_failed, accept_version) as store:
+    with Store(out, scene, retry_failed, accept_version) as store:
         firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
         for origin in {member.source.origin for member in firsts}:
             if origin is not None:
@@ -182,7 +182,7 @@ def run_ensemble(
                     )
                 tally = tally.plus(store.commit(result), todo[result.name])
                 report(result.name)
-    return Follower(store.place, store.tasks).look()
+    return counted(store.opened, store.tasks)
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:

@@ -117,5 +117,5 @@ def _opened(at: str, sha256: str) -> _Opened:
     like: dict[tuple[Any, ...], list[Member]] = {}
     for member in expand(opened.scene):
         like.setdefault(_same(member), []).append(member)
-    done = query.table(at, ["member_id", "outcome"]).to_pydict()
-    return _Opened(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(at))
+    done = query.table(opened, ["member_id", "outcome"]).to_pydict()
+    return _Opened(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(opened))

@@ -130,12 +130,35 @@ class Scene(StrictTable):
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # `as_scene` goes another way
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as its source: the classes of its tables are made when they are loaded, and have no names."""
+        return parse_scene, (self.source, "scene", self._folder)
+
     @property
     def source(self) -> bytes:
         """The scene as a file: the one that it was read from, or one written from what it was made of."""
         if self._source is not None:
             return self._source
         return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True)).encode()
+
+    @property
+    def from_source(self) -> Scene:
+        """The scene as its `source` gives it: itself if it was read from there.
+
+        Raises
+        ------
+        ValueError
+            If its source is that of other data.
+        """
+        if self._source is not None:
+            return self
+        found = parse_scene(self.source, "source", self._folder)
+        if found.hash != self.hash:
+            raise ValueError(
+                f"source: expected the file of the scene (hash {self.hash[:12]}), got that of another (hash "
+                f"{found.hash[:12]}); write the scene as a file"
+            )
+        return found
 
     @property
     def purpose(self) -> Purpose:

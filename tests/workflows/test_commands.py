@@ -668,7 +668,7 @@ def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, tmp_path, monk
     dataset = shutil.copytree(dataset, tmp_path / "begun")
     (dataset / "report.html").unlink()
     none_done = dataclasses.replace(status(dataset), n_done=0)
-    monkeypatch.setattr("stickslip.workflows.reporting.status", lambda path: none_done)
+    monkeypatch.setattr("stickslip.workflows.reporting.Tally.of", lambda *_: none_done)
     for more in ([], ["--compare", str(dataset)]):
         assert main(["report", str(dataset), *more]) == 1
         assert "no member is done yet; run the scene first" in capsys.readouterr().err
