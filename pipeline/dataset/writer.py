@@ -12,7 +12,8 @@ from functools import cached_property
 from types import TracebackType
 
 from stickslip.pipeline.dataset.opened import Opened, planned, stored_scene
-from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.machine.signals import last_act, unbroken

@@ -16,7 +16,8 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
 
-from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.status import Began, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from stickslip import sim
-from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
