@@ -207,7 +207,7 @@ def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, s
 
 @contextlib.contextmanager
 def reading(place: Place) -> Iterator[None]:
-    """Turn what a damaged or missing shard raises into words that say what to do."""
+    """Turn the errors of a damaged or missing shard into a `StoreError` that says what to do."""
     try:
         yield
     except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
@@ -217,7 +217,7 @@ def reading(place: Place) -> Iterator[None]:
 
 
 def unreadable(place: Place, error: Exception) -> StoreError:
-    """The refusal of a dataset of which a shard cannot be read."""
+    """The error for a dataset with a shard that cannot be read."""
     first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
     return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
 
@@ -246,7 +246,7 @@ def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFram
 
 
 def not_recorded(part: str) -> QueryError:
-    """The refusal of what the scene did not ask for, a key of `TABLES`."""
+    """The error for a table, a key of `TABLES`, that the scene does not record."""
     return QueryError(f"{part}: expected a dataset with {part}, got one without; set {TABLES[part]}")
 
 

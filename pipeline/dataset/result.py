@@ -1,4 +1,4 @@
-"""What a worker hands over."""
+"""What a worker returns."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Result:
-    """A computed batch: the shard's bytes, and beside them what is not data."""
+    """A computed batch: the shard's bytes, and facts about their computation that are no data."""
 
     name: str
     shard: bytes

@@ -62,7 +62,7 @@ class Tally:
         return self.n_done == self.n_members
 
     def pace(self, n_before: int, cost_before: float, elapsed: float) -> tuple[float | None, float | None]:
-        """Members a second since so much was there, and seconds to go; None as long as nothing was added."""
+        """Members a second since an earlier state, and seconds to go; None as long as nothing was added."""
         n_new, new = self.n_done - n_before, self.cost_done - cost_before
         if elapsed <= 0 or n_new <= 0 or new <= 0:
             return None, None
@@ -85,7 +85,7 @@ class Began:
 
 @dataclass(frozen=True)
 class Running:
-    """The process that writes a dataset, as the lock file has it."""
+    """The process that writes a dataset, as the lock file names it."""
 
     owner: str
     began: Began
@@ -118,7 +118,7 @@ def status(path: Where | Opened) -> Status:
 
 
 class Follower:
-    """Looks at a dataset as often as it is asked to, and opens it once.
+    """Looks at a dataset whenever it is asked to, and opens it once.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     """The status of a dataset that consists of the shards of `tasks`; raises as `status`."""
     place, shards = opened.place, opened.manifest.shards
     tally = Tally.of(tasks, shards)
-    # after the manifest: a shard is there before it is listed
+    # after the manifest was read: a shard is there before it is listed
     marks = dict(zip(shards, place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
     there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
     failed = rows_that_failed(opened, there) if there else []

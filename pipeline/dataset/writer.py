@@ -1,4 +1,4 @@
-"""Writing a dataset: one owner, atomic commits, a manifest and its record that alone decide what is done."""
+"""Writing a dataset: one owner, atomic commits; the manifest and its record alone decide what is done."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LAST_SECONDS = 1.5
 
 _LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
 
-#: Keys by which a scene differs from the one of the data that a refusal names.
+#: Keys that a refusal names at most, of those by which a scene differs from that of the data.
 _SHOWN = 5
 
 
@@ -111,7 +111,7 @@ class Store:
                     self.place.replace(MANIFEST, self._manifest.to_bytes())
 
     def _sweep(self) -> None:
-        """Leave no trace of a commit that is cut short; what takes too long is left to the next run."""
+        """Remove what a commit that is cut short has written; what takes too long is left to the next run."""
 
         def sweep() -> None:
             with contextlib.suppress(OSError, StoreError):
@@ -264,7 +264,7 @@ class Store:
             self.place.replace(SCENE, self.scene.source)
 
     def note(self, line: str) -> None:
-        """Add a line to the lock, for processes that look who is writing."""
+        """Add a line to the lock, for processes that ask who is writing."""
         self._hold.note(line)
 
     def commit(self, result: Result) -> Shard:
@@ -306,7 +306,7 @@ class Store:
 
 
 def _told(value: object) -> str:
-    """A value of a scene for an error: of what it names, the beginning of the sha256."""
+    """A value of a scene as an error shows it: of a sha256 the beginning."""
     if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}(, version [0-9]+)?", value):
         return f"sha256 {value[:12]}{value[64:]}"
     return repr(value)
@@ -324,7 +324,7 @@ def _flat(values: object, key: str = "") -> dict[str, object]:
 
 @contextlib.contextmanager
 def _explained(path: Place) -> Iterator[None]:
-    """Turn the refusals of the operating system, or of a store, into words that say what to do."""
+    """Turn errors of the operating system, or of a store, into a `StoreError` that says what to do."""
     try:
         yield
     except OSError as error:

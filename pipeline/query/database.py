@@ -18,13 +18,13 @@ from stickslip.pipeline.errors import QueryError, printable
 from stickslip.pipeline.places.place import Place, Where
 from stickslip.pipeline.records import TABLES
 
-#: Rows that an answer is handed over in.
+#: Rows of a batch of an answer.
 _ROWS = 100_000
 
 # EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
 _READ = {"SELECT", "EXPLAIN", "MULTI"}
 
-# What DuckDB 2 and 1 say when Arrow, which reads the shards for them, cannot.
+# What DuckDB 2 and 1 say when Arrow cannot read the shards for them.
 _OF_SHARDS = re.compile(r"registered as 'shards'|arrow_scan")
 
 # Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
@@ -169,7 +169,7 @@ def _named_apart(schema: pa.Schema) -> pa.Schema:
 
 @contextlib.contextmanager
 def _aside(connection: Any) -> Iterator[Executor]:
-    """A thread to ask in, so that this one hears an interrupt, whatever DuckDB is doing; what is asked then ends."""
+    """A thread for queries, so that an interrupt reaches this one whatever DuckDB is doing; it ends the query."""
     with ThreadPoolExecutor(1) as aside:
         aside.submit(int).result()  # nobody waits for a thread that starts while an interrupt comes
         try:

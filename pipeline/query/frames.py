@@ -44,9 +44,9 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
 
-#: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
+#: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
 _KEPT = 100_000_000
-#: Shards of them at least: a run and the one that it is compared with.
+#: But at least this many shards: those of a run and of the one that it is compared with.
 _SHARDS_KEPT = 2
 
 _Value = TypeVar("_Value", covariant=True)
@@ -373,7 +373,7 @@ class _Items(ItemsView[str, _Value]):
 
 
 def _joined(column: pa.ChunkedArray) -> pa.Array:
-    """A column in one piece: its rows are found at once."""
+    """A column as one array, in which rows are found at once."""
     joined = column.combine_chunks()
     return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
 

@@ -43,9 +43,9 @@ _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
     # whose worker dies is run in a process of its own next: no second chance to take others along
     "distributed.scheduler.allowed-failures": 0,
-    # dask drops a worker for good that is being restarted just this long after it died; with it went the run
+    # dask drops a worker for good, and the run with it, if it is restarting this long after it died
     "distributed.deploy.lost-worker-timeout": "1000 days",
-    # each samples Python's stacks, or measures the delay of a loop, many times a second, and disturbs who computes
+    # each samples Python's stacks, or measures the delay of a loop, many times a second, and slows the computation
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "2s",
@@ -166,7 +166,7 @@ def _files_for(workers: int) -> Iterator[None]:
 
 
 def _look_at(client: Client) -> None:
-    """Warn of workers of a cluster, as far as they are there, that are slow or whose numbers may differ."""
+    """Warn of those workers that are there whose setup makes them slow or their numbers differ."""
     several = [address for address, count in client.nthreads().items() if count > 1]
     if several:
         log.warning(
@@ -197,7 +197,7 @@ def _close(client: Client, cluster: SpecCluster) -> None:
 
 
 def _kill(cluster: SpecCluster) -> None:
-    """Kill the workers, whatever they are at: to end them in order takes seconds."""
+    """Kill the workers, whatever they are doing: an orderly end takes seconds."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
@@ -205,14 +205,14 @@ def _kill(cluster: SpecCluster) -> None:
 
 
 class QuietScheduler(Scheduler):
-    """Without the web server that dask gives it, which tells anybody who asks of workers and logs."""
+    """A scheduler without dask's web server, which shows workers and logs to anybody who asks."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""
 
 
 class QuietWorker(Worker):
-    """As `QuietScheduler`."""
+    """A worker without that web server."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""

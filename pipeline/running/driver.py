@@ -51,7 +51,7 @@ LOST_TIMEOUT = 60.0
 #: Seconds between two looks at what has come in; meanwhile the workers have their next batches.
 _LOOK = 0.02
 
-#: How often batches are given once more to workers of their own when those die of other causes.
+#: How often batches whose workers died are tried again, their members in processes of their own.
 _ATTEMPTS = 3
 
 
@@ -235,7 +235,7 @@ def _results(
             lost = yield from _submit(
                 client, todo, compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
             )
-            # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
+            # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
             for _ in range(_ATTEMPTS):
                 lost = yield from _submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
@@ -292,14 +292,14 @@ def _submit(
 
 
 class _Patience:
-    """While waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
+    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker."""
 
     def __init__(self, client: Client, scheduler: str | Client | None) -> None:
         self._client, self._scheduler = client, scheduler
         self._looked = self._alive = time.monotonic()
 
     def look(self) -> None:
-        """Give up if it is time to; a cluster at an address may be without workers for as long as it likes."""
+        """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
         now = time.monotonic()
         if now - self._looked < 1.0:
             return

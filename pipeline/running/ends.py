@@ -16,7 +16,7 @@ from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import QUANTITIES
 
-#: Of several members of the same system, the one is taken that is like it in these, the first ones first.
+#: Of several members of the same system those are kept that agree in these, one after the other, if any do.
 _ALIKE: tuple[Callable[[Member], Any], ...] = (
     lambda member: member.begin.draw,
     *(partial(lambda name, member: member.term(name), name) for name in (*QUANTITIES, "back_slip")),

@@ -29,7 +29,7 @@ WITHIN = 2.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take, up to `WITHIN`; of members that fail nothing follows for the others."""
+    """What a run will take, up to a factor `WITHIN`; members that fail say nothing about the others."""
 
     workers: int  #: that have a shard, and a core, of their own
     core_seconds: float
@@ -83,19 +83,19 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
 
 
 def _point(member: Member) -> Member:
-    """What members share that differ in what is drawn alone."""
+    """What members share that differ only in their draws."""
     source, change, begin = member.source._replace(matrix=0), member.change, member.begin._replace(draw=None)
     return replace(member, member_id="", source=source, change=change._replace(draw=None), begin=begin)
 
 
 def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
-    """Run a share of members: how many whole ones that is, their rows, seconds of a core for a unit of cost."""
+    """Run a share of each member: how many whole ones that makes, their rows, core-seconds for a unit of cost."""
     parts = [replace(one, t_end=max(share * one.t_end, min(10.0, one.t_end))) for one in members]
     begun = time.process_time()
     found = columns(parts, run_members(parts, recording), recording)
     took = max(time.process_time() - begun, 1e-6)
     rows = [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
-    # one that ended early would have, whole
+    # one that ended early would also have done so if it were run whole
     done = [part.cost / one.cost if row["outcome"] == "finished" else 1.0
             for part, one, row in zip(parts, members, rows, strict=True)]  # fmt: skip
     return sum(done), rows, took / sum(a * one.cost for a, one in zip(done, members, strict=True))

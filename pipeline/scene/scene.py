@@ -67,7 +67,7 @@ MINUTES = "what it took on two cores with its report, in minutes: `stickslip sce
 #: Keys without influence on the data.
 _WORDS = {"title", "about", "minutes", "analysis"}
 
-#: Keys that are younger than some datasets: at their defaults, a scene is the same as without.
+#: Keys that are younger than some datasets: at their defaults they are no part of a scene's hash.
 _YOUNGER = (
     ("record", "end", False),
     ("record", "episodes", False),
@@ -268,9 +268,14 @@ class Scene(StrictTable):
             )
 
     def check_engines(self) -> None:
-        """SceneError if an engine is asked for what it does not run; of a file or a function, its runs tell.
+        """Refuse engines that cannot run what the scene asks; for a file or a function, its runs tell.
 
-        Asked before a scene is run, not when it is read: data of such members as failed are read still.
+        Called before a scene is run, not when it is read: data with members that failed so can still be read.
+
+        Raises
+        ------
+        SceneError
+            If one cannot.
         """
         system, known = self.system, self.system.quantities
         push = [known[key] for key in ("force_amplitude", "force_course")]
@@ -492,7 +497,7 @@ def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) ->
 
 
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
-    """What a scene keeps of what it names, by the tables and the keys that hold it."""
+    """What a scene keeps of the files and datasets that it names, by table and key."""
     seen: dict[str, dict[str, Any]] = {}
     start = tables.get("start")
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
