@@ -150,7 +150,7 @@ def stored_scene(place: Place) -> Scene:
     Raises
     ------
     SceneError
-        If there is none, or it is no scene.
+        If there is none, or it is not a scene.
     """
     file = place.named(SCENE)
     try:
@@ -210,7 +210,7 @@ def reading(place: Place) -> Iterator[None]:
     """Turn the errors of a damaged or missing shard into a `StoreError` that says what to do."""
     try:
         yield
-    except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
+    except (OSError, pa.ArrowInvalid) as error:  # a missing file, a page with a wrong checksum, a truncated file
         if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
             raise
         raise unreadable(place, error) from error
@@ -224,7 +224,7 @@ def unreadable(place: Place, error: Exception) -> StoreError:
 
 @cache
 def _nullable() -> dict[pa.DataType, Any]:
-    """Types of pandas that have a null beside NaN, and keep integers integers."""
+    """Types of pandas that tell null from NaN, and keep integers integers."""
     import pandas as pd  # it takes a quarter of a second to load, which no run needs
 
     return {
@@ -251,5 +251,5 @@ def not_recorded(part: str) -> QueryError:
 
 
 def near(word: str, known: Sequence[str]) -> str:
-    """What `word` may have been meant for, as the end of a message."""
+    """What `word` may stand for, as the end of a message."""
     return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"

@@ -65,7 +65,7 @@ def verify(path: Where) -> list[str]:
 
 
 def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
-    """What is wrong inside a shard whose bytes are as they were written: "" if nothing."""
+    """What is wrong inside a shard whose bytes are as they were written; "" if nothing is."""
     try:
         # a thread of Arrow's may outlive its library, and end the process
         table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)

@@ -280,7 +280,7 @@ def _plain(value: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
-    """An engine with a member's settings, whose ratios, if it has such, are one."""
+    """An engine with a member's settings; its ratios, if it has any, are one."""
     return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
 
 

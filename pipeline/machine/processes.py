@@ -1,4 +1,4 @@
-"""Processes beside this one: with one thread each, for as long as this one needs them."""
+"""Other processes: with one thread each, for as long as this one needs them."""
 
 from __future__ import annotations
 

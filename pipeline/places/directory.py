@@ -162,7 +162,7 @@ def _acquire(file: Path) -> int:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), os.stat(file)):
                 os.truncate(descriptor, 0)
-                with contextlib.suppress(OSError):  # a full disk: the lock then does not say whose it is
+                with contextlib.suppress(OSError):  # a full disk: the lock then does not name its owner
                     os.write(descriptor, f"{this_process()}\n".encode())
                 return descriptor
         os.close(descriptor)  # its last owner removed it between our opening and our locking

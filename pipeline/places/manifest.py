@@ -133,7 +133,7 @@ class Commit(BaseModel):
 
     @classmethod
     def parse(cls, line: bytes) -> Commit | None:
-        """What a line says; None if it is damaged, or of a version that kept no more than times."""
+        """The commit in a line; None if it is damaged, or of a version that kept only times."""
         with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
             found = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return found if json.loads(found.line) == json.loads(line) else None
@@ -166,7 +166,7 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     Raises
     ------
     StoreError
-        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest, or no record.
+        If there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be understood.
     """
     place = place_of(path)
     manifest = _manifest(place)

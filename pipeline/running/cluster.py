@@ -41,7 +41,7 @@ CONNECT_TIMEOUT = 5.0
 
 _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
-    # whose worker dies is run in a process of its own next: no second chance to take others along
+    # a task whose worker dies is run in a process of its own next: here it would take others along
     "distributed.scheduler.allowed-failures": 0,
     # dask drops a worker for good, and the run with it, if it is restarting this long after it died
     "distributed.deploy.lost-worker-timeout": "1000 days",
@@ -74,7 +74,7 @@ def check_memory(scene: Scene, workers: int) -> None:
 
 
 def check_address(address: str) -> None:
-    """See that a scheduler answers at an address: `Client`, told a wrong one, hangs in its own destructor.
+    """See that a scheduler answers at an address: with a wrong one `Client` hangs in its destructor.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def check_address(address: str) -> None:
             identity = LoopRunner().run_sync(_who_is_at, address)
         if "workers" not in identity:
             raise ValueError(f"a {identity['type']} answers there")
-    # in turn: refused or silent; no address; no certificate for tls; tcp, where dask is told to encrypt;
-    # another service's words, taken for the length of a message
+    # in turn: refused or silent; no address; no certificate for tls; tcp where dask has to encrypt;
+    # the answer of another service, taken for the length of a message
     except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
         why = " ".join(str(error).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
         raise AddressError(
@@ -107,7 +107,7 @@ async def _who_is_at(address: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def connect(workers: int, scheduler: str | Client | None, dashboard: bool = False) -> Iterator[Client]:
-    """A client of a cluster that is there, or, for as long as the with-block, of local workers."""
+    """A client of a running cluster, or of local workers that live as long as the with-block."""
     if scheduler is None:
         with local(workers, dashboard) as client:
             yield client
@@ -125,7 +125,7 @@ def connect(workers: int, scheduler: str | Client | None, dashboard: bool = Fals
 def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """A client of new workers on this machine, which live as long as the with-block.
 
-    `dashboard` opens dask's, which any user of this machine may read.
+    `dashboard`: whether to serve dask's, which any user of this machine may read.
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:

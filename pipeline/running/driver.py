@@ -259,7 +259,7 @@ def _submit(
     window: Callable[[], int],
     scheduler: str | Client | None,
 ) -> Generator[Result, None, list[Task]]:
-    """Yield results as they come in, with so many batches in flight; return the batches whose workers died."""
+    """Yield results as they come in, with `window()` batches in flight; return the batches whose workers died."""
     waiting = iter(todo)
     running = as_completed(loop=client.loop)
     task_of: dict[Future[Any], Task] = {}

@@ -39,7 +39,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
-    """Estimate a run of some batches of a scene, one at least, on so many local processes."""
+    """Estimate a run of some batches of a scene, at least one, on local processes."""
     kinds: dict[tuple[Any, ...], list[Member]] = {}
     for member in (member for batch in packed for member in batch.members):
         is_coupled = member.change.reading == "damping matrix"
@@ -65,11 +65,11 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     # the golden section spreads any number of places evenly over matrices and changes
     places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
     some = [replace(members[k], shared_cost=0.0) for k in places]
-    # each point of a sweep may need kernels of its own: compiling, or loading, them is no part of the work
+    # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
     points = {_point(one): one for one in some}
     run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
-    # as many as there is time for, together, as a run has them
+    # as many as there is time for, run together as in a batch
     expected = factor * some[0].cost
     share = min(0.4 * seconds / expected, 1.0)
     more = some[1 : 1 + max(1, int(seconds / (share * expected)))]

@@ -169,7 +169,7 @@ class Scene(StrictTable):
 
     @property
     def records(self) -> tuple[Record, ...]:
-        """What is kept of a run beside n_stick."""
+        """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump()
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
@@ -247,7 +247,7 @@ class Scene(StrictTable):
         return self
 
     def _static_holds(self) -> None:
-        """Static friction is at least the kinetic, at every point of the grid; of a file or a function, runs tell."""
+        """Static friction is at least the kinetic at every point of the grid; for files and functions, runs tell."""
         for _, at in self.points() if self.system.static is not None else ():
             held, kinetic = at["static"], at["friction"]
             if held is not None and kinetic is not None and lowest(held) < size(kinetic):
@@ -257,7 +257,7 @@ class Scene(StrictTable):
                 )
 
     def _parameters_are_columns(self) -> None:
-        """Each parameter of a function is a column beside the others, in tables and in SQL."""
+        """Each parameter of a function is a column like the others, in tables and in SQL."""
         if not self.system.parameters:
             return
         found = misnamed(self.system.parameters)

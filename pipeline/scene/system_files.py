@@ -48,7 +48,7 @@ def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is no such file, or claims what it does not hold.
+        If it is no such file, or does not hold what it claims.
     Exception
         If it is damaged.
     """
@@ -64,7 +64,7 @@ def _npy_alone(content: bytes, _: Sequence[str]) -> dict[str, Any]:
 
 
 def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndarray:
-    """The array of an .npy file of so many bytes."""
+    """The array of an .npy file of `size` bytes."""
     version = npy.read_magic(stream)
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in readers:  # the third is for names of fields
@@ -146,7 +146,7 @@ def _compressed(parts: dict[str, np.ndarray]) -> Any:
 
 
 def _square(shape: Sequence[int]) -> int:
-    """The number of blocks of a matrix of such a shape."""
+    """The number of blocks of a matrix of a shape, which has to be square."""
     if not isinstance(shape, list) or len(shape) != 2 or shape[0] != shape[1] or not 0 < shape[0] <= MAX_BLOCKS:
         raise ValueError(f"stiffness: expected a square matrix of at most {MAX_BLOCKS} blocks, got the shape {shape}")
     return shape[0]
@@ -185,7 +185,7 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
         with warnings.catch_warnings(action="error"):  # of a number that NumPy would round
             table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
     if table.size != entries:
-        raise ValueError(f"expected {entries} entries, of which its line of sizes tells, got {table.size}")
+        raise ValueError(f"expected {entries} entries, as its line of sizes says, got {table.size}")
     values = table["value"].astype(np.float64)
     if layout == "coordinate":
         return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign)}

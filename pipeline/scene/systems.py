@@ -30,7 +30,7 @@ from stickslip.sim.numerics.arguments import did_you_mean, per_block
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
 
-#: What a file may hold beside `stiffness`, a number a block each.
+#: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
 #: Seconds that a function has for two systems when a scene is read.
@@ -96,7 +96,7 @@ class SystemFunction:
 
 
 def located(names: Iterable[str], folder: Path) -> dict[str, str]:
-    """Where the files lie that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+    """The paths of files that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
     at = {}
     for name in names:
@@ -182,13 +182,13 @@ def _arrays(name: str, content: bytes) -> dict[str, Any]:
 
 
 def _line(error: Exception) -> str:
-    """What an error says, in a line."""
+    """The message of an error, in a line."""
     why = printable(" ".join(str(error).split())) or type(error).__name__
     return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
 def _checked(name: str, content: bytes) -> dict[str, Any]:
-    """What a scene says of a file once it is read, as plain values."""
+    """What a scene says of a file that was read, as plain values."""
     arrays = _arrays(name, content)
     try:
         system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
@@ -208,7 +208,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
 
 
 def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
-    """What the files that a pattern names are now, by their names beside the scene, as plain values.
+    """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
     From then on the scene can be read without them, and a changed file makes another scene.
 
@@ -267,8 +267,8 @@ def make(
     Raises
     ------
     SceneError
-        If the module or the function is gone, or not what it was; or what it returned is no such system; or it takes
-        from beside the scene what it did not when it was tried.
+        If the module or the function is gone or has changed, it returned no system of n blocks, or it loads a module
+        beside the scene that it did not load when it was tried.
     """
     process = os.getpid()
     with _alone, _own_modules(function, is_trial):
@@ -294,7 +294,7 @@ def make(
 
 
 def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
-    """What a scene says of a function once it has made a system, twice and in another process, as plain values.
+    """What a scene says of a function that has made a system, twice and in another process too, as plain values.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
 
 
 def _try(task: tuple[SystemFunction, int, dict[str, float], int]) -> tuple[str, dict[str, Any]]:
-    """In a child: what is wrong with a function, or else what it made, so many times, and read."""
+    """In a child, call a function some times: what is wrong with it, or else facts of what it made and read."""
     function, n, parameters, times = task
     audit = _Audit()
     sys.addaudithook(audit)
@@ -355,7 +355,7 @@ _DIFFER = "expected the same system each time for the same rng, got two that dif
 
 
 def _parts(system: System) -> list[Any]:
-    """All that a system is given."""
+    """All that determines a system."""
     stiffness = system.stiffness
     dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
     rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "weakening", "back_slip")]
@@ -530,14 +530,14 @@ def _modules(root: Path, beside: tuple[tuple[str, str], ...]) -> dict[str, types
 
 @contextlib.contextmanager
 def _own_modules(function: SystemFunction, is_trial: bool) -> Iterator[None]:
-    """Within: what a function imports is looked for beside its scene first.
+    """Within: a function's imports are looked for beside its scene first.
 
-    The modules there are the function's own: others of their names, of another scene or of the caller, are set aside.
+    The modules there are the function's own: others of the same names, of another scene or the caller, are set aside.
 
     Raises
     ------
     SceneError
-        If modules there were loaded that were not when it was tried, and which nobody would miss if they changed.
+        If it loaded modules there that it did not load when it was tried: nobody would notice if they changed.
     """
     root = _root(function.at, function.beside)
     own, finder = _modules(root, function.beside), _FromSource(root)
@@ -566,7 +566,7 @@ def _own_modules(function: SystemFunction, is_trial: bool) -> Iterator[None]:
 
 
 def _loaded_beside(names: Iterable[str], root: Path) -> dict[str, str]:
-    """The files of those of some modules that lie beside the scene, but for the function's own."""
+    """The files of those modules that lie beside the scene, without the function's own."""
     files = {name: getattr(sys.modules.get(name), "__file__", None) for name in names if not name.startswith(_OWN)}
     return {name: file for name, file in files.items() if file and _name_beside(file, root) is not None}
 
@@ -582,7 +582,7 @@ def _names(files: Iterable[str]) -> set[str]:
 
 
 def _module_of(file: str) -> str:
-    """The name of a file without what modules end with; "" if it is none."""
+    """The name of a module's file without its ending; "" for other files."""
     endings = sorted(importlib.machinery.all_suffixes(), key=len, reverse=True)
     ending = next(filter(file.endswith, endings), None)
     return "" if ending is None else file.removesuffix(ending)

@@ -153,7 +153,7 @@ class TwinsTable(StrictTable):
 
 
 def _key(record: type[Record]) -> tuple[Any, Any]:
-    """What may be written for a record under [record], and pydantic's field of it."""
+    """The type of a record's key under [record], and pydantic's field for it."""
     examples = None if record.example is None else [record.example]
     if "step" in record.__dataclass_fields__:
         return Positive | None, Field(default=None, description=record.words, examples=examples)
@@ -166,7 +166,7 @@ _Records: Any = create_model("_Records", __base__=StrictTable, **_KEYS)
 
 
 class RecordTable(_Records):  # type: ignore[misc]
-    """[record]: what is kept beside the change points of n_stick, which always are."""
+    """[record]: what is kept in addition to the change points of n_stick, which always are."""
 
 
 class MarginsTable(StrictTable):

@@ -148,7 +148,7 @@ def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
     Raises
     ------
     SceneError
-        If it is none; one line a problem.
+        If that is no scene; one line a problem.
     """
     with explained(kind, f"{name}: "):
         return kind.model_validate(tables)
