@@ -1,4 +1,4 @@
-"""What can go wrong, by whose doing. Loads nothing: who catches an error need not load what raises it."""
+"""The errors of the pipeline. Loads nothing, so that catching an error does not load what raises it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ def printable(text: str) -> str:
 
 
 def foreign(error: BaseException, most: int = 300) -> str:
-    """What code that is not ours raised, in one line for a terminal and a table, of at most so many characters."""
+    """An error of code that is not ours, in one line of at most `most` characters for terminals and tables."""
     try:
         words = str(error)
     except BaseException as another:  # noqa: BLE001  its own words are foreign code too

@@ -14,6 +14,7 @@ from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Answered
+    from stickslip.pipeline.dataset.opened import Opened
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
 
@@ -40,7 +41,7 @@ class Asking:
         self._pool.shutdown()
         self._stack.close()
 
-    def __call__(self, path: str, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
+    def __call__(self, opened: Opened, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
         """The answer to each question, in their order.
 
         What a process fails at is asked again here, so that its error is seen.
@@ -58,9 +59,11 @@ class Asking:
 
         def by_child(child: Child, loading: Future[None]) -> None:
             loading.result()
+            with suppress(ChildDied):  # its questions are then answered by others
+                child(opened)
             for key in next_ones():
                 try:
-                    found[key] = child((path, key))
+                    found[key] = child(key)
                 except ChildDied:
                     to_go.append(key)
                     return
@@ -87,10 +90,21 @@ def _load(child: Child) -> None:
         return
 
 
-def answer(argument: tuple[str, str] | None) -> Answered | None:
-    """In a child: one question to a dataset; of no argument, load what it takes."""
+#: In a child: the study of the dataset that it was handed last.
+_study: Study | None = None
+
+
+def answer(argument: Opened | str | None) -> Answered | None:
+    """In a child: load what answering takes (None), take over a dataset, or answer one question to it, by name."""
+    global _study
     gc.disable()  # the process ends with the report
     from stickslip.analysis.report.page import ask
+    from stickslip.pipeline.dataset.opened import Opened
     from stickslip.workflows.reporting import study_of
 
-    return None if argument is None else ask(study_of(argument[0]), argument[1])
+    if isinstance(argument, Opened):
+        _study = study_of(argument)
+    elif argument is not None:
+        assert _study is not None
+        return ask(_study, argument)
+    return None

@@ -21,6 +21,7 @@ from stickslip.workflows.parser import NO_FOLDER, completion, parser
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report
+    from stickslip.pipeline.dataset.opened import Opened
     from stickslip.pipeline.places.place import Place, Where
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.progress import Watch
@@ -130,7 +131,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     scene.check_engines()
     ends.check(scene)
     check_memory(scene, arguments.workers)
-    store = Store(out, scene, scene.source, arguments.retry_failed, arguments.accept_version)
+    store = Store(out, scene, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
     print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
@@ -223,32 +224,33 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 
 def _write_report(directory: Where, asking: Asking | None = None, watch: Watch | None = None) -> None:
     from stickslip.analysis.report import PAGE
-    from stickslip.pipeline import status
-    from stickslip.pipeline.places.locate import place_of
+    from stickslip.pipeline.dataset.opened import open_dataset
+    from stickslip.pipeline.dataset.status import Tally
     from stickslip.workflows.asking import Asking
     from stickslip.workflows.fresh import is_current
 
-    if is_current(directory):
+    opened = open_dataset(directory)
+    if is_current(opened):
         if watch is not None:
             watch.close()
-        print(f"report  {place_of(directory).named(PAGE)}, unchanged")
+        print(f"report  {opened.place.named(PAGE)}, unchanged")
     else:
         with Asking() if asking is None else nullcontext(asking) as processes:
-            _build_report(directory, processes, watch)
-    found = status(directory)
+            _build_report(opened, processes, watch)
+    found = Tally.of(opened.tasks, opened.manifest.shards)
     if not found.is_complete:
         print(f"note: {found.n_members - found.n_done} of {found.n_members} members are still to run")
 
 
-def _build_report(directory: Where, asking: Asking, watch: Watch | None) -> None:
+def _build_report(opened: Opened, asking: Asking, watch: Watch | None) -> None:
     gc.disable()  # what is loaded and found stays: no need to look through all of it again and again
     try:
         from stickslip.workflows.progress import Watch
         from stickslip.workflows.reporting import report
 
-        with Watch(directory) if watch is None else watch as bar:
-            built = report(directory, asking, bar.answered)
-        _publish(built, directory)
+        with Watch(opened.place) if watch is None else watch as bar:
+            built = report(opened, asking, bar.answered)
+        _publish(built, opened.place)
     finally:
         gc.enable()
 

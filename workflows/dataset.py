@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from stickslip.pipeline import Scene, Status, query, run_ensemble, status
 from stickslip.pipeline.dataset.opened import dataset_scene, open_dataset
-from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find, load, with_known_questions
@@ -71,10 +70,11 @@ class Dataset:
         from stickslip.workflows.asking import Asking
         from stickslip.workflows.fresh import is_current
 
-        if is_current(self.path):
-            return place_of(self.path).named(PAGE)
-        with Asking() as asking, Watch(self.path) as watch:
-            return reporting.write(reporting.report(self.path, asking, watch.answered), self.path)
+        opened = open_dataset(self.path)
+        if is_current(opened):
+            return opened.place.named(PAGE)
+        with Asking() as asking, Watch(opened.place) as watch:
+            return reporting.write(reporting.report(opened, asking, watch.answered), opened.place)
 
 
 def run_scene(

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from stickslip.pipeline import QueryError, StoreError, dataset_scene
-from stickslip.pipeline.dataset.opened import dataset, reading
+from stickslip.pipeline import QueryError, StoreError
+from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.scene.columns import COLUMNS
@@ -46,14 +46,15 @@ def write(path: Where, out: Path) -> None:
         raise QueryError(
             'NetCDF needs netCDF4, which is not installed; run: pip install "stickslip[netcdf]"'
         ) from error
-    source = dataset(path)
+    opened = open_dataset(path)
+    source = opened.shards()
     lists = [name for name in _SAMPLES if name in source.schema.names]
-    with reading(path):
+    with reading(opened.place):
         members = source.to_table(columns=list(scalars(source.schema)))
-    with whole(out, path, "--netcdf") as stream:
+    with whole(out, opened.place, "--netcdf") as stream:
         try:
             with netCDF4.Dataset(stream.name, "w") as file:
-                _fill(file, path, source, members, lists)
+                _fill(file, opened, source, members, lists)
         except StoreError:
             raise
         except UnicodeEncodeError:
@@ -65,8 +66,8 @@ def write(path: Where, out: Path) -> None:
             raise QueryError(f"--netcdf: {out} cannot be written ({error}); choose another file") from error
 
 
-def _fill(file: Any, path: Where, source: Any, members: pa.Table, lists: list[str]) -> None:
-    scene = dataset_scene(path)
+def _fill(file: Any, opened: Opened, source: Any, members: pa.Table, lists: list[str]) -> None:
+    scene = opened.scene
     file.setncatts({
         "Conventions": "CF-1.11",
         "featureType": "timeSeries",
@@ -79,7 +80,7 @@ def _fill(file: Any, path: Where, source: Any, members: pa.Table, lists: list[st
     for name in members.column_names:
         _scalar(file, members.schema.field(name), members[name])
     for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
-        _along(file, path, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
+        _along(file, opened, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
 
 
 def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
@@ -101,7 +102,7 @@ def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
     found.setncatts(about)  # the last: it would have the characters encoded
 
 
-def _along(file: Any, path: Where, source: Any, dimension: str, names: list[str]) -> None:
+def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[str]) -> None:
     """Lists that have one length each member, end to end, and their lengths."""
     file.createDimension(dimension, None)
     found = {}
@@ -114,7 +115,7 @@ def _along(file: Any, path: Where, source: Any, dimension: str, names: list[str]
     counts.setncatts({"long_name": f"number of values along {dimension}", "sample_dimension": dimension})
     row = written = 0
     for fragment in source.get_fragments():
-        with reading(path):
+        with reading(opened.place):
             shard = fragment.to_table(columns=names)
         sizes = pc.fill_null(pc.list_value_length(shard[names[0]]), 0).to_numpy()
         more = int(sizes.sum())

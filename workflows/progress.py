@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
 
-from stickslip.pipeline.dataset.opened import rows_that_failed
+from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.dataset.status import Follower, Status, status
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.place import Where
@@ -87,6 +87,7 @@ class Watch:
         self._bar: tqdm | None = None
         self._said = -_EVERY
         self._last: Progress | None = None
+        self._opened: Opened | None = None
 
     def __enter__(self) -> Watch:
         return self
@@ -110,7 +111,8 @@ class Watch:
         if self._last is not None and progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
-            failed = rows_that_failed(self._directory, [progress.last_shard])
+            self._opened = open_dataset(self._directory) if self._opened is None else self._opened.again()
+            failed = rows_that_failed(self._opened, [progress.last_shard])
             for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress

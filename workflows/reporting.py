@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
-from stickslip.pipeline import Scene, Status, StoreError, dataset_scene, status
+from stickslip.pipeline import Scene, StoreError
+from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.dataset.status import Tally
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
 from stickslip.pipeline.scene.quantity import short
@@ -21,20 +21,19 @@ from stickslip.version import __version__
 from stickslip.workflows.fresh import made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
-#: Who puts the questions of a dataset: its path, its study, and whom to tell how many are answered.
-Asking = Callable[[str, Study, Callable[[int, int], None]], list[Answered | None]]
+#: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
+Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
 
 
-@lru_cache(maxsize=1)
-def study_of(path: str) -> Study:
-    """A dataset with what its scene declares; the last one is kept, with its groups filled."""
-    return Study(_data(path), _settings(dataset_scene(path)))
+def study_of(path: Where | Opened) -> Study:
+    """A dataset with what its scene declares."""
+    opened = open_dataset(path)
+    return Study(_data(opened), _settings(opened.scene))
 
 
-def _data(path: Where) -> Data:
+def _data(opened: Opened) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
-    table = members(path)
-    scene = dataset_scene(path)
+    table, scene = members(opened), opened.scene
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
     if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
@@ -45,11 +44,11 @@ def _data(path: Where) -> Data:
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
     return Data(
         table,
-        series=series(path),
-        events=all_events(path),
-        separations=separations(path),
-        thresholds=by_threshold(path),
-        episodes=episodes(path) if scene.record.episodes else None,
+        series=series(opened),
+        events=all_events(opened),
+        separations=separations(opened),
+        thresholds=by_threshold(opened),
+        episodes=episodes(opened) if scene.record.episodes else None,
     )
 
 
@@ -59,21 +58,24 @@ def _drawable(text: str) -> str:
 
 
 def report(
-    path: Where, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
+    path: Where | Opened, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
 ) -> Report:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
 
     Raises
     ------
     pipeline.StoreError
-        If there is no readable dataset, or no member of it is done yet.
+        If there is no readable dataset, no member of it is done yet, or a run replaces what the report reads.
     """
-    scene, found = _opened(path)
-    return build(
-        _data(path), _settings(scene), printable(scene.title or name_of(path)), printable(scene.about),
+    opened, found = _begun(path)
+    scene = opened.scene
+    built = build(
+        _data(opened), _settings(scene), printable(scene.title or name_of(opened.place)), printable(scene.about),
         _provenance(scene, found),
-        None if asking is None else (lambda study: asking(str(path), study, on_answer)), made_from(path),
+        None if asking is None else (lambda study: asking(opened, study, on_answer)), made_from(opened),
     )  # fmt: skip
+    opened.check()  # series were read as they were asked for: once more, so that all are of one moment
+    return built
 
 
 def compared(path: Where, other: Where) -> Report:
@@ -82,34 +84,39 @@ def compared(path: Where, other: Where) -> Report:
     Raises
     ------
     pipeline.StoreError
-        If one is no readable dataset, or no member of it is done yet.
+        If one is no readable dataset, no member of it is done yet, or a run replaces what is compared.
     ValueError
         If they have nothing in common.
     """
     places = (path, other)
-    opened = [_opened(where) for where in places]
+    begun = [_begun(where) for where in places]
     names = [name_of(where) for where in places]
     if names[0] == names[1]:
         names = [str(place_of(where)) for where in places]
     ensembles = [
         Ensemble(
             printable(name),
-            _data(where),
-            scene.analysis.t_burn,
-            scene.analysis.margins.model_dump(),
-            _provenance(scene, found),
-            read_manifest(where).digest,
+            _data(opened),
+            opened.scene.analysis.t_burn,
+            opened.scene.analysis.margins.model_dump(),
+            _provenance(opened.scene, found),
+            opened.manifest.digest,
         )
-        for where, name, (scene, found) in zip(places, names, opened, strict=True)
+        for name, (opened, found) in zip(names, begun, strict=True)
     ]
-    return compare(ensembles[0], ensembles[1], _settings(opened[0][0]))
+    built = compare(ensembles[0], ensembles[1], _settings(begun[0][0].scene))
+    for opened, _ in begun:
+        opened.check()
+    return built
 
 
-def _opened(path: Where) -> tuple[Scene, Status]:
-    scene, found = dataset_scene(path), status(path)
+def _begun(path: Where | Opened) -> tuple[Opened, Tally]:
+    """A dataset of which some members are done, and how many."""
+    opened = open_dataset(path)
+    found = Tally.of(opened.tasks, opened.manifest.shards)
     if found.n_done == 0:
-        raise StoreError(f"{path}: no member is done yet; run the scene first")
-    return scene, found
+        raise StoreError(f"{opened.place}: no member is done yet; run the scene first")
+    return opened, found
 
 
 def _seeds(scene: Scene) -> tuple[int, ...]:
@@ -122,7 +129,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
     return AnalysisSettings(**asked)
 
 
-def _provenance(scene: Scene, found: Status) -> dict[str, str]:
+def _provenance(scene: Scene, found: Tally) -> dict[str, str]:
     return {
         "stickslip": __version__,
         "scene": scene.hash,

@@ -166,13 +166,13 @@ def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
 
 def _values(field: dict[str, Any]) -> str:
     """What may be written: choices, or a type with its bounds."""
-    from stickslip.pipeline.scene.quantity import LAWS
+    from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
 
     if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it
         first, *others = field["anyOf"]
         ways = ["a list"] if any(choice.get("type") == "array" for choice in others) else []
         tables = [choice["properties"] for choice in others if "properties" in choice]
-        inside = (", ".join(f"{key} = {LAWS.get(key, '[numbers]')}" for key in table) for table in tables)
+        inside = (", ".join(f"{key} = {DISTRIBUTIONS.get(key, '[numbers]')}" for key in table) for table in tables)
         ways += [f"{{{keys}}}" for keys in inside]
         ways += [json.dumps(choice["const"]) for choice in others if "const" in choice]
         ways += ["module:function" for choice in others if "pattern" in choice]

@@ -1,5 +1,8 @@
 """Opening a dataset to read: its scene, its manifest, and the shards that the manifest lists.
 
+A dataset is opened once and handed on as `Opened`, so that all that is read of it is of one moment. Functions that
+take a path take what is open too.
+
 Parquet's own checksums cover its pages, not its footer, and cannot tell that a file took another's place. So every
 shard is checked against its sha256 in the manifest before it is read.
 """
@@ -7,9 +10,9 @@ shard is checked against its sha256 in the manifest before it is read.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -19,7 +22,7 @@ from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, Shard, read_manifest
+from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest
 from stickslip.pipeline.places.place import DATA, MANIFEST, SCENE, Place, Where
 from stickslip.pipeline.records import TABLES
 from stickslip.pipeline.scene.columns import Recording
@@ -39,7 +42,7 @@ class Opened:
     scene: Scene
     manifest: Manifest
 
-    @property
+    @cached_property
     def tasks(self) -> list[Task]:
         """The shards that it consists of, done or not.
 
@@ -50,15 +53,83 @@ class Opened:
         """
         return planned(self.place, self.scene, self.manifest)
 
+    def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
+        """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
-def open_dataset(path: Where) -> Opened:
-    """The dataset at `path`.
+        Raises
+        ------
+        StoreError
+            If a shard is not what was written.
+        """
+        import pyarrow.dataset as ds  # it loads pandas
+
+        names = sorted(self.manifest.shards) if names is None else list(names)
+        self.check(names)
+        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        with reading(self.place):
+            return ds.dataset(
+                [self.place.key(f"{DATA}/{name}") for name in names],
+                schema=schema_of(Recording.of(self.scene)),
+                filesystem=self.place.arrow,
+                format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
+            )
+
+    def check(self, names: Sequence[str] | None = None) -> None:
+        """Check shards, or all, against the manifest; a file that was checked is read again only if it was touched.
+
+        Raises
+        ------
+        StoreError
+            If one is not what was written, was replaced since the dataset was opened, or is not there.
+        """
+        place, known = self.place, self.manifest.shards
+        files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
+        marks = dict(zip(files, place.marks(list(files.values())), strict=True))
+
+        def is_checked(name: str) -> bool:
+            kept = (known[name].sha256 if name in known else "", marks[name])
+            return marks[name] is not None and _checked.get(place.named(files[name])) == kept
+
+        new = [name for name in files if not is_checked(name)]
+        with reading(place):
+            for name, content in zip(new, place.read_each([files[name] for name in new]), strict=True):
+                problem = known[name].damage(content) if name in known else "not in the manifest any more"
+                if problem and name in known and read_manifest(place).shards.get(name) != known[name]:
+                    raise StoreError(
+                        f"{place.named(files[name])}: expected the shard that was there when the dataset was opened, "
+                        f"got one that a run has written since; rerun the command"
+                    )
+                if problem:
+                    raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
+                _checked[place.named(files[name])] = (known[name].sha256, marks[name])
+
+    def again(self) -> Opened:
+        """The dataset as it is now; its scene is read again only if it is another.
+
+        Raises
+        ------
+        StoreError
+            As `open_dataset`.
+        """
+        manifest = read_manifest(self.place)
+        same = manifest.scene_hash == self.manifest.scene_hash
+        return replace(self, manifest=manifest) if same else open_dataset(self.place)
+
+
+#: Files whose content this process has checked: the sha256 that it has, and how the file was marked then.
+_checked: dict[str, tuple[str, object]] = {}
+
+
+def open_dataset(path: Where | Opened) -> Opened:
+    """The dataset at `path`; one that is open already is returned as it is.
 
     Raises
     ------
     StoreError
         If there is none, its scene cannot be read, or it is not the one of the data.
     """
+    if isinstance(path, Opened):
+        return path
     place = place_of(path)
     manifest = read_manifest(place)
     try:
@@ -73,15 +144,14 @@ def open_dataset(path: Where) -> Opened:
     return Opened(place, scene, manifest)
 
 
-def stored_scene(path: Where) -> Scene:
-    """The scene that lies at `path`.
+def stored_scene(place: Place) -> Scene:
+    """The scene that lies at a place.
 
     Raises
     ------
     SceneError
-        If there is none, or it is no scene.
+        If there is none, or it is not a scene.
     """
-    place = place_of(path)
     file = place.named(SCENE)
     try:
         source = place.read(SCENE)
@@ -109,12 +179,12 @@ def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
         ) from None
 
 
-def dataset_scene(path: Where) -> Scene:
+def dataset_scene(path: Where | Opened) -> Scene:
     """The scene of the dataset at `path`; raises as `open_dataset`."""
     return open_dataset(path).scene
 
 
-def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
+def dataset(path: Where | Opened, shards: Sequence[str] | None = None) -> ds.Dataset:
     """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
     Raises
@@ -122,54 +192,13 @@ def dataset(path: Where, shards: Sequence[str] | None = None) -> ds.Dataset:
     StoreError
         If there is no readable dataset at `path`, or a shard is not what was written.
     """
-    import pyarrow.dataset as ds  # it loads pandas
-
-    found = open_dataset(path)
-    place, known = found.place, found.manifest.shards
-    names = sorted(known) if shards is None else list(shards)
-    _check(place, {name: known.get(name) for name in names})
-    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    with reading(place):
-        return ds.dataset(
-            [place.key(f"{DATA}/{name}") for name in names],
-            schema=schema_of(Recording.of(found.scene)),
-            filesystem=place.arrow,
-            format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
-        )
+    return open_dataset(path).shards(shards)
 
 
-#: Files that this process has found to be what was written: their sha256, and how they were marked then.
-_found_whole: dict[str, tuple[str, object]] = {}
-
-
-def _check(place: Place, shards: Mapping[str, Shard | None]) -> None:
-    """Hold each shard against its entry in the manifest, once as long as its file is not touched.
-
-    Raises
-    ------
-    StoreError
-        If one is not what was written, or not there.
-    """
-    files = {name: f"{DATA}/{name}" for name in shards}
-    marks = dict(zip(shards, place.marks(list(files.values())), strict=True))
-
-    def is_known(name: str, shard: Shard | None) -> bool:
-        kept = (shard.sha256 if shard is not None else "", marks[name])
-        return marks[name] is not None and _found_whole.get(place.named(files[name])) == kept
-
-    new = {name: shard for name, shard in shards.items() if not is_known(name, shard)}
-    with reading(place):
-        for (name, shard), content in zip(new.items(), place.read_each([files[name] for name in new]), strict=True):
-            problem = shard.damage(content) if shard is not None else "not in the manifest any more"
-            if shard is None or problem:
-                raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-            _found_whole[place.named(files[name])] = (shard.sha256, marks[name])
-
-
-def rows_that_failed(path: Where, shards: Sequence[str]) -> list[tuple[str, str]]:
+def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, str]]:
     """Id and reason of each member of some shards that failed, in order."""
-    source = dataset(path, shards)
-    with reading(path):
+    source = opened.shards(shards)
+    with reading(opened.place):
         import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
 
         found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
@@ -177,26 +206,25 @@ def rows_that_failed(path: Where, shards: Sequence[str]) -> list[tuple[str, str]
 
 
 @contextlib.contextmanager
-def reading(path: Where) -> Iterator[None]:
-    """Turn what a damaged or missing shard raises into words that say what to do."""
+def reading(place: Place) -> Iterator[None]:
+    """Turn the errors of a damaged or missing shard into a `StoreError` that says what to do."""
     try:
         yield
-    except (OSError, pa.ArrowInvalid) as error:  # a file that is gone, a page whose checksum is wrong, a stump
+    except (OSError, pa.ArrowInvalid) as error:  # a missing file, a page with a wrong checksum, a truncated file
         if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
             raise
-        raise unreadable(path, error) from error
+        raise unreadable(place, error) from error
 
 
-def unreadable(path: Where, error: Exception) -> StoreError:
-    """The refusal of a dataset of which a shard cannot be read."""
-    place = place_of(path)
+def unreadable(place: Place, error: Exception) -> StoreError:
+    """The error for a dataset with a shard that cannot be read."""
     first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
     return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
 
 
 @cache
 def _nullable() -> dict[pa.DataType, Any]:
-    """Types of pandas that have a null beside NaN, and keep integers integers."""
+    """Types of pandas that tell null from NaN, and keep integers integers."""
     import pandas as pd  # it takes a quarter of a second to load, which no run needs
 
     return {
@@ -218,10 +246,10 @@ def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFram
 
 
 def not_recorded(part: str) -> QueryError:
-    """The refusal of what the scene did not ask for, a key of `TABLES`."""
+    """The error for a table, a key of `TABLES`, that the scene does not record."""
     return QueryError(f"{part}: expected a dataset with {part}, got one without; set {TABLES[part]}")
 
 
 def near(word: str, known: Sequence[str]) -> str:
-    """What `word` may have been meant for, as the end of a message."""
+    """What `word` may stand for, as the end of a message."""
     return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"

@@ -55,7 +55,7 @@ def scalars(schema: pa.Schema) -> tuple[str, ...]:
     return tuple(field.name for field in schema if not pa.types.is_list(field.type))
 
 
-#: What never comes again, as Parquet calls it.
+#: Endings of Parquet's names for columns whose values never repeat.
 _NEVER_AGAIN = tuple(f"{column.name}.list.element" for column in COLUMNS if not column.repeats)
 
 
@@ -70,7 +70,7 @@ def encode(columns: Mapping[str, list[Any]], schema: pa.Schema) -> bytes:
         pa.Table.from_arrays(arrays, schema=schema),
         buffer,
         compression="zstd",
-        # times never repeat: no dictionary; their high bytes hardly change: split, they compress
+        # times never repeat, so no dictionary; split into bytes they compress, as their high bytes hardly change
         use_dictionary=[leaf for leaf in leaves if leaf not in times],
         column_encoding=dict.fromkeys(times, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,

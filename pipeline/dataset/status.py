@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from stickslip.pipeline.dataset.opened import open_dataset, rows_that_failed
+from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
@@ -62,7 +62,7 @@ class Tally:
         return self.n_done == self.n_members
 
     def pace(self, n_before: int, cost_before: float, elapsed: float) -> tuple[float | None, float | None]:
-        """Members a second since so much was there, and seconds to go; None as long as nothing was added."""
+        """Members a second since an earlier state, and seconds to go; None as long as nothing was added."""
         n_new, new = self.n_done - n_before, self.cost_done - cost_before
         if elapsed <= 0 or n_new <= 0 or new <= 0:
             return None, None
@@ -85,7 +85,7 @@ class Began:
 
 @dataclass(frozen=True)
 class Running:
-    """The process that writes a dataset, as the lock file has it."""
+    """The process that writes a dataset, as the lock file names it."""
 
     owner: str
     began: Began
@@ -105,7 +105,7 @@ class Status(Tally):
     eta: float | None
 
 
-def status(path: Where) -> Status:
+def status(path: Where | Opened) -> Status:
     """Count what is done; good to call while the dataset is being written.
 
     Raises
@@ -113,11 +113,12 @@ def status(path: Where) -> Status:
     StoreError
         If there is no readable dataset, or a shard with failed members is not what was written.
     """
-    return Follower(path).look()
+    opened = open_dataset(path)
+    return counted(opened, opened.tasks)
 
 
 class Follower:
-    """Looks at a dataset as often as it is asked to; who knows the shards that it consists of may say so.
+    """Looks at a dataset whenever it is asked to, and opens it once.
 
     Raises
     ------
@@ -125,33 +126,41 @@ class Follower:
         Here and on looking, as `status`.
     """
 
-    def __init__(self, path: Where, tasks: Sequence[Task] | None = None) -> None:
-        self._place = place_of(path)
-        self._tasks = open_dataset(self._place).tasks if tasks is None else tasks
+    def __init__(self, path: Where) -> None:
+        self._opened = open_dataset(path)
+        self._tasks = self._opened.tasks
 
     def look(self) -> Status:
         """How far it is now."""
-        shards = open_dataset(self._place).manifest.shards
-        tally = Tally.of(self._tasks, shards)
-        # after the manifest: a shard is there before it is listed
-        marks = dict(zip(shards, self._place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
-        there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
-        failed = rows_that_failed(self._place, there) if there else []
-        current = running(self._place)
-        rate = eta = None
-        if current is not None:
-            began = current.began
-            rate, eta = tally.pace(began.n_members, began.cost, time.time() - began.at)
-        return Status(
-            **vars(tally),
-            path=str(self._place),
-            failures=dict(Counter(reason for _, reason in failed).most_common()),
-            first_failed=failed[0][0] if failed else None,
-            n_damaged=sum(mark is None or mark.size != shards[name].bytes for name, mark in marks.items()),
-            running=current,
-            rate=rate,
-            eta=eta,
-        )
+        before, self._opened = self._opened, self._opened.again()
+        if self._opened.manifest.packing != before.manifest.packing:  # the scene has grown
+            self._tasks = self._opened.tasks
+        return counted(self._opened, self._tasks)
+
+
+def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
+    """The status of a dataset that consists of the shards of `tasks`; raises as `status`."""
+    place, shards = opened.place, opened.manifest.shards
+    tally = Tally.of(tasks, shards)
+    # after the manifest was read: a shard is there before it is listed
+    marks = dict(zip(shards, place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
+    there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
+    failed = rows_that_failed(opened, there) if there else []
+    current = running(place)
+    rate = eta = None
+    if current is not None:
+        began = current.began
+        rate, eta = tally.pace(began.n_members, began.cost, time.time() - began.at)
+    return Status(
+        **vars(tally),
+        path=str(place),
+        failures=dict(Counter(reason for _, reason in failed).most_common()),
+        first_failed=failed[0][0] if failed else None,
+        n_damaged=sum(mark is None or mark.size != shards[name].bytes for name, mark in marks.items()),
+        running=current,
+        rate=rate,
+        eta=eta,
+    )
 
 
 def running(path: Where) -> Running | None:

@@ -22,8 +22,8 @@ from stickslip.pipeline.scene.systems import ChangedError, SystemFunction, look_
 def verify(path: Where) -> list[str]:
     """Check a dataset that nobody is writing; one line a problem, an empty list if there is none.
 
-    A function of the user's, or a module beside it, that was changed; missing, damaged and stray files, wrong row
-    counts, outcomes and schemas, and members other than the scene's. An unfinished dataset is no problem. Running
+    Problems are missing, damaged and stray files, wrong row counts, outcomes and schemas, members other than the
+    scene's, and a changed function of the user's, or module beside it. An unfinished dataset is no problem. Running
     its scene again computes what is missing or damaged, only that.
 
     Raises
@@ -41,7 +41,7 @@ def verify(path: Where) -> list[str]:
                 look_again(replace(origin, at=str(Path(str(place)).resolve())))
             except ChangedError as error:
                 problems.append(str(error))
-            except SceneError:  # data that were moved are whole without it
+            except SceneError:  # data that were moved are complete without it
                 break
     with reading(place):
         files = place.names()
@@ -65,7 +65,7 @@ def verify(path: Where) -> list[str]:
 
 
 def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
-    """What is wrong inside a shard whose bytes are as they were written: "" if nothing."""
+    """What is wrong inside a shard whose bytes are as they were written; "" if nothing is."""
     try:
         # a thread of Arrow's may outlive its library, and end the process
         table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)

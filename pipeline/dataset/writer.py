@@ -1,4 +1,4 @@
-"""Writing a dataset: one owner, atomic commits, a manifest and its record that alone decide what is done."""
+"""Writing a dataset: one owner, atomic commits; the manifest and its record alone decide what is done."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
 
-from stickslip.pipeline.dataset.opened import planned, stored_scene
-from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.opened import Opened, planned, stored_scene
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.machine.signals import last_act, unbroken
@@ -27,7 +28,7 @@ from stickslip.pipeline.places.manifest import (
     read_manifest,
 )
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
-from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.toml import parse_toml
 
 log = logging.getLogger(__name__)
@@ -37,7 +38,7 @@ _LAST_SECONDS = 1.5
 
 _LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
 
-#: Keys by which a scene differs from the one of the data that a refusal names.
+#: Keys that a refusal names at most, of those by which a scene differs from that of the data.
 _SHOWN = 5
 
 
@@ -53,8 +54,7 @@ class Store:
     path : str, Path or Place
         A directory or an address; see `stickslip.pipeline.places.place`.
     scene : Scene
-    source : bytes
-        The scene file.
+        Its `source` is kept beside the data.
     retry_failed : bool
         Whether shards with failed members are to be computed again; they stay until they are replaced.
     accept_version : bool
@@ -63,22 +63,14 @@ class Store:
     Raises
     ------
     ValueError
-        If `source` is not the file of `scene`.
+        If the scene's source is that of other data.
     StoreError
         On entering: the directory belongs to another scene, to something else, to another version or to a running
         process; or it cannot be written. Nothing is changed then.
     """
 
-    def __init__(
-        self, path: Where, scene: Scene, source: bytes, retry_failed: bool = False, accept_version: bool = False
-    ) -> None:
-        written = parse_scene(source, "source")
-        if written.hash != scene.hash:
-            raise ValueError(
-                f"source: expected the file of the scene (hash {scene.hash[:12]}), got that of another (hash "
-                f"{written.hash[:12]}); pass parse_scene(source) as the scene"
-            )
-        self.place, self.scene, self.source = place_of(path), scene, source
+    def __init__(self, path: Where, scene: Scene, retry_failed: bool = False, accept_version: bool = False) -> None:
+        self.place, self.scene = place_of(path), scene.from_source
         self._retry_failed, self._accept_version = retry_failed, accept_version
         self._held = contextlib.ExitStack()
         self._lost = False
@@ -88,6 +80,11 @@ class Store:
     def done(self) -> dict[str, Shard]:
         """The shards that are committed."""
         return dict(self._manifest.shards)
+
+    @property
+    def opened(self) -> Opened:
+        """The dataset as it stands."""
+        return Opened(self.place, self.scene, self._manifest.model_copy(update={"shards": self.done}))
 
     def __enter__(self) -> Store:
         with _explained(self.place):
@@ -114,7 +111,7 @@ class Store:
                     self.place.replace(MANIFEST, self._manifest.to_bytes())
 
     def _sweep(self) -> None:
-        """Leave no trace of a commit that is cut short; what takes too long is left to the next run."""
+        """Remove what a commit that is cut short has written; what takes too long is left to the next run."""
 
         def sweep() -> None:
             with contextlib.suppress(OSError, StoreError):
@@ -180,33 +177,29 @@ class Store:
 
     def _grown(self, manifest: Manifest) -> Manifest:
         """The manifest of a dataset of a smaller scene, extended; a refusal if the scene differs otherwise."""
-        refusal = StoreError(
-            f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of it, "
-            f"got that of another (hash {manifest.scene_hash[:12]}){self._difference()}; choose another directory, "
-            f"or restore what differs"
-        )
-        try:
+        stored: Scene | None = None
+        with contextlib.suppress(SceneError):
             stored = stored_scene(self.place)
-        except SceneError:
-            raise refusal from None
-        if stored.hash != manifest.scene_hash or not grows(stored, self.scene):
-            raise refusal
+        if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
+            raise StoreError(
+                f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
+                f"it, got that of another (hash {manifest.scene_hash[:12]}){self._difference(stored)}; choose "
+                f"another directory, or restore what differs"
+            )
         return Manifest(
             scene_hash=self.scene.hash,
             programs=manifest.programs,
-            earlier=[*manifest.earlier, self.place.read(SCENE).decode()],
+            earlier=[*manifest.earlier, stored.source.decode()],
             packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
         )
 
-    def _difference(self) -> str:
+    def _difference(self, other: Scene | None) -> str:
         """How the stored scene differs, if it can be read."""
-        try:
-            stored = _flat(stored_scene(self.place).data_keys())
-        except SceneError:
+        if other is None:
             return ""
-        wanted = _flat(self.scene.data_keys())
-        written = {key for source in (self.source, self.place.read(SCENE)) for key in _flat(parse_toml(source, ""))}
+        stored, wanted = (_flat(scene.data_keys()) for scene in (other, self.scene))
+        written = {key for scene in (self.scene, other) for key in _flat(parse_toml(scene.source, ""))}
         differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
         # keys that were written first, then those that follow from them
         keys = sorted(differing, key=lambda key: (key not in written, key))
@@ -268,10 +261,10 @@ class Store:
                 manifest.recorded_from = len(self.place.read_record(TIMINGS))
             # the manifest first: it makes the directory a dataset
             self.place.replace(MANIFEST, manifest.to_bytes())
-            self.place.replace(SCENE, self.source)
+            self.place.replace(SCENE, self.scene.source)
 
     def note(self, line: str) -> None:
-        """Add a line to the lock, for processes that look who is writing."""
+        """Add a line to the lock, for processes that ask who is writing."""
         self._hold.note(line)
 
     def commit(self, result: Result) -> Shard:
@@ -313,7 +306,7 @@ class Store:
 
 
 def _told(value: object) -> str:
-    """A value of a scene for an error: of what it names, the beginning of the sha256."""
+    """A value of a scene as an error shows it: of a sha256 the beginning."""
     if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}(, version [0-9]+)?", value):
         return f"sha256 {value[:12]}{value[64:]}"
     return repr(value)
@@ -331,7 +324,7 @@ def _flat(values: object, key: str = "") -> dict[str, object]:
 
 @contextlib.contextmanager
 def _explained(path: Place) -> Iterator[None]:
-    """Turn the refusals of the operating system, or of a store, into words that say what to do."""
+    """Turn errors of the operating system, or of a store, into a `StoreError` that says what to do."""
     try:
         yield
     except OSError as error:

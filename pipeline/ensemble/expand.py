@@ -21,18 +21,18 @@ from stickslip.sim.engines.contract import Ratios
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
 
-#: The readings of a perturbation in a member's name. The data hang on it too.
+#: The readings of a perturbation in a member's name. Never change them: stored members have these names.
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 
-#: In the order of a member's terms, whatever a scene sweeps.
+#: The order of a member's terms, whatever a scene sweeps.
 _TERMS = (*QUANTITIES, "back_slip")
 
-#: Kinds of members that are remembered: those of one matrix follow on those of another.
+#: Kinds of members that are cached: each matrix goes through them again.
 _KINDS = 4096
 
 
 def expand(scene: Scene) -> Members:
-    """All members of a scene, which keeps them.
+    """All members of a scene, which caches them.
 
     Sorted by n, matrix, point of the grid, draw of the start, change (none first), engine (as in the file) and ratio
     draw.
@@ -44,9 +44,9 @@ def expand(scene: Scene) -> Members:
 
 
 class Members(Sequence[Member]):
-    """Members of an ensemble, each made when it is asked for; sent to another process, they are made before.
+    """Members of an ensemble, each made when it is asked for, or all before they are sent to another process.
 
-    Slices, and `at`, give further ones of the same ensemble. Ids and costs are had without making a member.
+    Slices and `at` select members of the same ensemble. Ids and costs are found without making a member.
     """
 
     def __init__(self, ensemble: _Ensemble | _Made, places: Sequence[int]) -> None:
@@ -54,7 +54,7 @@ class Members(Sequence[Member]):
 
     @staticmethod
     def of(*members: Member) -> Members:
-        """Members that are made already."""
+        """Members that exist already."""
         return Members(_Made(members), range(len(members)))
 
     def __len__(self) -> int:
@@ -78,7 +78,7 @@ class Members(Sequence[Member]):
         return Members.of, tuple(self)
 
     def at(self, which: Sequence[int]) -> Members:
-        """Those at some places among these."""
+        """The members at some places of this sequence."""
         return Members(self._ensemble, [self._places[k] for k in which])
 
     def ids(self) -> Iterator[str]:
@@ -90,13 +90,13 @@ class Members(Sequence[Member]):
         return map(self._ensemble.cost, self._places)
 
     def firsts(self) -> list[Member]:
-        """The first one of each origin of systems and each engine."""
+        """The first member of each pair of an origin of systems and an engine."""
         firsts = {self._ensemble.kind_of(place): place for place in reversed(self._places)}
         return [self._ensemble.member(place) for place in firsts.values()]
 
 
 class _Made:
-    """Members that are made already, by number, as `_Ensemble` gives its own."""
+    """Members that exist already, by number, with the methods of `_Ensemble`."""
 
     def __init__(self, members: tuple[Member, ...]) -> None:
         self._members = members
@@ -141,7 +141,7 @@ class _Ensemble:
         return len(self.sources) * self.scene.run.matrices * self.ends[-1] * len(self.variants)
 
     def _split(self, k: int) -> tuple[int, int, int, int]:
-        """Of a member's number those of its source, matrix, place (a point with a draw of the start) and variant."""
+        """The numbers of a member's source, matrix, place (a point with a draw of the start) and variant."""
         rest, variant = divmod(k, len(self.variants))
         rest, place = divmod(rest, self.ends[-1])
         return *divmod(rest, self.scene.run.matrices), place, variant
@@ -178,7 +178,7 @@ class _Ensemble:
         return self.kind(source, 0, variant).cost
 
     def _kind(self, source: int, place: int, variant: int) -> Member:
-        """A member but for its id and its matrix."""
+        """A member without its id and its matrix."""
         scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
         point, draw = self._place(place)
         given = point.at | _of_file(origin)
@@ -196,7 +196,7 @@ class _Ensemble:
 
 
 def _of_file(origin: SystemFile | SystemFunction | None) -> dict[str, Any]:
-    """What a file says in place of the scene."""
+    """What a file gives in place of the scene."""
     if not isinstance(origin, SystemFile):
         return {}
     of_file: dict[str, Any] = {"kappa": origin.scale} | {name: FILE for name in OF_BLOCKS if name in origin.arrays}
@@ -224,7 +224,7 @@ def _variants(scene: Scene) -> Iterator[_Variant]:
 
 
 class _Point:
-    """A point of the grid: all that may be swept, and the words of what is."""
+    """A point of the grid: the value of all that may be swept, and the words of what is swept."""
 
     def __init__(self, swept: dict[str, Value], at: dict[str, Any]) -> None:
         self.at = at

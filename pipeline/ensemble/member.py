@@ -22,17 +22,17 @@ from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
 from stickslip.sim.systems.weakening import LAWS
 
 # What a random draw is for: the first word of every seed's key; the other purposes are those of `TERMS`. Never
-# renumber: the data hang on it.
+# renumber: all data depend on it.
 MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W = 0, 1, 2, 3, 6, 7
-#: What a draw for each block is for, by the argument of `sim.System`, or of a force, that it gives.
+#: The purpose of each draw for the blocks, by the argument of `sim.System`, or of a force, that it gives.
 _PURPOSES = {term.name: term.purpose for term in TERMS if term.purpose is not None}
 _OF_FORCE = tuple(term.name for term in TERMS if term.table == "force")
 _GIVEN = (*OF_BLOCKS, *_OF_FORCE)
-#: What a file holds, by what a draw in its place would be for.
+#: The arrays of a file, by the purpose of the draw that each replaces.
 _ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_W: "w0"}
 
 
-#: What a term or a start may be but one number.
+#: What a term or a start may be instead of one number.
 NO_NUMBER = (Distribution, Course, Named)
 
 #: z and w, each of shape (n,).
@@ -60,7 +60,7 @@ class Change(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What it starts from; `ends` is the dataset at whose ends it does, if it does."""
+    """The state that a member starts from; `ends`: the dataset at whose ends it starts, if it starts at one."""
 
     z0: Value
     w0: Value
@@ -69,7 +69,7 @@ class Start(NamedTuple):
 
 
 class Method(NamedTuple):
-    """The engine by name, and those of its settings that mean something beside the others; `ratio` is a word."""
+    """The engine by name, and those of its settings that apply; `ratio` is "one" or "uniform"."""
 
     engine: str
     settings: tuple[tuple[str, Any], ...]
@@ -130,7 +130,7 @@ class Member:
         return next((value for key, value in self.terms if key == name), None)
 
     def row(self) -> dict[str, Any]:
-        """Its own values, by column of a dataset; those that are no one number are null."""
+        """Its own values, by column of a dataset; null where there is not one number."""
         source, change, begin, method = self.source, self.change, self.begin, self.method
         return (
             dict(source.parameters)
@@ -162,7 +162,7 @@ class Member:
         }
 
     def _by_block(self, value: Value, purpose: int, *draw: int | None) -> Any:
-        """A number as it is; of a distribution its draw, of a file its array, shape (n,)."""
+        """A number itself, the draw of a distribution or the array of a file, shape (n,)."""
         if isinstance(value, float):
             return value
         if isinstance(value, Course):
@@ -201,7 +201,7 @@ class Member:
         Parameters
         ----------
         end : tuple of two ndarray, shape (n,), optional
-            Where the run ended at whose end it starts: see `stickslip.pipeline.running.ends.end_of`.
+            State at which it starts, the end of another run: see `stickslip.pipeline.running.ends.end_of`.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Member:
 
     @property
     def base(self) -> Member | None:
-        """What this member is a changed copy of: without its perturbation, its own start or else its ratios."""
+        """The member that this one is a changed copy of: without its change, or else without its drawn ratios."""
         if self.change != _UNMOVED:
             return replace(self, change=_UNMOVED)
         if self.ratio_draw is None:
@@ -243,7 +243,7 @@ class Member:
     def task(
         self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None
     ) -> tuple[Engine, contract.Task]:
-        """What is run of its system, and by what, one engine for the same settings; `end` as in `start`."""
+        """Its engine, one for all members of the same settings, and what that is to run; `end` as in `start`."""
         if self.ratio_draw is None:
             engine = _engine(self.engine, self.settings)
         else:
@@ -259,8 +259,9 @@ class Member:
     def cost(self) -> float:
         """Estimated work, about seconds of one core; constants measured from n = 5 to 400, eps = 0.0003 to 0.3.
 
-        Steps follow the events, whose rate grows with n, and each holds products with K, which grow with n^2; of a
-        sparse K they are nothing beside a look at every block, which takes as long as some 50 entries.
+        The number of steps follows that of the events, whose rate grows with n. A step has products with K, which
+        grow with n^2. With a sparse K they cost little beside a pass over the blocks, each of which takes as long as
+        some 50 entries.
         """
         origin = self.source.origin
         is_sparse = self.source.coupling not in sim.COUPLINGS if origin is None else origin.is_sparse
@@ -279,16 +280,16 @@ def _plain(value: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
-    """An engine with a member's settings, whose ratios, if it has such, are one."""
+    """An engine with a member's settings; its ratios, if it has any, are one."""
     return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
 
 
-#: The last system that each function made, behind what it depends on.
+#: The last system that each function made, after the values that it depends on.
 _made: dict[Callable[[Member], sim.System], tuple[tuple[Any, ...], sim.System]] = {}
 
 
 def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[Any, ...]) -> sim.System:
-    """A member's system: those that share one come one after the other, it is made once."""
+    """A member's system, made once for the members that share it, which follow on each other."""
     made = _made.get(make)
     if made is None or made[0] != values:
         made = _made[make] = values, make(member)

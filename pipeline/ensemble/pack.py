@@ -12,11 +12,12 @@ from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 
-#: Work in a batch, in units of `Member.cost` (about a second each), and how many times as much in a scene of more
-#: than so many batches. Not chosen by the number of workers, on which the shards' names and bytes would then depend.
+#: Work in a batch, in units of `Member.cost`, about a second each. It does not depend on the number of workers: the
+#: names and bytes of shards would then depend on it too.
 TARGET_COST = 1.0
+#: A scene of more than `_MANY` batches has larger ones, up to `_LARGER` times as large.
 _LARGER, _MANY = 5.0, 500
-#: A batch is at most such a part of what is left, so that workers end together; but not below such a part of a batch.
+#: A batch is at most this share of the work that is left, so that workers end together, but at least that of a batch.
 _OF_REST, _SMALLEST = 0.25, 0.25
 
 
@@ -57,7 +58,7 @@ Task = tuple[Batch, Recording]
 
 
 class PlanError(ValueError):
-    """The members that are planned are not those of the scene."""
+    """The packing does not fit the members of the scene."""
 
 
 def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Task]:
@@ -95,7 +96,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
 
 
 def added(scene: Scene, before: Scene | None) -> Members:
-    """The members of a scene that the one which it grew from, if it did, does not have."""
+    """The members that a scene adds to the one that it grew from; all of them if it grew from none."""
     members = expand(scene)
     if before is None:
         return members
@@ -104,12 +105,12 @@ def added(scene: Scene, before: Scene | None) -> Members:
 
 
 def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:
-    """The number of members of each shard that a scene adds to the one which it grew from."""
+    """The number of members of each shard that a scene adds to the one that it grew from."""
     return tuple(_sizes(added(scene, before)))
 
 
 def grows(stored: Scene, wanted: Scene) -> bool:
-    """Whether all that the stored scene says holds for the wanted one too, which adds members and changes none."""
+    """Whether the wanted scene has all members of the stored one, unchanged, and more."""
     one, other = Recording.of(stored), Recording.of(wanted)
     if one != replace(other, scene_hash=one.scene_hash) or wanted.n_members <= stored.n_members:
         return False

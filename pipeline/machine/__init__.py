@@ -1,1 +1,1 @@
-"""What is asked of this machine: processes beside this one, and signals."""
+"""The machine: other processes, and signals."""

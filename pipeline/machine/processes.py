@@ -1,4 +1,4 @@
-"""Processes beside this one: with one thread each, for as long as this one needs them."""
+"""Other processes: with one thread each, for as long as this one needs them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 @contextlib.contextmanager
 def environment_kept() -> Iterator[None]:
-    """Take back what the with-block changes of this process's environment, and touch nothing else of it."""
+    """Undo what the with-block changes in this process's environment, and nothing else."""
     before = dict(os.environ)
     try:
         yield
@@ -38,7 +38,7 @@ def environment_kept() -> Iterator[None]:
 
 @contextlib.contextmanager
 def loading() -> Iterator[None]:
-    """Within: modules are loaded. They stay: the garbage collector looks through them neither now nor later."""
+    """Within: modules are loaded. They stay, so the garbage collector skips them, now and later."""
     gc.disable()
     try:
         yield
@@ -68,8 +68,8 @@ start_method = "spawn"
 def forked_workers() -> Iterator[None]:
     """Within: local workers are forked from a process that loads what they need while this one goes on.
 
-    For a program of our own: a process has one such server, which keeps the environment that it began with. Not on
-    macOS, whose libraries may crash in what is forked.
+    Only for our own program: a process has one such server, which keeps the environment that it began with. Not on
+    macOS, whose libraries may crash after a fork.
     """
     if sys.platform != "linux":
         yield
@@ -167,7 +167,7 @@ class Child:
 
 
 def _environment() -> dict[str, str]:
-    """This process's environment, by which Python finds the modules that it has found here."""
+    """This process's environment, in which Python finds the same modules as here."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
 
 

@@ -91,7 +91,7 @@ def blocked() -> Iterator[None]:
 
     Both may reach every process of a group: this one alone answers them, and ends the others.
     """
-    from multiprocessing import resource_tracker  # here, and so in `processes`, for who asks for --help
+    from multiprocessing import resource_tracker  # here, and so in `processes`, so that --help is quick
 
     resource_tracker.ensure_running()  # started later, it would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)

@@ -1,4 +1,4 @@
-"""A dataset in a directory: files are replaced by renaming what was written and synced; its lock is the kernel's."""
+"""A dataset in a directory: files are written, synced and renamed over the old ones; the lock is the kernel's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stickslip.pipeline.places.place import DATA, LOCK, TEMPORARY, Hold, Mark, P
 
 @contextlib.contextmanager
 def replacing(file: Path) -> Iterator[BinaryIO]:
-    """A stream to the new content of a file, which it takes in one step, if the with-block ends well."""
+    """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
     temporary = file.with_name(f"{_begun(file)}{os.getpid()}")
     try:
         with open(temporary, "wb") as stream:
@@ -39,16 +39,16 @@ def replacing(file: Path) -> Iterator[BinaryIO]:
 
 
 def _begun(file: Path) -> str:
-    """How files begin that processes of this machine write before they replace a file; the rest is who writes."""
+    """Prefix of the temporary copies of a file that this machine's processes write; the process id follows."""
     return f"{TEMPORARY}{file.name}-{socket.gethostname()}-"
 
 
 def remove_left(file: Path) -> None:
-    """Remove what processes of this machine that were killed had written of a file."""
+    """Remove the unfinished copies of a file that killed processes of this machine left."""
     left = re.compile(re.escape(_begun(file)) + r"(\d{1,9})")
     for one in file.parent.iterdir():
         if (found := left.fullmatch(one.name)) and not _is_alive(int(found[1])):
-            with contextlib.suppress(OSError):  # another user's stays
+            with contextlib.suppress(OSError):  # another user's file stays
                 one.unlink()
 
 
@@ -162,14 +162,14 @@ def _acquire(file: Path) -> int:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), os.stat(file)):
                 os.truncate(descriptor, 0)
-                with contextlib.suppress(OSError):  # a full disk: the lock then does not say whose it is
+                with contextlib.suppress(OSError):  # a full disk: the lock then does not name its owner
                     os.write(descriptor, f"{this_process()}\n".encode())
                 return descriptor
         os.close(descriptor)  # its last owner removed it between our opening and our locking
 
 
 def is_locked(descriptor: int) -> bool:
-    """Lock an open file for this process alone, unless another has; whether it is this one's until it is closed."""
+    """Try to lock an open file for this process alone, until it is closed; whether that worked."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -178,7 +178,7 @@ def is_locked(descriptor: int) -> bool:
 
 
 def _append(descriptor: int, line: bytes) -> None:
-    """Append a line for good, whole or not at all."""
+    """Append a line durably, whole or not at all."""
     size = os.fstat(descriptor).st_size
     try:
         if os.write(descriptor, line) < len(line):

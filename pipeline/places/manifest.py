@@ -50,7 +50,7 @@ class Shard(BaseModel):
         return self.outcomes.get("failed", 0)
 
     def damage(self, content: builtins.bytes | None) -> str:
-        """What is wrong with the content of the shard's file, None if it is not there: "" if nothing."""
+        """What is wrong with the content of the shard's file (None: there is no file); "" if nothing is."""
         if content is None:
             return "missing"
         if len(content) != self.bytes:
@@ -89,7 +89,7 @@ class Manifest(BaseModel):
 
     @property
     def digest(self) -> str:
-        """Of all data."""
+        """Digest of all data."""
         digest = hashlib.sha256()
         for name, shard in sorted(self.shards.items()):
             digest.update(f"{name} {shard.sha256}".encode())
@@ -133,7 +133,7 @@ class Commit(BaseModel):
 
     @classmethod
     def parse(cls, line: bytes) -> Commit | None:
-        """What a line says; None if it is damaged, or of a version that kept no more than times."""
+        """The commit in a line; None if it is damaged, or of a version that kept only times."""
         with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
             found = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return found if json.loads(found.line) == json.loads(line) else None
@@ -141,7 +141,7 @@ class Commit(BaseModel):
 
 
 def read_commits(path: Where) -> Iterator[Commit]:
-    """The commits of a dataset as they came in; lines that are damaged are left out, as is a record that is lost."""
+    """The commits of a dataset in order; damaged lines are left out, and a lost record has none."""
     with contextlib.suppress(OSError):
         for line in place_of(path).read_record(TIMINGS).split(b"\n"):
             if (commit := Commit.parse(line)) is not None:
@@ -161,12 +161,12 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     Parameters
     ----------
     is_forgiving : bool
-        Whether damaged lines of the record are left out, for one who computes again what they confirmed.
+        Whether to leave out damaged lines of the record, for a caller that recomputes what they confirmed.
 
     Raises
     ------
     StoreError
-        If there is none, or it cannot be read: `DamagedManifest` if what is there is no manifest, or no record.
+        If there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be understood.
     """
     place = place_of(path)
     manifest = _manifest(place)
@@ -189,7 +189,7 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
 
 
 def _manifest(place: Place) -> Manifest:
-    """The manifest as it lies there."""
+    """The manifest as it is stored."""
     file = place.named(MANIFEST)
     try:
         content = place.read(MANIFEST)
@@ -214,7 +214,7 @@ def _manifest(place: Place) -> Manifest:
 
 
 def _same_version(file: str, content: bytes, is_whole: bool) -> None:
-    """Refuse the manifest of another version of the schema, which is not damaged."""
+    """Refuse an undamaged manifest of another version of the schema."""
     try:
         found = json.loads(content)
         version, is_checked = found["schema_version"], "check" in found

@@ -5,10 +5,10 @@ there is none, renewed while its owner lives, and void `LEASE` seconds after the
 Amazon's, Google's and Azure's stores can create so. Some servers, and old packages, overwrite instead: the owner of
 the lock tries it (`_Lease.probe`) and refuses these.
 
-A lease is less than a lock of the kernel, and needs clocks that agree within some seconds. A driver that was stopped
-for longer than its lease may find another at work; it sees so before its next commit, and ends. If two overlap for a
-moment, no datum is wrong: a shard has the same bytes whichever of them puts it, and one that is lost is computed
-again.
+A lease is weaker than a lock of the kernel, and needs clocks that agree within some seconds. A driver that was
+stopped for longer than its lease may find another at work; it notices before its next commit, and ends. If two
+overlap for a moment, no datum is wrong: a shard has the same bytes whichever of them puts it, and one that is lost is
+computed again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.place import DATA, LOCK, TEMPORARY, Hold, Lock, Mark, Place, part, this_process
 
-#: Seconds after its last renewal at which the lock of an object store is void.
+#: Seconds after its last renewal after which the lock of an object store is void.
 LEASE = 60.0
 
 #: Seconds after which the process that took over a void lock checks that it still owns it: another may have too.
@@ -36,24 +36,24 @@ SETTLE = 2.0
 #: Objects that are read at once.
 _AT_ONCE = 16
 
-#: Bytes after which lines go to another part: some twenty of them.
+#: Bytes, some twenty lines, after which another part begins.
 _PART = 10_000
 
 #: Seconds between attempts at a request that fails without being refused; the store's own library has retried before.
 PAUSES = (1.0, 3.0, 9.0)
 
-#: What a store answers for good: to ask again would change nothing.
+#: Final answers of a store: asking again would change nothing.
 _REFUSALS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError)
 _REFUSED = {errno.EINVAL, errno.EPERM, errno.ENAMETOOLONG, errno.ENOSYS, getattr(errno, "EREMCHG", errno.ENOENT)}
 
-#: Errors of botocore, which need not be there, before anything was asked.
+#: Errors that botocore, which may not be installed, raises before it asks anything.
 _UNASKED = {"NoCredentialsError", "PartialCredentialsError", "ParamValidationError"}
 
 _T = TypeVar("_T")
 
 
 class Prefix(Place):
-    """The objects of a store whose keys begin alike; `system` is fsspec's."""
+    """The objects of a store under one prefix; `system` is fsspec's file system."""
 
     remedy = "check the address, the credentials and the network"
 
@@ -144,7 +144,7 @@ class Prefix(Place):
 
 
 def _refused(error: Exception, file: str) -> OSError:
-    """An error of a store's library as the operating system's would be: of the same kind, with number and words."""
+    """An error of a store's library as the `OSError` that a file system would raise."""
     words = " ".join(str(getattr(error, "strerror", None) or error or type(error).__name__).split())
     if isinstance(error, _REFUSALS):
         number = {FileNotFoundError: errno.ENOENT, FileExistsError: errno.EEXIST}.get(type(error), errno.EACCES)
@@ -155,7 +155,7 @@ def _refused(error: Exception, file: str) -> OSError:
 
 @dataclass
 class _Lease(Hold):
-    """The lock object of a prefix: whose it is, until when, and what its owner noted."""
+    """The lock object of a prefix: its owner, when it expires, and the owner's notes."""
 
     place: Prefix
     token: str = field(default_factory=lambda: uuid.uuid4().hex)

@@ -1,4 +1,4 @@
-"""Where a dataset lies: a directory, or a prefix of an object store; what is asked of either is the same."""
+"""Where a dataset is stored: a directory, or a prefix of an object store, behind one interface."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
-#: What the names of files begin with while they are being written.
+#: Prefix of the names of files while they are being written.
 TEMPORARY = ".tmp-"
-#: Parts of a file of lines that are asked for at once.
+#: Parts of a file of lines that are requested at once.
 _PARTS = 16
 
 
@@ -23,7 +23,7 @@ class Hold(ABC):
 
     @abstractmethod
     def note(self, line: str) -> None:
-        """Add a line to the lock, for processes that look who is writing."""
+        """Add a line to the lock, for processes that ask who is writing."""
 
     @abstractmethod
     def check(self) -> None:
@@ -36,7 +36,7 @@ class Hold(ABC):
 
 @dataclass(frozen=True)
 class Lock:
-    """What a lock says: its owner, what the owner noted, and, in an object store, until when it holds and a token."""
+    """The content of a lock: its owner, the owner's notes and, in an object store, a token and when it expires."""
 
     owner: str
     notes: dict[str, str]
@@ -69,7 +69,7 @@ class Lock:
 
 @dataclass(frozen=True)
 class Mark:
-    """What differs once a file has changed."""
+    """A cheap fingerprint of a file: it differs once the file has changed."""
 
     size: int
     version: object
@@ -89,7 +89,7 @@ class Place(ABC):
 
     @abstractmethod
     def named(self, name: str) -> str:
-        """What messages call the file `name`."""
+        """The file `name` as messages show it."""
 
     @abstractmethod
     def read(self, name: str) -> bytes:
@@ -97,7 +97,7 @@ class Place(ABC):
 
     @abstractmethod
     def marks(self, names: Sequence[str]) -> list[Mark | None]:
-        """The mark of each file, which is had without reading it; None: no file."""
+        """The mark of each file, found without reading it; None if there is no such file."""
 
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         """The content of each file, in order; None for one that is not there."""
@@ -111,7 +111,7 @@ class Place(ABC):
 
     @abstractmethod
     def replace(self, name: str, content: bytes) -> None:
-        """Give a file new content in one step that a crash cannot divide."""
+        """Replace the content of a file in one step: a crash leaves the old or the new."""
 
     @abstractmethod
     def remove(self, name: str) -> None:
@@ -133,7 +133,7 @@ class Place(ABC):
 
     @abstractmethod
     def record(self, name: str) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
-        """A file of lines and how to append one for good, whole or not at all; a line that a crash cut short goes."""
+        """A function that appends a line to a file, durably and whole; a line that a crash cut short is removed."""
 
     def read_record(self, name: str) -> bytes:
         """The content of a file of lines, all its parts together; empty if there is none."""
@@ -152,11 +152,11 @@ class Place(ABC):
     @property
     @abstractmethod
     def arrow(self) -> Any:
-        """The file system by which Arrow reads here; None: the local one."""
+        """The file system through which Arrow reads here; None for the local one."""
 
     @abstractmethod
     def key(self, name: str) -> str:
-        """What `arrow` calls the file `name`."""
+        """The path of the file `name` in `arrow`."""
 
 
 def part(name: str, k: int) -> str:
@@ -169,5 +169,5 @@ Where: TypeAlias = str | os.PathLike[str] | Place
 
 
 def this_process() -> str:
-    """Who writes, as a lock says it."""
+    """This process, as a lock names it."""
     return f"process {os.getpid()} on {socket.gethostname()}"

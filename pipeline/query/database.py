@@ -12,19 +12,19 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from stickslip.pipeline.dataset.opened import dataset, dataset_scene, frame, not_recorded, unreadable
+from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset, unreadable
 from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.errors import QueryError, printable
-from stickslip.pipeline.places.place import Where
+from stickslip.pipeline.places.place import Place, Where
 from stickslip.pipeline.records import TABLES
 
-#: Rows that an answer is handed over in.
+#: Rows of a batch of an answer.
 _ROWS = 100_000
 
 # EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
 _READ = {"SELECT", "EXPLAIN", "MULTI"}
 
-# What DuckDB 2 and 1 say when Arrow, which reads the shards for them, cannot.
+# What DuckDB 2 and 1 say when Arrow cannot read the shards for them.
 _OF_SHARDS = re.compile(r"registered as 'shards'|arrow_scan")
 
 # Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
@@ -85,14 +85,14 @@ def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
     return found
 
 
-def sql(path: Where, query: str) -> pd.DataFrame:
+def sql(path: Where | Opened, query: str) -> pd.DataFrame:
     """Answer a question in SQL as a data frame; see `answer`."""
     with answer(path, query) as batches:
         return frame(batches.read_all())
 
 
 @contextlib.contextmanager
-def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
+def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
     """Answer a question in SQL (DuckDB), without access to anything but the dataset, some rows at a time.
 
     Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
@@ -116,13 +116,14 @@ def answer(path: Where, query: str) -> Iterator[pa.RecordBatchReader]:
         import duckdb
     except ImportError as error:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
-    source = dataset(path)
-    selections = views(source.schema, dataset_scene(path).record.separation)
+    opened = open_dataset(path)
+    source = opened.shards()
+    selections = views(source.schema, opened.scene.record.separation)
     with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 
         def ask(work: Callable[[], Any]) -> Any:
             # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
-            with _explained(duckdb, path, list(selections)):
+            with _explained(duckdb, opened.place, list(selections)):
                 return aside.submit(work).result()
 
         aside.submit(_prepare, connection, source, selections).result()
@@ -168,7 +169,7 @@ def _named_apart(schema: pa.Schema) -> pa.Schema:
 
 @contextlib.contextmanager
 def _aside(connection: Any) -> Iterator[Executor]:
-    """A thread to ask in, so that this one hears an interrupt, whatever DuckDB is doing; what is asked then ends."""
+    """A thread for queries, so that an interrupt reaches this one whatever DuckDB is doing; it ends the query."""
     with ThreadPoolExecutor(1) as aside:
         aside.submit(int).result()  # nobody waits for a thread that starts while an interrupt comes
         try:
@@ -201,7 +202,7 @@ def _check(statements: list[Any]) -> None:
 
 
 @contextlib.contextmanager
-def _explained(duckdb: Any, path: Where, names: list[str]) -> Iterator[None]:
+def _explained(duckdb: Any, place: Place, names: list[str]) -> Iterator[None]:
     """Turn the database's refusals, and what a damaged or missing shard raises, into ours."""
     try:
         yield
@@ -209,7 +210,7 @@ def _explained(duckdb: Any, path: Where, names: list[str]) -> Iterator[None]:
         # once rows are coming, Arrow hands on what DuckDB says as an error of the system
         is_of_system = isinstance(error, OSError) and not re.match(r"[A-Z][\w ]* Error: ", str(error))
         if is_of_system or _OF_SHARDS.search(str(error)):
-            raise unreadable(path, error) from error
+            raise unreadable(place, error) from error
         asked = re.search(r"Table with name (\w+) does not exist", str(error))
         if asked and asked[1].lower() in TABLES and asked[1].lower() not in names:
             raise not_recorded(asked[1].lower()) from error

@@ -15,11 +15,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from stickslip import sim
-from stickslip.pipeline.dataset.opened import dataset, dataset_scene, frame, near, not_recorded, reading
+from stickslip.pipeline.dataset.opened import Opened, dataset, frame, near, not_recorded, open_dataset, reading
 from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.errors import QueryError
-from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.places.place import Where
 
 if TYPE_CHECKING:
@@ -46,9 +44,9 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
 
-#: Series of shards that are in memory at once, in bytes: a small dataset is read once, a large one again and again.
+#: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
 _KEPT = 100_000_000
-#: Shards of them at least: a run and the one that it is compared with.
+#: But at least this many shards: those of a run and of the one that it is compared with.
 _SHARDS_KEPT = 2
 
 _Value = TypeVar("_Value", covariant=True)
@@ -60,7 +58,7 @@ _EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outco
 
 
 def table(
-    path: Where,
+    path: Where | Opened,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> pa.Table:
@@ -68,8 +66,8 @@ def table(
 
     Parameters
     ----------
-    path : str, Path or Place
-        Directory or address of the dataset; see `stickslip.pipeline.places.place`.
+    path : str, Path, Place or Opened
+        Directory or address of the dataset (see `stickslip.pipeline.places.place`), or the dataset opened before.
     columns : sequence of str, optional
         Columns of the dataset; all, the lists too, if left out.
     filters : pyarrow.compute.Expression or list of tuple, optional
@@ -82,12 +80,13 @@ def table(
     StoreError
         If there is no readable dataset.
     """
-    source = dataset(path)
-    return _chosen(path, source, _known(source.schema, columns), filters)
+    opened = open_dataset(path)
+    source = opened.shards()
+    return _chosen(opened, source, _known(source.schema, columns), filters)
 
 
 def members(
-    path: Where,
+    path: Where | Opened,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> pd.DataFrame:
@@ -95,13 +94,14 @@ def members(
 
     A column that holds nulls has a nullable type (NA, never NaN).
     """
-    source = dataset(path)
+    opened = open_dataset(path)
+    source = opened.shards()
     names = _known(source.schema, scalars(source.schema) if columns is None else columns)
-    return frame(_chosen(path, source, names, filters))
+    return frame(_chosen(opened, source, names, filters))
 
 
 def dask_members(
-    path: Where,
+    path: Where | Opened,
     columns: Sequence[str] | None = None,
     filters: Filters | None = None,
 ) -> DataFrame:
@@ -111,13 +111,14 @@ def dask_members(
     """
     import dask.dataframe  # takes a second to load
 
-    source = dataset(path)
+    opened = open_dataset(path)
+    source = opened.shards()
     names = _known(source.schema, scalars(source.schema) if columns is None else columns)
     condition = _condition(filters)
     schema = pa.schema([source.schema.field(name) for name in names])
-    address = str(place_of(path))
+    address = str(opened.place)
     empty = _part((), address, names, condition, schema)
-    parts = _parts({name: shard.bytes for name, shard in sorted(read_manifest(path).shards.items())})
+    parts = _parts({name: shard.bytes for name, shard in sorted(opened.manifest.shards.items())})
     return dask.dataframe.from_map(
         _part, parts, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
     )
@@ -140,8 +141,11 @@ def _part(
     part: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
 ) -> pd.DataFrame:
     """One part of a dask frame; of no shards: its columns and their types."""
-    found = _chosen(path, dataset(path, part), names, condition) if part else schema.empty_table()
-    return frame(found, [field.name for field in schema if field.nullable])
+    nullable = [field.name for field in schema if field.nullable]
+    if not part:
+        return frame(schema.empty_table(), nullable)
+    opened = open_dataset(path)
+    return frame(_chosen(opened, opened.shards(part), names, condition), nullable)
 
 
 def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
@@ -159,9 +163,9 @@ def _condition(filters: Filters | None) -> pc.Expression | None:
         raise _misfit(filters, error) from error
 
 
-def _chosen(path: Where, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
+def _chosen(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
     try:
-        with reading(path):
+        with reading(opened.place):
             return source.to_table(columns=names, filter=_condition(filters))
     except (pa.ArrowException, ValueError) as error:
         raise _misfit(filters, error) from error
@@ -176,7 +180,7 @@ def _misfit(filters: Filters | None, error: Exception) -> QueryError:
     )
 
 
-def n_stick(path: Where, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def n_stick(path: Where | Opened, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The number of sticking blocks of one member.
 
     Returns
@@ -193,11 +197,12 @@ def n_stick(path: Where, member_id: str) -> tuple[NDArray[np.float64], NDArray[n
     StoreError
         If there is no readable dataset.
     """
-    row = _member_row(path, dataset(path), member_id, ["t", "n_stick"])
+    opened = open_dataset(path)
+    row = _member_row(opened, opened.shards(), member_id, ["t", "n_stick"])
     return _array(row["t"]), _array(row["n_stick"])
 
 
-def events(path: Where, member_id: str) -> sim.EventSeries:
+def events(path: Where | Opened, member_id: str) -> sim.EventSeries:
     """Every event of one member, of a dataset whose scene records them.
 
     Raises
@@ -207,13 +212,14 @@ def events(path: Where, member_id: str) -> sim.EventSeries:
     StoreError
         If there is no readable dataset.
     """
-    source = dataset(path)
+    opened = open_dataset(path)
+    source = opened.shards()
     if "event_t" not in source.schema.names:
         raise not_recorded("events")
-    return _event_series(_member_row(path, source, member_id, _EVENT_COLUMNS))
+    return _event_series(_member_row(opened, source, member_id, _EVENT_COLUMNS))
 
 
-def episodes(path: Where) -> pd.DataFrame:
+def episodes(path: Where | Opened) -> pd.DataFrame:
     """All episodes of a dataset whose scene records them, a row each, by member as the scene expands, then by time.
 
     Returns
@@ -230,21 +236,22 @@ def episodes(path: Where) -> pd.DataFrame:
     StoreError
         If there is no readable dataset.
     """
-    source = dataset(path)
+    opened = open_dataset(path)
+    source = opened.shards()
     names = [name for name in source.schema.names if name.startswith("episode_")]
     if not names:
         raise not_recorded("episodes")
-    with reading(path):
+    with reading(opened.place):
         found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid()).combine_chunks()
     of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
     columns = {name.removeprefix("episode_"): pc.list_flatten(found[name]) for name in names}
     return frame(pa.table({"member_id": found["member_id"].take(of), **columns}))
 
 
-def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
+def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
     if not isinstance(member_id, str):
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
-    with reading(path):
+    with reading(opened.place):
         rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
         known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
     if rows.num_rows == 0:
@@ -256,44 +263,47 @@ def _member_row(path: Where, source: ds.Dataset, member_id: str, columns: list[s
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
+def series(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Recorded(path, "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
+    return Recorded(open_dataset(path), "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
 
 
-def all_events(path: Where) -> Recorded[_Events]:
+def all_events(path: Where | Opened) -> Recorded[_Events]:
     """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
-    return Recorded(path, "event_t", _EVENT_COLUMNS[:4], _arrays_of_events)
+    return Recorded(open_dataset(path), "event_t", _EVENT_COLUMNS[:4], _arrays_of_events)
 
 
-def ends(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def ends(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """z and w at the end by member_id; empty if they are not recorded."""
-    return Recorded(path, "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"])))
+    return Recorded(
+        open_dataset(path), "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"]))
+    )
 
 
-def separations(path: Where) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def separations(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Times and distance from the unchanged run by member_id of changed ones; empty if they are not recorded.
 
     The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
-    step = dataset_scene(path).record.separation
+    opened = open_dataset(path)
+    step = opened.scene.record.separation
 
     def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         assert step is not None  # there would be no such column
         distance: NDArray[np.float64] = _array(row["separation"])
         return step * np.arange(len(distance), dtype=np.float64), distance
 
-    return Recorded(path, "separation", ["separation"], entry)
+    return Recorded(opened, "separation", ["separation"], entry)
 
 
-def by_threshold(path: Where) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
+def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
     """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
 
     def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
         found = row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
         return {one["threshold"].as_py(): (_array(one["t"]), _array(one["n_stick"])) for one in found}
 
-    return Recorded(path, "by_threshold", ["by_threshold"], entry)
+    return Recorded(open_dataset(path), "by_threshold", ["by_threshold"], entry)
 
 
 _Row = dict[str, pa.Scalar]
@@ -305,16 +315,16 @@ class Recorded(Mapping[str, _Value]):
     The last shards stay in memory, `_KEPT` bytes of them: ask in the order of the members.
     """
 
-    def __init__(self, path: Where, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
-        source = dataset(path)
-        self._path, self._recorded, self._columns, self._entry = path, recorded, columns, entry
+    def __init__(self, opened: Opened, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
+        source = opened.shards()
+        self._opened, self._recorded, self._columns, self._entry = opened, recorded, columns, entry
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
         self._kept: dict[int, dict[str, pa.Array]] = {}  # columns by shard, the last one that was read last
 
     def _shard(self, k: int) -> dict[str, pa.Array]:
         if k not in self._kept:
             names = ["member_id", *self._columns]
-            with reading(self._path):
+            with reading(self._opened.place):
                 table = self._fragments[k].to_table(columns=names, filter=pc.field(self._recorded).is_valid())
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
@@ -363,7 +373,7 @@ class _Items(ItemsView[str, _Value]):
 
 
 def _joined(column: pa.ChunkedArray) -> pa.Array:
-    """A column in one piece: its rows are found at once."""
+    """A column as one array, in which rows are found at once."""
     joined = column.combine_chunks()
     return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
 

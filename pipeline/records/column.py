@@ -21,7 +21,7 @@ class Column(NamedTuple):
     along : str
         Of a list: what it has a value for, its dimension in NetCDF. Empty: it is not written there.
     repeats : bool
-        Whether values come again. Where not, as of times, they are kept without a dictionary and split into bytes.
+        Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
     """
 
     kind: Kind

@@ -27,7 +27,7 @@ class End(Record):
     def of(self, made: Made) -> dict[str, Any]:
         run, events = made.run, made.run.events
         mode = events.initial_mode.copy()
-        mode[events.block] = events.mode  # of several of one block the last one stays
-        # one that slips after a collapse may have turned round unseen
+        mode[events.block] = events.mode  # the last event of a block decides
+        # a block that slips after a collapse may have turned round without an event
         side = np.where(run.w > made.system.belt_speed_at(run.t_end), 1, -1)
         return {"z_end": run.z, "w_end": run.w, "mode_end": np.where(mode == 0, 0, side).astype(np.int8)}

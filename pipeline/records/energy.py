@@ -100,7 +100,7 @@ _LATEST: list[tuple[Made, Energy | None]] = []
 
 
 def _balance(made: Made) -> Energy | None:
-    """The balance of a run, once for both records; None if there is none of it."""
+    """The energy balance of a run, computed once for both records; None if it has none."""
     if not _LATEST or _LATEST[0][0] is not made:
         _LATEST[:] = [(made, _sum(made))]
     return _LATEST[0][1]

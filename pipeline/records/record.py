@@ -52,7 +52,7 @@ class Made:
     member : Member
     system : System
     run : Run
-        With samples at what the records' `times` asked for.
+        Sampled at the times that the records' `times` ask for.
     start : tuple of two
         z and w at t = 0, a number or an array of shape (n,).
     again : callable
@@ -106,10 +106,10 @@ class Record(ABC):
     words, example : str, object
         Of that key, for schemas and the guide.
     asked_by : str
-        By which line a scene asks for it.
+        The line by which a scene asks for it.
     columns : tuple of Column
     is_of_paths : bool
-        Whether one who asks for it wants each run's own path, so that tolerances are picked for that.
+        Whether it is about each run's own path, so that tolerances are picked for paths.
     is_shared : bool
         Whether most of its cost is computed once for several members.
     """

@@ -41,11 +41,11 @@ CONNECT_TIMEOUT = 5.0
 
 _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
-    # whose worker dies is run in a process of its own next: no second chance to take others along
+    # a task whose worker dies is run in a process of its own next: here it would take others along
     "distributed.scheduler.allowed-failures": 0,
-    # dask drops a worker for good that is being restarted just this long after it died; with it went the run
+    # dask drops a worker for good, and the run with it, if it is restarting this long after it died
     "distributed.deploy.lost-worker-timeout": "1000 days",
-    # each samples Python's stacks, or measures the delay of a loop, many times a second, and disturbs who computes
+    # each samples Python's stacks, or measures the delay of a loop, many times a second, and slows the computation
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "2s",
@@ -74,7 +74,7 @@ def check_memory(scene: Scene, workers: int) -> None:
 
 
 def check_address(address: str) -> None:
-    """See that a scheduler answers at an address: `Client`, told a wrong one, hangs in its own destructor.
+    """See that a scheduler answers at an address: with a wrong one `Client` hangs in its destructor.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def check_address(address: str) -> None:
             identity = LoopRunner().run_sync(_who_is_at, address)
         if "workers" not in identity:
             raise ValueError(f"a {identity['type']} answers there")
-    # in turn: refused or silent; no address; no certificate for tls; tcp, where dask is told to encrypt;
-    # another service's words, taken for the length of a message
+    # in turn: refused or silent; no address; no certificate for tls; tcp where dask has to encrypt;
+    # the answer of another service, taken for the length of a message
     except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
         why = " ".join(str(error).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
         raise AddressError(
@@ -107,7 +107,7 @@ async def _who_is_at(address: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def connect(workers: int, scheduler: str | Client | None, dashboard: bool = False) -> Iterator[Client]:
-    """A client of a cluster that is there, or, for as long as the with-block, of local workers."""
+    """A client of a running cluster, or of local workers that live as long as the with-block."""
     if scheduler is None:
         with local(workers, dashboard) as client:
             yield client
@@ -125,7 +125,7 @@ def connect(workers: int, scheduler: str | Client | None, dashboard: bool = Fals
 def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """A client of new workers on this machine, which live as long as the with-block.
 
-    `dashboard` opens dask's, which any user of this machine may read.
+    `dashboard`: whether to serve dask's, which any user of this machine may read.
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
@@ -166,7 +166,7 @@ def _files_for(workers: int) -> Iterator[None]:
 
 
 def _look_at(client: Client) -> None:
-    """Warn of workers of a cluster, as far as they are there, that are slow or whose numbers may differ."""
+    """Warn of those workers that are there whose setup makes them slow or their numbers differ."""
     several = [address for address, count in client.nthreads().items() if count > 1]
     if several:
         log.warning(
@@ -197,7 +197,7 @@ def _close(client: Client, cluster: SpecCluster) -> None:
 
 
 def _kill(cluster: SpecCluster) -> None:
-    """Kill the workers, whatever they are at: to end them in order takes seconds."""
+    """Kill the workers, whatever they are doing: an orderly end takes seconds."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
@@ -205,14 +205,14 @@ def _kill(cluster: SpecCluster) -> None:
 
 
 class QuietScheduler(Scheduler):
-    """Without the web server that dask gives it, which tells anybody who asks of workers and logs."""
+    """A scheduler without dask's web server, which shows workers and logs to anybody who asks."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""
 
 
 class QuietWorker(Worker):
-    """As `QuietScheduler`."""
+    """A worker without that web server."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""

@@ -16,8 +16,9 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
 
-from stickslip.pipeline.dataset.result import Result, program
-from stickslip.pipeline.dataset.status import Began, Follower, Status, Tally
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
+from stickslip.pipeline.dataset.status import Began, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
@@ -50,7 +51,7 @@ LOST_TIMEOUT = 60.0
 #: Seconds between two looks at what has come in; meanwhile the workers have their next batches.
 _LOOK = 0.02
 
-#: How often batches are given once more to workers of their own when those die of other causes.
+#: How often batches whose workers died are tried again, their members in processes of their own.
 _ATTEMPTS = 3
 
 
@@ -139,7 +140,7 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
-    with Store(out, scene, scene.source, retry_failed, accept_version) as store:
+    with Store(out, scene, retry_failed, accept_version) as store:
         firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
         for origin in {member.source.origin for member in firsts}:
             if origin is not None:
@@ -182,7 +183,7 @@ def run_ensemble(
                     )
                 tally = tally.plus(store.commit(result), todo[result.name])
                 report(result.name)
-    return Follower(store.place, store.tasks).look()
+    return counted(store.opened, store.tasks)
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:
@@ -234,7 +235,7 @@ def _results(
             lost = yield from _submit(
                 client, todo, compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
             )
-            # dask blames a worker's death on all that waited there: in processes of their own the innocent pass
+            # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
             for _ in range(_ATTEMPTS):
                 lost = yield from _submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler)
         except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
@@ -258,7 +259,7 @@ def _submit(
     window: Callable[[], int],
     scheduler: str | Client | None,
 ) -> Generator[Result, None, list[Task]]:
-    """Yield results as they come in, with so many batches in flight; return the batches whose workers died."""
+    """Yield results as they come in, with `window()` batches in flight; return the batches whose workers died."""
     waiting = iter(todo)
     running = as_completed(loop=client.loop)
     task_of: dict[Future[Any], Task] = {}
@@ -291,14 +292,14 @@ def _submit(
 
 
 class _Patience:
-    """While waiting: it ends when for `LOST_TIMEOUT` there is no scheduler, or here no worker."""
+    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker."""
 
     def __init__(self, client: Client, scheduler: str | Client | None) -> None:
         self._client, self._scheduler = client, scheduler
         self._looked = self._alive = time.monotonic()
 
     def look(self) -> None:
-        """Give up if it is time to; a cluster at an address may be without workers for as long as it likes."""
+        """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
         now = time.monotonic()
         if now - self._looked < 1.0:
             return

@@ -16,7 +16,7 @@ from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import QUANTITIES
 
-#: Of several members of the same system, the one is taken that is like it in these, the first ones first.
+#: Of several members of the same system those are kept that agree in these, one after the other, if any do.
 _ALIKE: tuple[Callable[[Member], Any], ...] = (
     lambda member: member.begin.draw,
     *(partial(lambda name, member: member.term(name), name) for name in (*QUANTITIES, "back_slip")),
@@ -38,10 +38,10 @@ def check(scene: Scene) -> None:
     """
     if scene.ends is None:
         return
-    opened = _opened(scene.ends.at, scene.ends.sha256)
+    dataset = _with_ends(scene.ends.at, scene.ends.sha256)
     for member in expand(scene):
-        name = opened.match(member)
-        outcome = opened.outcomes.get(name)
+        name = dataset.match(member)
+        outcome = dataset.outcomes.get(name)
         if outcome not in ("finished", "collapsed"):
             raise SceneError(
                 f"start.dataset: expected members that came to their end, got {name} of {scene.ends.name}, which is "
@@ -55,18 +55,18 @@ def end_of(member: Member) -> State | None:
     Raises
     ------
     SceneError
-        If the dataset is gone, or not what it was; or as `check`.
+        If the dataset is gone or has changed; or as `check`.
     """
     ends = member.begin.ends
     if ends is None:
         return None
-    opened = _opened(ends.at, ends.sha256)
-    return opened.states[opened.match(member)]
+    dataset = _with_ends(ends.at, ends.sha256)
+    return dataset.states[dataset.match(member)]
 
 
 @dataclass(frozen=True)
-class _Opened:
-    """A dataset with ends: its members by what has to be the same, their outcomes and states."""
+class _WithEnds:
+    """A dataset with ends: its members by what they must share with others, their outcomes and states."""
 
     at: str
     like: Mapping[tuple[Any, ...], Sequence[Member]]
@@ -94,12 +94,13 @@ class _Opened:
 
 
 def _same(member: Member) -> tuple[Any, ...]:
-    """What has to be the same in a member and in the one at whose end it starts: the system, moved or not."""
+    """What a member and the one at whose end it starts must share: the system, perturbed or not."""
     return *member.source._replace(parameters=()), *member.change._replace(twin_size=None)
 
 
 @lru_cache(maxsize=2)
-def _opened(at: str, sha256: str) -> _Opened:
+def _with_ends(at: str, sha256: str) -> _WithEnds:
+    """The dataset with ends that lies at `at`, if its data have this digest."""
     try:
         opened = open_dataset(at)
     except StoreError as error:
@@ -117,5 +118,5 @@ def _opened(at: str, sha256: str) -> _Opened:
     like: dict[tuple[Any, ...], list[Member]] = {}
     for member in expand(opened.scene):
         like.setdefault(_same(member), []).append(member)
-    done = query.table(at, ["member_id", "outcome"]).to_pydict()
-    return _Opened(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(at))
+    done = query.table(opened, ["member_id", "outcome"]).to_pydict()
+    return _WithEnds(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(opened))

@@ -29,7 +29,7 @@ WITHIN = 2.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take, up to `WITHIN`; of members that fail nothing follows for the others."""
+    """What a run will take, up to a factor `WITHIN`; members that fail say nothing about the others."""
 
     workers: int  #: that have a shard, and a core, of their own
     core_seconds: float
@@ -39,7 +39,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
-    """Estimate a run of some batches of a scene, one at least, on so many local processes."""
+    """Estimate a run of some batches of a scene, at least one, on local processes."""
     kinds: dict[tuple[Any, ...], list[Member]] = {}
     for member in (member for batch in packed for member in batch.members):
         is_coupled = member.change.reading == "damping matrix"
@@ -65,11 +65,11 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
     # the golden section spreads any number of places evenly over matrices and changes
     places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
     some = [replace(members[k], shared_cost=0.0) for k in places]
-    # each point of a sweep may need kernels of its own: compiling, or loading, them is no part of the work
+    # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
     points = {_point(one): one for one in some}
     run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
-    # as many as there is time for, together, as a run has them
+    # as many as there is time for, run together as in a batch
     expected = factor * some[0].cost
     share = min(0.4 * seconds / expected, 1.0)
     more = some[1 : 1 + max(1, int(seconds / (share * expected)))]
@@ -83,19 +83,19 @@ def _pilot(members: Sequence[Member], seconds: float, recording: Recording) -> t
 
 
 def _point(member: Member) -> Member:
-    """What members share that differ in what is drawn alone."""
+    """What members share that differ only in their draws."""
     source, change, begin = member.source._replace(matrix=0), member.change, member.begin._replace(draw=None)
     return replace(member, member_id="", source=source, change=change._replace(draw=None), begin=begin)
 
 
 def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
-    """Run a share of members: how many whole ones that is, their rows, seconds of a core for a unit of cost."""
+    """Run a share of each member: how many whole ones that makes, their rows, core-seconds for a unit of cost."""
     parts = [replace(one, t_end=max(share * one.t_end, min(10.0, one.t_end))) for one in members]
     begun = time.process_time()
     found = columns(parts, run_members(parts, recording), recording)
     took = max(time.process_time() - begun, 1e-6)
     rows = [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
-    # one that ended early would have, whole
+    # one that ended early would also have done so if it were run whole
     done = [part.cost / one.cost if row["outcome"] == "finished" else 1.0
             for part, one, row in zip(parts, members, rows, strict=True)]  # fmt: skip
     return sum(done), rows, took / sum(a * one.cost for a, one in zip(done, members, strict=True))

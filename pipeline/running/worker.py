@@ -1,4 +1,4 @@
-"""What a worker does: run a batch's members, with compiled kernels, and alone those that may kill their process."""
+"""What a worker does: run a batch's members with compiled kernels; in a process apart, those that may kill theirs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from stickslip import sim
-from stickslip.pipeline.dataset.result import Result, program
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
@@ -33,7 +34,7 @@ from stickslip.sim.kernels.cache import CacheError, has_kernel
 from stickslip.sim.runs.series import summaries
 from stickslip.sim.systems.system import work_out
 
-#: So many members are set up at once, with so many entries of K together.
+#: Members that are set up at once, and entries of K that they have together, at most.
 _TOGETHER, _ENTRIES = 128, 2**16
 
 #: Engines whose kernels this process has.
@@ -47,14 +48,14 @@ def compute(batch: Batch, recording: Recording) -> Result:
 
 
 def compute_packed(task: bytes) -> Result:
-    """As `compute`, of what is pickled; what a run asks of its workers, which so load this module and no driver."""
+    """As `compute`, for a pickled task: what a run sends to workers, which load this module and no driver."""
     batch, recording = pickle.loads(task)
     load_kernels(batch.members)
     return compute(batch, recording)
 
 
 def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], start: float) -> Result:
-    """What came of a batch, encoded; `start` is when it was begun, by `time.perf_counter`."""
+    """The result of a batch, encoded; `start` is when it was begun, by `time.perf_counter`."""
     return Result(
         name=batch.name,
         shard=encode(columns(batch.members, found, recording), schema_of(recording)),
@@ -94,7 +95,7 @@ _Prepared = tuple[Member, sim.System | None, Callable[[], sim.Run]]
 
 
 def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prepared]:
-    """The members, in order, some at a time: one by one small systems take longer to set up than to run."""
+    """The members in order, set up some at a time: one by one, small systems take longer to set up than to run."""
     for n, of_size in groupby(members, key=lambda member: member.n):
         size = min(_TOGETHER, max(1, _ENTRIES // n**2))
         while some := list(islice(of_size, size)):
@@ -164,7 +165,7 @@ def _kept(
 
 
 def _drawn_start(member: Member) -> dict[str, Any]:
-    """z0 and w0 of a start that is drawn or read, not moved: those that one number gives for every block."""
+    """z0 and w0 of a start that is drawn or read, before it is moved, where all blocks have the same number."""
     if not any(isinstance(one, NO_NUMBER) for one in (member.begin.z0, member.begin.w0)):
         return {}
     found = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
@@ -176,7 +177,7 @@ def _again(member: Member, times: tuple[float, ...]) -> sim.Samples:
     return _states(replace(member, member_id=""), times)
 
 
-@lru_cache(maxsize=8)  # its copies come next to each other in the scene's order; whose copy asks is no part of it
+@lru_cache(maxsize=8)  # copies of one run are neighbours in the scene's order; their ids are no part of the key
 def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
     return member.simulate(times, end_of(member)).samples
 
@@ -214,7 +215,7 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
 
 
 def compute_alone_packed(task: bytes) -> Result:
-    """As `compute_alone`, of what is pickled."""
+    """As `compute_alone`, for a pickled task."""
     return compute_alone(*pickle.loads(task))
 
 

@@ -1,7 +1,7 @@
-"""The columns of a dataset as plain data, and the names that a parameter of a function cannot have for them.
+"""The columns of a dataset as plain data, and the names that they leave to parameters of functions.
 
 A row has what a member is, the parameters of its function, what belongs to the parts that its scene has, and what is
-kept of its run. Terms, settings of engines and records say their columns themselves.
+kept of its run. Terms, settings of engines and records declare their own columns.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 class Part(NamedTuple):
-    """What a dataset has only if its scene has something: columns, and what of others may be null then.
+    """A part of a dataset that depends on its scene: columns, and which others may be null then.
 
     Attributes
     ----------
     asked_by : str
-        By which line of a scene.
+        The line of a scene that asks for it.
     columns : tuple of Column
-        Behind those of terms of that part.
+        Its own.
     nulls : tuple of str
         Columns of every dataset that may be null with it.
     """
@@ -55,7 +55,7 @@ def _of_term(part: str) -> Part:
     return Part(f"`{term.table or term.key}` under [system]", _OF_TERMS[part])
 
 
-#: In the order of their columns; of the terms those that are not here come last.
+#: In the order of their columns; parts of terms that are not named here come last.
 PARTS = {
     "file": Part(
         '`coupling = "file"` under [system]',
@@ -139,12 +139,12 @@ MEMBER = (
 #: In every dataset.
 FIXED = (*MEMBER, *ALWAYS.columns)
 
-#: What a scene asks for, by name: the line that does, and the columns.
+#: What a scene may ask for, by name: the line that asks, and the columns.
 ON_DEMAND = {name: (part.asked_by, part.columns) for name, part in PARTS.items()} | {
     record.name: (record.asked_by, record.columns) for record in RECORDS
 }
 
-#: All that there may be.
+#: All columns that there may be.
 COLUMNS = (*FIXED, *(column for _, columns in ON_DEMAND.values() for column in columns))
 
 
@@ -191,9 +191,9 @@ _OF_TABLES = (
     *("start", "stop", "size", "rise_before", "rise_after", "t", "n_stick", "block", "mode", "distance", "threshold"),
     *(column.name.removeprefix("episode_") for column in COLUMNS if column.along == "episode"),
 )
-#: Dimensions in NetCDF, which keep no variable of their names as they grow (`stickslip.workflows.netcdf`).
+#: Dimensions in NetCDF: as they grow, no variable can have their names (`stickslip.workflows.netcdf`).
 _DIMENSIONS = dict.fromkeys(column.along for column in COLUMNS if column.along)
-#: What a parameter of a function cannot be called, in lower case, as SQL knows no other, and what has the name.
+#: Names that a parameter of a function cannot have, in lower case, as SQL ignores case, and what has each name.
 TAKEN = {
     "rng": "the function's generator",
     **dict.fromkeys(_DIMENSIONS, "a dimension in NetCDF"),
@@ -209,13 +209,13 @@ def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
     known = dict(TAKEN)
     for name in names:
         if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
-            return name, "Python does not take it for an argument"
+            return name, "it is no name for an argument in Python"
         if len(name.encode()) > _LONGEST_NAME:
             return name, f"it has more than the {_LONGEST_NAME} bytes that NetCDF takes"
         if name.startswith("__"):
-            return name, "what begins so is kept for Arrow"
+            return name, "names with this beginning are reserved for Arrow"
         if name.lower().endswith("_row_size"):
-            return name, "what ends so is kept for counts in NetCDF"
+            return name, "names with this ending are reserved for counts in NetCDF"
         if name.lower() in known:
             return name, f"{known[name.lower()]} has it, in upper or lower case"
         known[name.lower()] = "another parameter"

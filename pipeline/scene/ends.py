@@ -24,7 +24,7 @@ class Ends:
 
 
 def place_beside(name: str, folder: Path) -> str:
-    """Where a dataset lies that a scene names: at an address, beside the scene, or above it."""
+    """The place of a dataset that a scene names: an address, or a path beside the scene or above it."""
     if "://" in name:
         return name
     places = (folder, *folder.resolve().parents)
@@ -37,7 +37,7 @@ def look_at_dataset(name: str, folder: Path) -> str:
     Raises
     ------
     SceneError
-        If there is none.
+        If there is no such dataset.
     """
     try:
         return read_manifest(place_beside(name, folder)).digest

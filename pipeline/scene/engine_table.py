@@ -60,7 +60,7 @@ class EngineTable(StrictTable):
 
     @property
     def n_draws(self) -> int:
-        """With how many draws of them each system is run; may be absurd, and is counted, not enumerated."""
+        """How many draws of them each system is run with; never enumerated, as it may be absurd."""
         return self.ratio_draws if self.is_drawn else 1
 
     @property
@@ -70,7 +70,7 @@ class EngineTable(StrictTable):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The engine's settings that mean something beside the others, by name."""
+        """The engine's settings that apply, given the others, by name."""
         found = {}
         for name, one in self.engine.settings().items():
             if one.only_with is None or getattr(self, one.only_with[0]) == one.only_with[1]:
@@ -95,7 +95,7 @@ class EngineTable(StrictTable):
         if len(self.tolerances) == len(picked):
             return self
         found = self.model_copy(update=picked | self.tolerances)
-        found.__pydantic_fields_set__ = self.model_fields_set  # what was picked is not what was written
+        found.__pydantic_fields_set__ = self.model_fields_set  # what was picked was not written
         found._picked_for = purpose
         return found
 
@@ -131,10 +131,10 @@ def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
         case Numbers():
             return {name: (PositiveNumbers | None, Field(default=None, description=one.words, examples=example))}
         case Ratios():
-            law = "law of the r_i: 1, or uniform in (0, 1]"
+            about = "the r_i: 1, or drawn uniform in (0, 1]"
             draws = "number of draws of the r_i for each system"
             return {
-                "ratio": (Literal["one", "uniform"], Field(default="one", description=law)),
+                "ratio": (Literal["one", "uniform"], Field(default="one", description=about)),
                 "ratio_draws": (Count, Field(default=1, description=draws)),
             }
     raise TypeError(f"{name}: expected a setting of a known kind, got {type(one).__name__}")

@@ -17,35 +17,35 @@ from stickslip.pipeline.scene.toml import once, shown, unquoted
 from stickslip.sim.numerics.arguments import Floats, did_you_mean
 
 #: The distributions, by what their two numbers are.
-LAWS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
+DISTRIBUTIONS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
 
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What a number is drawn from for each block: a name in `LAWS` and its two numbers."""
+    """What a number is drawn from for each block: a name in `DISTRIBUTIONS` and its two numbers."""
 
-    law: str
+    name: str
     first: float
     second: float
 
     def draw(self, seed: np.random.SeedSequence, n: int) -> Floats:
-        """One number a block, shape (n,); a seed's draws of one law differ by scale and shift only."""
+        """One number a block, shape (n,); a seed's draws of one distribution differ by scale and shift only."""
         rng = np.random.default_rng(seed)
-        return (rng.uniform if self.law == "uniform" else rng.normal)(self.first, self.second, n)
+        return (rng.uniform if self.name == "uniform" else rng.normal)(self.first, self.second, n)
 
     @property
     def size(self) -> float:
         """About the largest number that is drawn."""
-        spread = 0.0 if self.law == "uniform" else abs(self.first) + abs(self.second)
+        spread = 0.0 if self.name == "uniform" else abs(self.first) + abs(self.second)
         return max(abs(self.first), abs(self.second), spread)
 
     @property
     def word(self) -> str:
-        """What stands in a member's name: the law and its numbers."""
-        return f"{self.law}{short(self.first)}_{short(self.second)}"
+        """What stands in a member's name: the distribution and its numbers."""
+        return f"{self.name}{short(self.first)}_{short(self.second)}"
 
     def __str__(self) -> str:
-        return f"{self.law}({short(self.first)}, {short(self.second)})"
+        return f"{self.name}({short(self.first)}, {short(self.second)})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Course:
 
     @property
     def size(self) -> float:
-        """The largest number without its sign."""
+        """The largest absolute value."""
         return max(map(abs, self.values))
 
     @property
@@ -84,10 +84,10 @@ class Named:
 FILE, BELT, END = Named("file"), Named("belt"), Named("end")
 
 
-#: What one run has.
+#: The value of a key in one run.
 Value: TypeAlias = float | int | Distribution | Course | Named
 
-#: What a key holds: a tuple is a list of the file, of which each value is run.
+#: What a key holds: a tuple is a list in the file, each of whose values is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
 
 
@@ -108,12 +108,12 @@ def values(quantity: Quantity | None) -> tuple[Value, ...]:
 
 
 def size(quantity: Quantity) -> float:
-    """The largest number of a quantity without its sign."""
+    """The largest absolute value of a quantity."""
     return max(abs(value) if isinstance(value, float | int) else value.size for value in values(quantity))
 
 
 def lowest(value: Value) -> float:
-    """The smallest number that there can be, of none below zero."""
+    """The smallest number that a value can be, if it is never below zero."""
     return float(value) if isinstance(value, float | int) else value.first if isinstance(value, Distribution) else 0.0
 
 
@@ -125,7 +125,7 @@ def as_written(quantity: Quantity) -> Any:
         return str(quantity)
     if isinstance(quantity, Course):
         return {"times": list(quantity.times), "values": list(quantity.values)}
-    return {quantity.law: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
+    return {quantity.name: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
 
 
 # ---------------------------------------------------------------------------------------------- reading
@@ -133,12 +133,12 @@ def as_written(quantity: Quantity) -> Any:
 
 @dataclass(frozen=True)
 class Key:
-    """What pydantic is told of a quantity: its least value, and the laws that it may be drawn from.
+    """How pydantic reads a quantity: its least value, and the distributions that it may be drawn from.
 
-    `above`: the least value is none itself; `in_time`: it may be a `Course`.
+    `above`: the least value itself is excluded; `in_time`: it may be a `Course`.
     """
 
-    laws: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     least: float | None = None
     words: tuple[Named, ...] = ()
     above: bool = False
@@ -157,49 +157,55 @@ class Key:
             if given == one.word and given is whole:
                 return one
         number = _number(given)
-        if number is not None and self._bears(number):
+        if number is not None and self._allows(number):
             return number
         if self.in_time and isinstance(given, dict) and given.keys() & {"times", "values"}:
             if given is not whole:
                 raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
             return course(given)
-        if isinstance(given, dict) and self.laws:
+        if isinstance(given, dict) and self.names:
             return self._distribution(given)
         within = f" in {shown(whole)}" if given is not whole else ""
         remedy = unquoted(given) or f"; {self._write}"
         raise ValueError(f"expected {self._expected}, got {shown(given)}{within}{remedy}")
 
     def _distribution(self, given: dict[str, object]) -> Distribution:
-        law = next(iter(given), "")
-        if len(given) != 1 or law not in self.laws:
-            unknown = next((name for name in given if name not in LAWS), "")
-            meant = did_you_mean(unknown, self.laws) or f"; {self._write}"
+        name = next(iter(given), "")
+        if len(given) != 1 or name not in self.names:
+            unknown = next((one for one in given if one not in DISTRIBUTIONS), "")
+            meant = did_you_mean(unknown, self.names) or f"; {self._write}"
             bound = "" if self.least is None else f", which draw nothing below {self.least}"
             raise ValueError(
-                f"expected a distribution with one of the keys {', '.join(self.laws)}{bound}, got {shown(given)}"
+                f"expected a distribution with one of the keys {', '.join(self.names)}{bound}, got {shown(given)}"
                 + meant
             )
-        numbers = given[law]
+        numbers = given[name]
         match [_number(one) for one in numbers] if isinstance(numbers, list | tuple) else []:
             case [float(first), float(second)] if math.isfinite(second - first):
-                if second > 0 if law == "normal" else self._bears(first) and first < second:
-                    return Distribution(law, first, second)
+                if second > 0 if name == "normal" else self._allows(first) and first < second:
+                    return Distribution(name, first, second)
         least = "" if self.least is None else f"{self.least} {'<' if self.above else '<='} "
-        rule = "a deviation above 0" if law == "normal" else f"{least}low < high"
-        raise ValueError(f"expected {law} = {LAWS[law]}, two finite numbers with {rule}, got {shown(numbers)}")
+        rule = "a deviation above 0" if name == "normal" else f"{least}low < high"
+        raise ValueError(
+            f"expected {name} = {DISTRIBUTIONS[name]}, two finite numbers with {rule}, got {shown(numbers)}"
+        )
 
-    def _bears(self, number: float) -> bool:
+    def _allows(self, number: float) -> bool:
         return self.least is None or number > self.least or (number == self.least and not self.above)
 
     @property
     def _expected(self) -> str:
         number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
         course = ", or times and values" if self.in_time else ""
-        return f"{number}, a list of such or a distribution{course}" if self.laws else f"{number} or a list of such"
+        return (
+            f"{number}, a list of numbers or a distribution{course}"
+            if self.names
+            else f"{number} or a list of numbers"
+        )
 
     @property
     def _write(self) -> str:
-        drawn = " or ".join(f"{{{law} = [0.8, 1.2]}}" for law in self.laws)
+        drawn = " or ".join(f"{{{name} = [0.8, 1.2]}}" for name in self.names)
         return f"write e.g. 1.0, or [1.0, 2.0] to run each{f', or {drawn} to draw each block' if drawn else ''}"
 
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
@@ -213,8 +219,8 @@ class Key:
         one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
         pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
         drawn = [
-            {"type": "object", "properties": {law: pair}, "required": [law], "additionalProperties": False}
-            for law in self.laws
+            {"type": "object", "properties": {name: pair}, "required": [name], "additionalProperties": False}
+            for name in self.names
         ]
         items = {"anyOf": [one, *drawn]} if drawn else one
         named = [{"const": one.word} for one in self.words]
@@ -248,8 +254,8 @@ def _number(given: object) -> float | None:
 
 
 AnyNumber = Annotated[Quantity, Key()]
-Displacement = Annotated[Quantity, Key(tuple(LAWS), words=(FILE, END))]
-Velocity = Annotated[Quantity, Key(tuple(LAWS), words=(FILE, BELT, END))]
+Displacement = Annotated[Quantity, Key(tuple(DISTRIBUTIONS), words=(FILE, END))]
+Velocity = Annotated[Quantity, Key(tuple(DISTRIBUTIONS), words=(FILE, BELT, END))]
 
 
 # ---------------------------------------------------------------------------------------------- the grid
@@ -267,12 +273,12 @@ class Axis:
 
 
 def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
-    """The axes of the grid that some keys span, in their order: one a list; those named together are one.
+    """The axes of the grid that some keys span, in their order: one for each list; those named together share one.
 
     Raises
     ------
     ValueError
-        If a name in `together` is of no list or stands there twice, or lists of other lengths are to go together.
+        If a name in `together` has no list or is there twice, or lists that go together differ in length.
     """
     lists = {key: value for key, value in quantities.items() if isinstance(value, tuple)}
     named = list(itertools.chain.from_iterable(together))
@@ -300,7 +306,7 @@ def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
     """Numbers come before distributions."""
     drawn = [one if isinstance(one, Distribution) else None for one in row]
     numbers = [one if isinstance(one, float | int) else 0.0 for one in row]
-    return [(one.law, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
+    return [(one.name, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
 
 
 def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:

@@ -126,12 +126,35 @@ class Scene(StrictTable):
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # `as_scene` goes another way
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as its source: the classes of its tables are made when they are loaded, and have no names."""
+        return parse_scene, (self.source, "scene", self._folder)
+
     @property
     def source(self) -> bytes:
         """The scene as a file: the one that it was read from, or one written from what it was made of."""
         if self._source is not None:
             return self._source
         return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True)).encode()
+
+    @property
+    def from_source(self) -> Scene:
+        """The scene as its `source` gives it: itself if it was read from there.
+
+        Raises
+        ------
+        ValueError
+            If its source is that of other data.
+        """
+        if self._source is not None:
+            return self
+        found = parse_scene(self.source, "source", self._folder)
+        if found.hash != self.hash:
+            raise ValueError(
+                f"source: expected the file of the scene (hash {self.hash[:12]}), got that of another (hash "
+                f"{found.hash[:12]}); write the scene as a file"
+            )
+        return found
 
     @property
     def purpose(self) -> Purpose:
@@ -142,7 +165,7 @@ class Scene(StrictTable):
 
     @property
     def records(self) -> tuple[Record, ...]:
-        """What is kept of a run beside n_stick."""
+        """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump()
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
@@ -220,7 +243,7 @@ class Scene(StrictTable):
         return self
 
     def _static_holds(self) -> None:
-        """Static friction is at least the kinetic, at every point of the grid; of a file or a function, runs tell."""
+        """Static friction is at least the kinetic at every point of the grid; for files and functions, runs tell."""
         for _, at in self.points() if self.system.static is not None else ():
             held, kinetic = at["static"], at["friction"]
             if held is not None and kinetic is not None and lowest(held) < size(kinetic):
@@ -230,7 +253,7 @@ class Scene(StrictTable):
                 )
 
     def _parameters_are_columns(self) -> None:
-        """Each parameter of a function is a column beside the others, in tables and in SQL."""
+        """Each parameter of a function is a column like the others, in tables and in SQL."""
         if not self.system.parameters:
             return
         found = misnamed(self.system.parameters)
@@ -241,9 +264,14 @@ class Scene(StrictTable):
             )
 
     def check_engines(self) -> None:
-        """SceneError if an engine is asked for what it does not run; of a file or a function, its runs tell.
+        """Refuse engines that cannot run what the scene asks; for a file or a function, its runs tell.
 
-        Asked before a scene is run, not when it is read: data of such members as failed are read still.
+        Called before a scene is run, not when it is read: data with members that failed so can still be read.
+
+        Raises
+        ------
+        SceneError
+            If one cannot.
         """
         system, known = self.system, self.system.quantities
         push = [known[key] for key in ("force_amplitude", "force_course")]
@@ -467,7 +495,7 @@ def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) ->
 
 
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
-    """What a scene keeps of what it names, by the tables and the keys that hold it."""
+    """What a scene keeps of the files and datasets that it names, by table and key."""
     seen: dict[str, dict[str, Any]] = {}
     start = tables.get("start")
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:

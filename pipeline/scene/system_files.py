@@ -22,33 +22,33 @@ from stickslip.pipeline.scene.toml import MAX_BLOCKS
 #: The parts of a sparse matrix as `scipy.sparse.save_npz` names them, and what kind of numbers each holds.
 _SPARSE = {"data": "iuf", "indices": "i", "indptr": "i", "shape": "i", "format": "S"}
 
-#: The header of an array of numbers is shorter; Python's parser is not given more.
+#: Longest header that Python's parser is given; that of an array of numbers is shorter.
 _MAX_HEADER = 1000
 
 #: Bytes for each entry of a dense array of at most eight bytes a number: the file's, `System`'s and a kernel's copy.
 _BYTES_OF_ENTRY = 24
 
-#: Bytes of a number for each block are fewer, whatever its type.
+#: An array of a number for each block has fewer bytes, whatever its type.
 _MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
 
-#: Less than this fits any machine, and the memory that there is need not be looked up, which loads Dask.
+#: Bytes that fit any machine: for less, its memory is not looked up, which loads Dask.
 _SMALL = 1e8
 
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
-#: What an entry is multiplied by to give the one across the diagonal; None: that has one of its own.
+#: The factor from an entry to the one across the diagonal; None: the file has both.
 _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 
 
 def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
     """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
 
-    Of a file that is damaged Python's and NumPy's readers raise exceptions of many kinds; none of them crashes.
+    The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes.
 
     Raises
     ------
     ValueError
-        If it is no such file, or claims what it does not hold.
+        If it is no such file, or does not hold what it claims.
     Exception
         If it is damaged.
     """
@@ -64,7 +64,7 @@ def _npy_alone(content: bytes, _: Sequence[str]) -> dict[str, Any]:
 
 
 def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndarray:
-    """The array of an .npy file of so many bytes."""
+    """The array of an .npy file of `size` bytes."""
     version = npy.read_magic(stream)
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in readers:  # the third is for names of fields
@@ -146,7 +146,7 @@ def _compressed(parts: dict[str, np.ndarray]) -> Any:
 
 
 def _square(shape: Sequence[int]) -> int:
-    """The number of blocks of a matrix of such a shape."""
+    """The number of blocks of a matrix of a shape, which has to be square."""
     if not isinstance(shape, list) or len(shape) != 2 or shape[0] != shape[1] or not 0 < shape[0] <= MAX_BLOCKS:
         raise ValueError(f"stiffness: expected a square matrix of at most {MAX_BLOCKS} blocks, got the shape {shape}")
     return shape[0]
@@ -185,7 +185,7 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
         with warnings.catch_warnings(action="error"):  # of a number that NumPy would round
             table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
     if table.size != entries:
-        raise ValueError(f"expected {entries} entries, of which its line of sizes tells, got {table.size}")
+        raise ValueError(f"expected {entries} entries, as its line of sizes says, got {table.size}")
     values = table["value"].astype(np.float64)
     if layout == "coordinate":
         return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign)}

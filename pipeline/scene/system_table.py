@@ -34,7 +34,7 @@ OF_FILE = "file"
 #: The keys that a force is given by: a harmonic one, or one that is linear between times.
 _FORCES = (("amplitude", "frequency"), ("times", "values"))
 
-#: What the coupling looks like whose systems a function makes.
+#: Pattern of a coupling that names a function.
 _FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
 
 
@@ -70,7 +70,7 @@ class FileTable(StrictTable):
     entries: Annotated[int, Field(ge=0)]
     is_sparse: bool
     arrays: Annotated[tuple[str, ...], List]
-    version: Literal[1, 2] = 1  # of how draws are numbered; datasets of before do not say it
+    version: Literal[1, 2] = 1  # of how draws are numbered; older datasets do not say
 
 
 def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
@@ -103,7 +103,7 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     def _one_form(cls, given: Any) -> Any:
         keys = set(given) if isinstance(given, dict) else set()
         if keys - set(cls.model_fields):
-            return given  # and what is unknown is told
+            return given  # unknown keys are refused by name
         if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
             raise ValueError(
                 f"expected amplitude and frequency, or times and values, got {shown(given)}; write e.g."
@@ -200,7 +200,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
 
     @property
     def bytes_of_system(self) -> float:
-        """About what drawing the largest system takes."""
+        """About how many bytes drawing the largest system takes."""
         n = max(self.n)
         if self.coupling in COUPLINGS:
             return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum

@@ -30,21 +30,21 @@ from stickslip.sim.numerics.arguments import did_you_mean, per_block
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
 
-#: What a file may hold beside `stiffness`, a number a block each.
+#: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
 #: Seconds that a function has for two systems when a scene is read.
 LONGEST_TRIAL = 40.0
 
-#: How the names begin under which modules of functions are loaded.
+#: Prefix of the names under which modules of functions are loaded.
 _OWN = "_own_"
 
-#: Held while a function makes a system: what a process has loaded is one table.
+#: Held while a function makes a system: the threads of a process share its table of modules.
 _alone = threading.RLock()
 
 
 class ChangedError(SceneError):
-    """What systems come from is there, and is not what it was."""
+    """A file or a module that systems come from has changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class SystemFile:
         return f"K{self.sha256[:12]}"
 
     def matrix(self, draw: int) -> int:
-        """The number of a draw of what the file leaves open: of its content, so that other files move nothing.
+        """The number of a draw of what the file leaves open. It depends on the content: other files change nothing.
 
         Below 2^63; in version 1 below 2^28, where two of some 20,000 files are likely to share one.
         """
@@ -96,7 +96,7 @@ class SystemFunction:
 
 
 def located(names: Iterable[str], folder: Path) -> dict[str, str]:
-    """Where the files lie that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+    """The paths of files that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
     at = {}
     for name in names:
@@ -151,11 +151,13 @@ def _digest(content: bytes) -> str:
 
 def _content(path: Path) -> bytes:
     try:
-        # a pipe that nobody writes to would be waited for
+        # a pipe that nobody writes to would block
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             facts = os.fstat(file.fileno())
             if not stat.S_ISREG(facts.st_mode):
-                raise SceneError(f"system.path: expected a file, got {path}, which is none; correct the path")
+                raise SceneError(
+                    f"system.path: expected a file, got {path}, which is not a regular file; correct the path"
+                )
             content = file.read(facts.st_size + 1)
     except OSError as error:
         raise SceneError(
@@ -172,7 +174,7 @@ def _content(path: Path) -> bytes:
 def _arrays(name: str, content: bytes) -> dict[str, Any]:
     try:
         return arrays_of(content, BY_BLOCK)
-    except Exception as error:  # of what is damaged readers tell by a dozen kinds of errors, which no list names
+    except Exception as error:  # readers raise a dozen kinds of errors for damaged files, which no list names
         raise SceneError(
             f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
             f"write it again, or correct the path"
@@ -180,13 +182,13 @@ def _arrays(name: str, content: bytes) -> dict[str, Any]:
 
 
 def _line(error: Exception) -> str:
-    """What an error says, in a line."""
+    """The message of an error, in a line."""
     why = printable(" ".join(str(error).split())) or type(error).__name__
     return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
 def _checked(name: str, content: bytes) -> dict[str, Any]:
-    """What a scene says of a file once it is read, as plain values."""
+    """What a scene says of a file that was read, as plain values."""
     arrays = _arrays(name, content)
     try:
         system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
@@ -206,9 +208,9 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
 
 
 def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
-    """What the files that a pattern names are now, by their names beside the scene, as plain values.
+    """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
-    From then on the scene is known without them, and a file that changes is another scene.
+    From then on the scene can be read without them, and a changed file makes another scene.
 
     Raises
     ------
@@ -265,8 +267,8 @@ def make(
     Raises
     ------
     SceneError
-        If the module or the function is gone, or not what it was; or what it returned is no such system; or it takes
-        from beside the scene what it did not when it was tried.
+        If the module or the function is gone or has changed, it returned no system of n blocks, or it loads a module
+        beside the scene that it did not load when it was tried.
     """
     process = os.getpid()
     with _alone, _own_modules(function, is_trial):
@@ -292,7 +294,7 @@ def make(
 
 
 def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
-    """What a scene says of a function once it has made a system, twice and in another process, as plain values.
+    """What a scene says of a function that has made a system, twice and in another process too, as plain values.
 
     Raises
     ------
@@ -305,7 +307,7 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
         for limit in limits:
             limit.start()
         try:
-            # what a module draws when it is loaded, and what hangs on the order of a set, is another in each process
+            # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
             again = aside.submit(other, (function, n, dict(parameters), 1))
             problem, found = child((function, n, dict(parameters), 2))
             if not problem and found.pop("digest") != again.result()[1].get("digest"):
@@ -327,10 +329,10 @@ def tried(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> 
 
 
 def _try(task: tuple[SystemFunction, int, dict[str, float], int]) -> tuple[str, dict[str, Any]]:
-    """In a child: what is wrong with a function, or else what it made, so many times, and read."""
+    """In a child, call a function some times: what is wrong with it, or else facts of what it made and read."""
     function, n, parameters, times = task
-    watch = _Watch()
-    sys.addaudithook(watch)
+    audit = _Audit()
+    sys.addaudithook(audit)
     try:
         systems = [make(function, n, np.random.default_rng(0), parameters, is_trial=True) for _ in range(times)]
     except SceneError as error:
@@ -344,7 +346,7 @@ def _try(task: tuple[SystemFunction, int, dict[str, float], int]) -> tuple[str, 
     return "", {
         "is_sparse": not isinstance(stiffness, np.ndarray),
         "entries_by_block": stiffness.size / n,
-        "beside": _beside(function, watch),
+        "beside": _beside(function, audit),
         "digest": digests.pop(),
     }
 
@@ -353,15 +355,15 @@ _DIFFER = "expected the same system each time for the same rng, got two that dif
 
 
 def _parts(system: System) -> list[Any]:
-    """All that a system is given."""
+    """All that determines a system."""
     stiffness = system.stiffness
     dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
     rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "weakening", "back_slip")]
     return [dense, *rest]
 
 
-class _Watch:
-    """Hears by Python's audit what a function does while it is tried: it may not fork, and what it reads is kept."""
+class _Audit:
+    """A hook of Python's audit while a function is tried: refuses forks, and notes the files that are opened."""
 
     def __init__(self) -> None:
         self.read: set[str] = set()
@@ -378,23 +380,23 @@ class _Watch:
 
     @property
     def files(self) -> set[str]:
-        """What was read, and not written; compiled modules are loaded without a word."""
+        """What was read, and not written; of compiled modules the audit hears nothing."""
         modules = [sys.modules.get(name) for name in set(sys.modules) - self._modules]
         loaded = {file for module in modules if (file := getattr(module, "__file__", None))}
         return (self.read | loaded) - self.written
 
 
-def _beside(function: SystemFunction, watch: _Watch) -> dict[str, str]:
+def _beside(function: SystemFunction, audit: _Audit) -> dict[str, str]:
     """The sha256 of each file that was read and lies in the scene's folder or below, by its path there."""
     root, found = Path(function.at), {}
-    for name in {name for file in watch.files if (name := _name_beside(file, root)) is not None}:
+    for name in {name for file in audit.files if (name := _name_beside(file, root)) is not None}:
         with contextlib.suppress(SceneError):  # it is gone, or no plain file
             found[name] = _digest(_content(root / name))
     return dict(sorted(found.items()))
 
 
 def _name_beside(file: str, root: Path) -> str | None:
-    """The path in a scene's folder of a file there or below; None: of another, an installed or a hidden one."""
+    """The path of a file within a scene's folder; None if it lies elsewhere, is installed or hidden."""
     if "__pycache__" in file:
         try:
             file = importlib.util.source_from_cache(file)
@@ -402,7 +404,7 @@ def _name_beside(file: str, root: Path) -> str | None:
             return None
     if _is_installed(Path(file).resolve()):
         return None
-    # a link there that leads out of it is there
+    # a link there counts, even if it leads out of it
     for path in (Path(file), Path(file).parent.resolve() / Path(file).name):
         if path.is_relative_to(root):
             name = path.relative_to(root)
@@ -456,7 +458,7 @@ def _module_file(module: str, at: str, sha256: str) -> Path:
 
 @lru_cache(maxsize=8)
 def _function(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ...]) -> Callable[..., object]:
-    """The function, of a module that is loaded under a name of its own, so that what is on disk is what is called."""
+    """The function; its module is loaded under a name of its own, so that the file on disk is what runs."""
     module, _, attribute = name.partition(":")
     file = _module_file(module, at, sha256)
     _check_beside(_root(at, beside), beside)
@@ -473,7 +475,7 @@ def _function(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ..
 
 
 def _root(at: str, beside: tuple[tuple[str, str], ...]) -> Path:
-    """The folder that the modules beside a scene lie in: that one, or above it, as its copy may lie deeper."""
+    """The folder of the modules beside a scene: the scene's, or one above it, as its copy may lie deeper."""
     places = (Path(at), *Path(at).parents)
     return next((place for place in places if all((place / name).is_file() for name, _ in beside)), Path(at))
 
@@ -486,15 +488,15 @@ def _file_of(module: str, folder: Path) -> Path | None:
         return beside
     try:
         spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):  # of a package that is not there, or by a name that is none
+    except (ImportError, ValueError):  # its package is not there, or its name is not one
         return None
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
 class _Source(importlib.machinery.SourceFileLoader):
-    """Compiles what is on disk.
+    """Compiles the file on disk each time.
 
-    Python would take compiled code for that of any file of the same size that was written in the same second.
+    Python would take compiled code for that of another file of the same size that was written in the same second.
     """
 
     def get_code(self, fullname: str) -> types.CodeType:
@@ -528,14 +530,14 @@ def _modules(root: Path, beside: tuple[tuple[str, str], ...]) -> dict[str, types
 
 @contextlib.contextmanager
 def _own_modules(function: SystemFunction, is_trial: bool) -> Iterator[None]:
-    """Within: what a function imports is looked for beside its scene first.
+    """Within: a function's imports are looked for beside its scene first.
 
-    The modules there are the function's own: others of their names, of another scene or of the caller, are set aside.
+    The modules there are the function's own: others of the same names, of another scene or the caller, are set aside.
 
     Raises
     ------
     SceneError
-        If modules there were loaded that were not when it was tried, and which nobody would miss if they changed.
+        If it loaded modules there that it did not load when it was tried: nobody would notice if they changed.
     """
     root = _root(function.at, function.beside)
     own, finder = _modules(root, function.beside), _FromSource(root)
@@ -564,7 +566,7 @@ def _own_modules(function: SystemFunction, is_trial: bool) -> Iterator[None]:
 
 
 def _loaded_beside(names: Iterable[str], root: Path) -> dict[str, str]:
-    """The files of those of some modules that lie beside the scene, but for the function's own."""
+    """The files of those modules that lie beside the scene, without the function's own."""
     files = {name: getattr(sys.modules.get(name), "__file__", None) for name in names if not name.startswith(_OWN)}
     return {name: file for name, file in files.items() if file and _name_beside(file, root) is not None}
 
@@ -580,7 +582,7 @@ def _names(files: Iterable[str]) -> set[str]:
 
 
 def _module_of(file: str) -> str:
-    """The name of a file without what modules end with; "" if it is none."""
+    """The name of a module's file without its ending; "" for other files."""
     endings = sorted(importlib.machinery.all_suffixes(), key=len, reverse=True)
     ending = next(filter(file.endswith, endings), None)
     return "" if ending is None else file.removesuffix(ending)

@@ -59,7 +59,7 @@ class EndsTable(StrictTable):
 
 
 def _either_a_dataset(schema: dict[str, Any]) -> None:
-    """Editors may see a start without z and w, if it names a dataset."""
+    """Let editors accept a start without z and w, if it names a dataset."""
     schema |= {"if": {"required": ["dataset"]}, "else": {"required": schema.pop("required")}}
 
 
@@ -153,20 +153,20 @@ class TwinsTable(StrictTable):
 
 
 def _key(record: type[Record]) -> tuple[Any, Any]:
-    """What may be written for a record under [record], and pydantic's field of it."""
+    """The type of a record's key under [record], and pydantic's field for it."""
     examples = None if record.example is None else [record.example]
     if "step" in record.__dataclass_fields__:
         return Positive | None, Field(default=None, description=record.words, examples=examples)
     return bool, Field(default=False, description=record.words, examples=examples)
 
 
-#: A key a record that a scene asks for there, rather than by another table.
+#: A key for each record that is asked for under [record], not by another table.
 _KEYS: dict[str, Any] = {record.name: _key(record) for record in RECORDS if record.words}
 _Records: Any = create_model("_Records", __base__=StrictTable, **_KEYS)
 
 
 class RecordTable(_Records):  # type: ignore[misc]
-    """[record]: what is kept beside the change points of n_stick, which always are."""
+    """[record]: what is kept in addition to the change points of n_stick, which always are."""
 
 
 class MarginsTable(StrictTable):
@@ -182,12 +182,12 @@ class MarginsTable(StrictTable):
     correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
 
 
-#: The name of a question, which pipeline cannot know: whoever makes the report refuses what it does not.
+#: The name of a question. The pipeline does not know which there are: whoever makes the report refuses others.
 QuestionName = Annotated[str, Field(pattern=r"^[a-z]\w*$")]
 
 
 class AnalysisTable(StrictTable):
-    """[analysis]: handed to the statistics; without influence on the data."""
+    """[analysis]: settings of the statistics; without influence on the data."""
 
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
     dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])

@@ -1,4 +1,4 @@
-"""What every scene file is made of, an ensemble's or a chart's: strict tables of TOML; errors name the key."""
+"""What scene files of ensembles and charts share: strict tables of TOML; errors name the key."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from stickslip.sim.numerics.arguments import did_you_mean
 #: A dense K of this many blocks is 80 GB.
 MAX_BLOCKS = 100_000
 
-#: More values of one key than anybody reads a report of.
+#: Values of one key at most: nobody reads a report of more.
 MAX_VALUES = 1000
 
 
@@ -93,7 +93,7 @@ PositiveNumbers = Annotated[
 
 
 def listed(one: dict[str, Any]) -> WithJsonSchema:
-    """The schema of a value, or of a list of such."""
+    """The schema of a value, or of a list of values."""
     return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]})
 
 
@@ -148,7 +148,7 @@ def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
     Raises
     ------
     SceneError
-        If it is none; one line a problem.
+        If that is no scene; one line a problem.
     """
     with explained(kind, f"{name}: "):
         return kind.model_validate(tables)
@@ -213,7 +213,7 @@ def _value(value: object) -> str:
 
 
 class _OfToml(GenerateJsonSchema):
-    """JSON Schema of TOML, which has no null: what may be left out is just that."""
+    """JSON Schema of TOML, which has no null: what may be null may be left out."""
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])
@@ -231,8 +231,8 @@ class _OfToml(GenerateJsonSchema):
 def json_schema(kind: type[StrictTable]) -> dict[str, Any]:
     """JSON Schema (draft 7) of the scene files of one kind, for editors.
 
-    It has keys, types, ranges, choices, defaults and examples. What keys demand of each other is `as_scene`'s to
-    check: it refuses all that the schema refuses, and more.
+    It has keys, types, ranges, choices, defaults and examples. Conditions between keys are left to
+    `as_scene`, which refuses all that the schema refuses, and more.
     """
     return {"$schema": "http://json-schema.org/draft-07/schema#", **kind.model_json_schema(schema_generator=_OfToml)}
 
@@ -290,7 +290,7 @@ def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str
 def _problems(error: ValidationError, kind: type[BaseModel]) -> Iterator[str]:
     """One line a problem: key, expected, got, remedy."""
     for detail in error.errors():
-        if detail["type"] == "too_short" and detail["input"]:  # there are values, but wrong ones, of which it said so
+        if detail["type"] == "too_short" and detail["input"]:  # its values were wrong, and have their own lines
             continue
         path, table, key = _place(detail["loc"], kind)
         yield _problem(path, table, key, detail)
@@ -305,9 +305,7 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
     is_plain = bool(examples) and isinstance(examples[0], bool | int | float | str | list | tuple)
     example = f"`{key} = {json.dumps(examples[0])}`" if is_plain and examples[0] not in ("", ()) else ""
 
-    if (
-        kind == "value_error"
-    ):  # our own words, which name the key where a whole table was looked at, if it is one key's
+    if kind == "value_error":  # our own message; where a whole table was checked, it begins with the key
         message = str(detail["ctx"]["error"])
         is_whole = key is not None or message.startswith("expected")
         return f"{path}: {message}" if is_whole else f"{path}.{message}".lstrip(".")

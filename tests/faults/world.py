@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stickslip.pipeline import expand, parse_scene, run_ensemble, verify
+from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.manifest import read_manifest
-from stickslip.pipeline.running.worker import program
 from tests.scenes import ensemble
 
 ROOT = Path(__file__).parents[2]

@@ -121,7 +121,7 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
     assert verify(tmp_path / "out") == []
     assert not (tmp_path / "out" / ".lock").exists()
     before = content(tmp_path / "out")
-    planned, to_go = Store(tmp_path / "out", scene, source).look()
+    planned, to_go = Store(tmp_path / "out", scene).look()
     assert to_go == planned[1:]
     assert content(tmp_path / "out") == before
     run_ensemble(scene, tmp_path / "out", workers=0)

@@ -307,7 +307,7 @@ def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
 def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.dataset.writer._LAST_SECONDS", 0.1)
     answered, listed = threading.Event(), []
-    with Store(stored, scene, source) as store:
+    with Store(stored, scene) as store:
         monkeypatch.setattr(object_store.Prefix, "names", lambda self: listed.append(answered.wait(60)) or [])
         store._sweep()
         assert listed == []

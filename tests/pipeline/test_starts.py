@@ -158,6 +158,15 @@ def test_a_table_within_a_line_can_be_read_too(first):
     assert load_scene(first / "next.toml").hash == load_scene(first / "other.toml").hash
 
 
+def test_a_scene_is_parsed_without_a_look_at_the_dataset_that_it_names(first):
+    (first / "next.toml").write_text(scene(GOES_ON))
+    following = load_scene(first / "next.toml")
+    shutil.rmtree(first / "runs")
+    assert parse_scene(following.source).hash == following.hash
+    with pytest.raises(SceneError, match=r"start\.dataset: .*no such directory"):
+        ends.check(parse_scene(following.source))
+
+
 def test_a_dataset_that_changed_is_another_start(first):
     (first / "next.toml").write_text(scene(GOES_ON))
     run_ensemble(load_scene(first / "next.toml"), first / "runs" / "next", workers=0)
@@ -172,7 +181,7 @@ def test_a_dataset_that_changed_since_the_scene_was_read_starts_nothing(first):
     following = load_scene(first / "next.toml")
     (first / "first.toml").write_text(scene(rest="[record]\nend = true").replace("matrices = 2", "matrices = 3"))
     run_ensemble(load_scene(first / "first.toml"), first / "runs" / "first", workers=0)
-    ends._opened.cache_clear()  # as in a worker, which opens it later
+    ends._with_ends.cache_clear()  # as in a worker, which opens it later
     with pytest.raises(SceneError, match=r"as it was when the scene was read .* got another"):
         end_of(expand(following)[0])
 

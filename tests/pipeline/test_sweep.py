@@ -428,7 +428,7 @@ BAD = {
     "drawn where nothing is by block": (
         "kappa = [0.2, 0.1]",
         "kappa = {uniform = [0, 1]}",
-        ["system.kappa", "a list of such", "uniform"],
+        ["system.kappa", "a list of numbers", "uniform"],
     ),
     "an unknown law": ("w = -0.4", "w = {unifrom = [0, 1]}", ["start.w", "did you mean 'uniform'"]),
     "two laws": (

@@ -196,7 +196,7 @@ def test_a_line_that_a_crash_cut_short_spoils_no_other(tmp_path):
 
 
 def test_a_commit_that_fails_is_forgotten(scene, source, tmp_path, monkeypatch):
-    with Store(tmp_path, scene, source) as store:
+    with Store(tmp_path, scene) as store:
         first, second = (compute(*task) for task in store.todo[:2])
         fsync, calls = os.fsync, []
 

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,9 +27,11 @@ import pytest
 from stickslip import workflows
 from stickslip.analysis import Report
 from stickslip.pipeline import Progress, load_scene, query, status
+from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.status import Began, Follower, Tally
 from stickslip.pipeline.running import estimate
+from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
 from stickslip.workflows.commands import _COMMANDS, main
 from stickslip.workflows.progress import Watch
@@ -667,7 +671,7 @@ def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, tmp_path, monk
     dataset = shutil.copytree(dataset, tmp_path / "begun")
     (dataset / "report.html").unlink()
     none_done = dataclasses.replace(status(dataset), n_done=0)
-    monkeypatch.setattr("stickslip.workflows.reporting.status", lambda path: none_done)
+    monkeypatch.setattr("stickslip.workflows.reporting.Tally.of", lambda *_: none_done)
     for more in ([], ["--compare", str(dataset)]):
         assert main(["report", str(dataset), *more]) == 1
         assert "no member is done yet; run the scene first" in capsys.readouterr().err
@@ -676,3 +680,43 @@ def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, tmp_path, monk
 def test_a_comparison_never_takes_the_place_of_a_dataset(dataset, capsys):
     assert main(["report", str(dataset), "--compare", str(dataset), "--out", str(dataset)]) == 2
     assert "holds an ensemble" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "n_opened"),
+    [
+        ("report .", 1),
+        ("report . --compare ../other", 2),
+        ("status .", 1),
+        ("verify .", 1),
+        ("query . 'SELECT count(*) FROM members'", 1),
+        ("export . --netcdf ../one.nc", 1),
+    ],
+)
+def test_a_command_opens_each_dataset_once_and_parses_its_scene_once(
+    command, n_opened, dataset, tmp_path, monkeypatch, capsys
+):
+    for name in ("one", "other"):
+        shutil.copytree(dataset, tmp_path / name)
+        (tmp_path / name / "report.html").unlink()
+    monkeypatch.chdir(tmp_path / "one")
+    counts = Counter()
+
+    def count(module, name):
+        function = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *given, **more: counts.update([name]) or function(*given, **more))
+
+    count(opened, "parse_scene")
+    count(opened, "read_manifest")
+    assert main(shlex.split(command)) == 0
+    assert counts == {"parse_scene": n_opened, "read_manifest": n_opened}
+
+
+def test_a_run_parses_its_scene_once_and_once_for_its_report(small_scene, tmp_path, monkeypatch):
+    parsed = []
+    as_scene = scene_module.as_scene
+    monkeypatch.setattr(scene_module, "as_scene", lambda *given: parsed.append(given) or as_scene(*given))
+    for more, n in ((["--no-report"], 1), ([], 2)):
+        parsed.clear()
+        assert main(["run", str(small_scene), "--out", str(tmp_path / "out"), "--workers", "1", *more]) == 0
+        assert len(parsed) == n

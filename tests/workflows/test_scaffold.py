@@ -16,7 +16,7 @@ from stickslip import analysis, pipeline, sim
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.pipeline import Scene, load_scene
 from stickslip.pipeline.scene.engine_table import TOLERANCES
-from stickslip.pipeline.scene.quantity import LAWS
+from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
 from stickslip.pipeline.scene.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.charts import CHARTS
@@ -153,7 +153,7 @@ def listed(chart, capsys):
 def paths(table, path=""):
     for key, value in table.items():
         for found in value if isinstance(value, list) else [value]:
-            if isinstance(found, dict) and not found.keys() & {*LAWS, "times"}:
+            if isinstance(found, dict) and not found.keys() & {*DISTRIBUTIONS, "times"}:
                 yield from paths(found, f"{path}{key}.")
             elif key != "name":
                 yield path + key
