@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-import scipy.sparse
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import (
@@ -198,23 +197,6 @@ def test_a_vanishing_cross_damping_is_none():
     assert tiny.cross_damping is not None
     np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-8)  # |z| to 20; either is off by 3e-8, and steps may differ
     np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["dense", "sparse"])
-def test_renumbered_blocks_give_the_renumbered_run(kind):
-    system, z0, w0, rng = draw(3, 0.3)
-    order = rng.permutation(system.n)
-    pick = np.ix_(order, order)
-    stiffness = system.stiffness[pick] if kind == "dense" else scipy.sparse.csc_array(system.stiffness[pick])
-    other = System(stiffness, full(system)[pick], system.friction[order], system.belt_speed)
-    a = simulate(system, z0, w0, 6.0, eps=0.01, **FINE)
-    b = simulate(other, z0[order], w0[order], 6.0, eps=0.01, **FINE)
-    np.testing.assert_allclose(b.z, a.z[order], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(b.w, a.w[order], rtol=0, atol=1e-8)
-    assert len(a.events) > 3
-    np.testing.assert_array_equal(order[b.events.block], a.events.block)
-    np.testing.assert_array_equal(b.events.mode, a.events.mode)
-    np.testing.assert_allclose(b.events.t, a.events.t, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -149,29 +149,6 @@ def test_a_block_without_springs_stops_as_its_closed_form_says():
     assert stop == pytest.approx(0.3 / mu * np.log((mu * np.exp(u / 0.3) + 1.5 - mu) / 1.5), rel=1e-12)
 
 
-@pytest.mark.parametrize("law", [Rational(4.0), Stribeck(0.2)])
-def test_renumbering_mirror_and_units(law):
-    rng = np.random.default_rng(secrets.randbits(32))
-    chain = draw_system("chain", 8, secrets.randbits(32), kappa=0.5, leaf=1.0, rho=0.1, static=1.5)
-    system = chain.changed(weakening=law, back_slip=False, stiffness=chain.stiffness.toarray())
-    z = rng.uniform(-0.5, 0.5, 8)
-    run = simulate(system, z, -0.2, 12.0, tol=1e-12)
-    assert len(run.events) > 0
-    order = rng.permutation(8)
-    other = system.changed(stiffness=system.stiffness[np.ix_(order, order)], damping=system.damping[order])
-    np.testing.assert_allclose(simulate(other, z[order], -0.2, 12.0, tol=1e-12).z, run.z[order], rtol=0, atol=1e-8)
-    mirror = system.changed(belt_speed=0.2, back_slip=False)
-    np.testing.assert_allclose(simulate(mirror, -z, 0.2, 12.0, tol=1e-12).z, -run.z, rtol=0, atol=1e-13)
-    # lengths times 3, and forces
-    scaled_law = Rational(law.rate / 3) if isinstance(law, Rational) else Stribeck(law.speed * 3)
-    scaled = system.changed(friction=3.0, static=4.5, belt_speed=-0.6, weakening=scaled_law)
-    np.testing.assert_allclose(simulate(scaled, 3 * z, -0.6, 12.0, tol=1e-12).z, 3 * run.z, rtol=0, atol=1e-8)
-    middle = 5.0
-    first = simulate(system, z, -0.2, middle, tol=1e-12)
-    second = simulate(system, first.z, first.w, 12.0, t_start=middle, tol=1e-12)
-    np.testing.assert_allclose(second.z, run.z, rtol=0, atol=1e-8)
-
-
 def test_a_law_that_hardly_falls_is_constant_friction():
     system = draw_system("antisymmetric", 20, 0, static=1.2)
     plain = simulate(system, -0.7, -0.4, 20.0)
