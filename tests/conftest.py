@@ -18,6 +18,14 @@ settings.register_profile("any machine", deadline=None, print_blob=True)  # none
 settings.load_profile("any machine")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Tests of a file stay with one worker, as far as both have work: then one alone makes what they share."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getvalue("dist") == "load" else None
+
+
 @pytest.fixture(autouse=True, scope="session")
 def answers_to_ctrl_c():
     """A shell starts what it puts into the background deaf to SIGINT; tests, and what they start, are not."""

@@ -1,7 +1,7 @@
 """Opening a dataset to read: its scene, its manifest, and the shards that the manifest lists.
 
 A dataset is opened once and handed on as `Opened`, so that all that is read of it is of one moment. Functions that
-take a path take what is open too.
+take a path also take an `Opened`.
 
 Parquet's own checksums cover its pages, not its footer, and cannot tell that a file took another's place. So every
 shard is checked against its sha256 in the manifest before it is read.
@@ -75,12 +75,12 @@ class Opened:
             )
 
     def check(self, names: Sequence[str] | None = None) -> None:
-        """Check shards, or all, against the manifest; a file that was checked is read again only if it was touched.
+        """Check some shards, or all, against the manifest; a checked one is read again only if its file has changed.
 
         Raises
         ------
         StoreError
-            If one is not what was written, was replaced since the dataset was opened, or is not there.
+            If one is not what was written, was changed since the dataset was opened, or is not there.
         """
         place, known = self.place, self.manifest.shards
         files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
@@ -96,8 +96,8 @@ class Opened:
                 problem = known[name].damage(content) if name in known else "not in the manifest any more"
                 if problem and name in known and read_manifest(place).shards.get(name) != known[name]:
                     raise StoreError(
-                        f"{place.named(files[name])}: expected the shard that was there when the dataset was opened, "
-                        f"got one that a run has written since; rerun the command"
+                        f"{place.named(files[name])}: expected the shard that was listed when the dataset was "
+                        f"opened, got what a run has changed since; rerun the command"
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")

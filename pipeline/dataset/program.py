@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
+import io
+import tokenize
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -31,14 +32,12 @@ _OUTSIDE = ("sim/theory/", "sim/runs/show.py")
 def program() -> str:
     """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it.
 
-    The digest is of the parsed code: a comment, a docstring or another layout leaves it as it is.
+    The digest is of the code's tokens: a comment, a docstring, an empty or a broken line leaves it as it is.
     """
     digest = hashlib.sha256()
     root = Path(stickslip.__file__).parent
     for name, file in sorted(_sources(root)):
-        words = [name]
-        _add(ast.parse(file.read_bytes()), words)
-        digest.update("\n".join(words).encode(errors="surrogatepass"))
+        digest.update("\0".join((name, *_words(file.read_bytes()), "")).encode())
     return f"{__version__}-{digest.hexdigest()[:16]}"
 
 
@@ -51,26 +50,55 @@ def _sources(root: Path) -> Iterator[tuple[str, Path]]:
                 yield name, file
 
 
-def _add(node: object, words: list[str]) -> None:
-    """Add parsed code word by word; what is absent is left out, as versions of Python differ in how they say so."""
-    if isinstance(node, ast.AST):
-        words.append(type(node).__name__)
-        for field in node._fields:
-            value = getattr(node, field, None)
-            if value is not None and value != []:
-                words.append(field)
-                _add(value, words)
-        words.append(".")
-    elif isinstance(node, list):
-        words.append("[")
-        for entry in node:
-            if not _is_text(entry):
-                _add(entry, words)
-        words.append("]")
-    else:
-        words.append(repr(node))
+#: Tokens that say how code is laid out, by what stands for them; those of None mean nothing.
+_LAYOUT = {
+    tokenize.INDENT: ">",
+    tokenize.DEDENT: "<",
+    tokenize.COMMENT: None,
+    tokenize.NL: None,
+    tokenize.ENCODING: None,
+    tokenize.ENDMARKER: None,
+}
 
 
-def _is_text(node: object) -> bool:
-    """Whether a statement is a text and no more, as a docstring is."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+def _words(source: bytes) -> Iterator[str]:
+    """The tokens of code, without statements that are nothing but a text, as docstrings are.
+
+    Not its syntax tree: CPython 3.11 cannot build two at once in threads, as those of a worker would.
+    """
+    line: list[str] = []
+    is_text = True
+    for kind, word in _tokens(source):
+        if kind == tokenize.NEWLINE:
+            if not is_text:
+                yield from (*line, ";")
+            line, is_text = [], True
+        elif kind not in _LAYOUT:
+            line.append(word)
+            is_text = is_text and kind == tokenize.STRING
+        elif (mark := _LAYOUT[kind]) is not None:
+            yield mark
+
+
+def _tokens(source: bytes) -> Iterator[tuple[int, str]]:
+    """Kind and text of each token; an f-string is one, as before Python 3.12, which takes it to pieces."""
+    begins, ends = (getattr(tokenize, f"FSTRING_{name}", None) for name in ("START", "END"))
+    lines = source.decode().splitlines(keepends=True)
+    depth, start = 0, (0, 0)
+    for token in tokenize.tokenize(io.BytesIO(source).readline):
+        if token.type == begins:
+            start = start if depth else token.start
+            depth += 1
+        elif token.type == ends:
+            depth -= 1
+            if not depth:
+                yield tokenize.STRING, _between(lines, start, token.end)
+        elif not depth:
+            yield token.type, token.string
+
+
+def _between(lines: list[str], start: tuple[int, int], end: tuple[int, int]) -> str:
+    """The text from one place to another, each a line, counted from 1, and a column."""
+    rows = lines[start[0] - 1 : end[0]]
+    rows[-1] = rows[-1][: end[1]]
+    return "".join(rows)[start[1] :]

@@ -181,7 +181,7 @@ OUTSIDE = (
 SAID = [
     ("sim/engines/loop.py", "from __future__", "# A comment.\nfrom __future__"),
     ("sim/engines/loop.py", '"""', '"""Another docstring. '),
-    ("pipeline/records/end.py", "class End(Record):\n", "class End(\n    Record,\n):  # a comment\n"),
+    ("pipeline/records/end.py", "class End(Record):\n", "class End(\n    Record\n):  # a comment\n\n"),
     ("pipeline/records/end.py", '    """', '    """Another docstring. '),
 ]
 DONE = [

@@ -5,7 +5,6 @@ import secrets
 import numba
 import numpy as np
 import pytest
-import scipy.sparse
 
 from stickslip.sim import System, draw_system, simulate
 from stickslip.sim.engines.sigmoid import friction
@@ -112,17 +111,6 @@ def test_cross_damping():
     exact = reference.states(system, -0.7, -0.4, 0.02, times, 1e-11, 0.02)
     got = simulate(system, -0.7, -0.4, 8.0, t_eval=times, engine="sigmoid", eps=0.02, rtol=1e-7, atol=1e-7).samples
     assert np.abs(np.stack([got.z, got.w], axis=1) - exact).max() < 1e-5
-
-
-def test_sparse_is_dense_and_renumbering_renumbers():
-    system, rng = draw_system("antisymmetric", 21, 7), np.random.default_rng(secrets.randbits(32))
-    sparse = System(scipy.sparse.csr_array(system.stiffness), system.damping, 1.0, system.belt_speed)
-    order = rng.permutation(21)
-    other = System(system.stiffness[np.ix_(order, order)], system.damping[order], 1.0, system.belt_speed)
-    a, b, c = (simulate(s, -0.7, -0.4, 12.0, engine="sigmoid", rtol=1e-8, atol=1e-8) for s in (system, sparse, other))
-    np.testing.assert_allclose(b.z, a.z, atol=1e-11)
-    np.testing.assert_allclose(c.z, a.z[order], atol=1e-11)
-    assert len(a.events) == len(b.events) == len(c.events)
 
 
 def test_the_same_run_again_is_the_same_to_the_last_bit():

@@ -7,7 +7,6 @@ import scipy.sparse
 from stickslip import Harmonic, Piecewise, System, draw_system, perturb_system, simulate
 from stickslip.sim.energy import energy
 from stickslip.sim.episodes import episodes, spans
-from stickslip.sim.theory import folds
 
 # the system
 
@@ -73,48 +72,6 @@ def test_what_drives_a_system_goes_where_it_goes():
         np.testing.assert_array_equal(other.force_at(0.3), system.force_at(0.3))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"mass": 0.0}, ValueError, "mass: expected m > 0, got 0 for block 0"),
-        ({"mass": [1.0, -1.0]}, ValueError, "mass: expected m > 0, got -1 for block 1"),
-        ({"mass": np.inf}, ValueError, "mass: expected finite values"),
-        ({"force": [1.0, 2.0, 3.0]}, ValueError, r"force: expected a number or an array of shape \(2,\)"),
-        ({"force": "strong"}, TypeError, "force: expected a number or 2 numbers"),
-        ({"force": Harmonic([1.0] * 3, 1.0)}, ValueError, r"force: amplitude: .* got shape \(3,\)"),
-        ({"force": Piecewise([0.0, 1.0], [[1.0] * 3] * 2)}, ValueError, r"force: values: expected shape \(k,\) or"),
-        ({"belt_speed": [1.0, 2.0, 3.0]}, ValueError, "belt_speed: expected a number or an array of shape"),
-        ({"belt_speed": Harmonic(1.0, 1.0)}, TypeError, "belt_speed: expected a number, 2 numbers or a Piecewise"),
-        ({"belt_speed": np.nan}, ValueError, "belt_speed: expected finite values"),
-    ],
-)
-def test_drives_that_cannot_be_are_refused(arguments, error, message):
-    with pytest.raises(error, match=message):
-        System(np.eye(2), 0.1, **arguments)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Harmonic(np.inf, 1.0), "amplitude: expected finite numbers, got inf"),
-        (lambda: Harmonic([[1.0]], 1.0), r"amplitude: expected a number, or one a block, got shape \(1, 1\)"),
-        (lambda: Piecewise([0.0, 0.0], [1.0, 2.0]), "times: expected at least one, and each after the one before"),
-        (lambda: Piecewise([], []), "times: expected at least one"),
-        (lambda: Piecewise([0, 1, 1 + 5e-16], [1, 1e300, -1e300]), "times: expected as much time .* after 1;"),
-        (lambda: Piecewise([0.0, 1.0], [1.0]), r"values: expected shape \(2,\) or \(2, n\)"),
-    ],
-)
-def test_what_is_no_function_of_time_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
-@pytest.mark.parametrize("drive", [{"mass": 2.0}, {"force": 1.0}, {"belt_speed": [-0.1, -0.2]}])
-def test_what_is_written_for_one_belt_says_so(drive):
-    with pytest.raises(ValueError, match=rf"{next(iter(drive))}: expected .*, all that .*folds. takes"):
-        list(folds.folds(System([[1.0, 0.2], [-0.2, 1.0]], 0.1, **drive)))
-
-
 FINE = {"engine": "sigmoid", "eps": 0.01, "rtol": 1e-9, "atol": 1e-9}
 
 
@@ -129,12 +86,6 @@ def test_what_friction_holds_on_a_belt_that_gains_speed():
     still = System([[2.0]], 0.5, 0.75, mass=3.0, force=4.0)
     assert still.rest_state(1.0) == pytest.approx([1.625])
     assert still.slip_matrix() == pytest.approx(np.array([[0.0, 1.0], [-2 / 3, -0.5 / 3]]))
-
-
-@pytest.mark.parametrize("drive", [{"force": 1.0}, {"belt_speed": [-0.1, -0.2]}])
-def test_an_engine_that_does_not_know_what_drives_a_system_says_so(drive):
-    with pytest.raises(ValueError, match=rf"{next(iter(drive))}: expected .*, all that engine='moreau' takes"):
-        simulate(System(np.eye(2), 0.1, **drive), 0.0, 0.0, 1.0, engine="moreau")
 
 
 # closed forms

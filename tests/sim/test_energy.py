@@ -237,19 +237,6 @@ def test_one_block_with_static_friction_has_an_episode_a_period():
     np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("belts", "error", "message"),
-    [
-        ([-0.1, -0.2], ValueError, r"belt_speed: expected a number or an array of shape \(3,\)"),
-        (Harmonic(1.0, 1.0), TypeError, "belt_speed: expected a number, 3 numbers or a Piecewise"),
-        ("slow", TypeError, "belt_speed: expected a number or 3 numbers"),
-    ],
-)
-def test_belts_of_another_run_are_refused(belts, error, message):
-    with pytest.raises(error, match=message):
-        episodes(planted(), belts)
-
-
 @pytest.mark.parametrize("belts", ["one", "several", "changing"])
 @pytest.mark.parametrize(("engine", "settings"), [("coulomb", {}), ("sigmoid", {"eps": 1e-2})])
 def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts):

@@ -175,13 +175,13 @@ def test_series_are_compared_as_far_as_they_are_certain(seen, changed, kind):
     assert compare(seen, LINE, changed, error=1e-8, shortest=1e-4, t_end=10.0)[0] == kind
 
 
-def test_every_family_under_each_engine():
-    """Each comes twice under the exact law and once under the smoothed one; `python -m tests.fuzz` goes on."""
+def test_the_exact_engine_on_every_family():
+    """Two systems of each; `python -m tests.fuzz` goes on, under the smoothed law too."""
     seed = int(np.random.SeedSequence().generate_state(1)[0])
     print(f"python -m tests.fuzz --seed {seed}")
-    cases = [(seed, k, TERMS) for k in range(3 * len(FAMILIES))]
+    cases = [(seed, k, TERMS) for k in range(2 * len(FAMILIES))]
+    assert {draw(seed, k).engine for _, k, _ in cases} == {"coulomb"}
     found = list(verdicts(within_limits, cases, math.inf))
-    failed = {k: verdict.failures for (_, k, _), verdict in found if verdict.failures}
-    wrong = {k: failures for k, failures in failed.items() if draw(seed, k).engine == "coulomb"}
+    wrong = {k: verdict.failures for (_, k, _), verdict in found if verdict.failures}
     assert len(found) == len(cases)
     assert wrong == {}, f"python -m tests.fuzz --seed {seed} --case {next(iter(wrong))}"

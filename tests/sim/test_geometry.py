@@ -11,7 +11,6 @@ from stickslip.sim import System, draw_system, simulate
 from stickslip.sim.theory.folds import (
     can_stick,
     drift_exit,
-    fold,
     folds,
     stick_interval,
     sticking_lambda,
@@ -569,42 +568,3 @@ def test_a_clock_that_runs_faster(rate):
     for key, (point, kind) in a_found.items():
         np.testing.assert_allclose(b_found[key][0], point, atol=1e-9)
         assert b_found[key][1] == kind
-
-
-# Bad input: an error that names the argument
-
-TWO = two_blocks(**FIGURE_2)
-
-
-@pytest.mark.parametrize(
-    ("name", "call"),
-    [
-        ("s", lambda: two_blocks(1.1, 1.6, 0.5, 0.1, 1.0, -1.0, s=0)),
-        ("kappa12", lambda: two_blocks(1.1, 1.6, np.nan, 0.1, 1.0, -1.0)),
-        ("z", lambda: sticking_lambda(TWO, 0.0)),
-        ("z", lambda: sticking_lambda(TWO, np.zeros((2, 3)))),
-        ("z", lambda: can_stick(TWO, [0.0, np.inf])),
-        ("z", lambda: drift_exit(TWO, [0.0, 5.0])),
-        ("block", lambda: fold(TWO, 2, 1)),
-        ("block", lambda: fold(TWO, 0.0, 1)),
-        ("side", lambda: fold(TWO, 0, 0)),
-        ("system", lambda: stick_interval(TWO)),
-        ("system", lambda: stick_interval(System([[0.0]], 0.1))),
-        ("system", lambda: parallelogram(System(np.eye(3), 0.1))),
-        ("n_folds", lambda: n_strata(2, 3)),
-        ("n_stuck", lambda: n_strata(True, 1)),
-        ("n_folds", lambda: strata(TWO, 0)),
-        ("n_folds", lambda: strata(TWO, 2, stuck=[1])),
-        ("stuck", lambda: strata(TWO, 1, stuck=[1, 1])),
-        ("stuck", lambda: strata(TWO, 1, stuck=[2])),
-        ("velocity", lambda: next(strata(TWO, 1, stuck=[1])).kind()),
-        ("blocks", lambda: next(strata(TWO, 1)).two_fold()),
-        ("mode", lambda: visibility(TWO, 0.0, -1.0, [0, 2])),
-        ("mode", lambda: visibility(TWO, [0.0, 5.0], -1.0, [0, 0])),  # too far to stick
-        ("mode", lambda: visibility(TWO, 0.0, [-1.0, 0.0], [0, -1])),  # slips the other way
-        ("mode", lambda: visibility(TWO, 0.0, -1.0, [0, 1])),  # on the belt, and held
-    ],
-)
-def test_bad_input_names_the_argument(name, call):
-    with pytest.raises((TypeError, ValueError), match=rf"^{name}: expected .* got "):
-        call()

@@ -529,20 +529,3 @@ def test_modified_law_has_two_futures_inside():
 def test_entry_between_basins_is_an_error():
     with pytest.raises(IntegrationError, match="ends in the unstable mode"):
         run_with_law(PAIR, Modified(), Z_HALF, -1.0, 1.0, entry=0.0)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: StaticAboveKinetic(0.9), "ratio: expected static over kinetic friction >= 1, got 0.9"),
-        (lambda: Blowup(Coulomb(), [1.0, 0.0]), "friction: expected positive numbers, got 0.0"),
-        (lambda: Blowup(Modified(), [1.0, 1.0, 1.0]), "law: Modified is for 2 blocks, got 3"),
-        (lambda: Blowup(Coulomb(), [1.0]).settle(0.0, 1.5), "entry: expected lambda in"),
-        (lambda: Blowup(Coulomb(), [1.0]).sticking_modes(0.0, 0.5), "slip: expected -1, 0 or"),
-        (lambda: run_with_law(System(np.eye(3), 0.1), Coulomb(), 0.0, 0.0, 1.0), "expected one or two blocks, got 3"),
-        (lambda: run_with_law(ONE, Coulomb(), 0.0, 0.0, -1.0), "t_end: expected a number in"),
-    ],
-)
-def test_bad_arguments_are_named(call, message):
-    with pytest.raises(ValueError, match=message.replace("(", r"\(").replace("+", r"\+")):
-        call()

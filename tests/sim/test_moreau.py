@@ -77,13 +77,6 @@ def test_a_run_that_leaves_every_bound_is_known_up_to_there():
     assert run.t_end == run.events.t_end == pytest.approx(0.5 * np.log(BEYOND), abs=0.5)
 
 
-def test_a_step_is_a_number_above_zero_and_the_damping_diagonal():
-    with pytest.raises(ValueError, match="step: expected"):
-        moreau(System([[1.0]], 0.0), 0.0, 0.0, 1.0, 0.0)
-    with pytest.raises(ValueError, match="damping: expected its diagonal"):
-        moreau(System(np.eye(2), [[1.0, 0.5], [0.0, 1.0]]), 0.0, 0.0, 1.0, 0.1)
-
-
 def test_static_friction_holds_a_block_and_moments_tend_to_the_exact_ones():
     """A block of R = 0, K = 1 slips 2 d and takes 2 d / |v| + 2 (pi - arctan(d / |v|)), d = static less kinetic."""
     system = System([[1.0]], 0.0, static=1.3, belt_speed=-0.05)

@@ -92,7 +92,7 @@ def study(n_systems, seed, tolerances, t_max, kind=""):
     return rows
 
 
-@pytest.mark.parametrize("kind", ["", "static", "weakening"])
+@pytest.mark.parametrize("kind", ["", pytest.param("static", marks=pytest.mark.long), "weakening"])
 def test_random_systems_keep_to_the_stated_multiple(kind):
     seed = secrets.randbits(32)
     print(f"seed {seed}")
@@ -163,7 +163,7 @@ def test_samples_of_w_are_as_good_as_the_state(tol):
     assert error.max() < BOUND
 
 
-@pytest.mark.parametrize("kind", ["static", "weakening"])
+@pytest.mark.parametrize("kind", ["static", pytest.param("weakening", marks=pytest.mark.long)])
 def test_a_cycle_keeps_its_phase(kind):
     """Thirty cycles of stick and slip: what the iteration over F leaves has one sign, and adds up cycle by cycle."""
     seed = secrets.randbits(32)

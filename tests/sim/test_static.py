@@ -7,11 +7,8 @@ import pytest
 from scipy.sparse import csr_array
 
 from stickslip.sim import System, draw_system, perturb_system, simulate
-from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.certificates import Collapse, Smoothed
 from stickslip.sim.systems.friction import hidden_term, turning_point
-from stickslip.sim.theory import blowup, folds, slow_time, strata
-from stickslip.sim.theory.laws import Coulomb
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.independent import Case, follow
@@ -45,37 +42,6 @@ def test_static_friction_goes_where_the_system_goes():
     plain = draw_system("antisymmetric", 4, 0)
     np.testing.assert_array_equal(system.holding_force(0.3), plain.holding_force(0.3))
     np.testing.assert_array_equal(system.rest_state(1), plain.rest_state(1))
-
-
-@pytest.mark.parametrize(
-    ("static", "error", "message"),
-    [
-        (0.9, ValueError, "static: expected at least the kinetic friction, got 0.9 below 1 at block 0"),
-        ([2.0, 2.0, 0.5], ValueError, "static: .* got 0.5 below 1 at block 2; raise it"),
-        ([2.0, 2.0], ValueError, r"static: expected a number or an array of shape \(3,\)"),
-        (np.inf, ValueError, "static: expected finite values"),
-        ("high", TypeError, "static: expected a number or 3 numbers"),
-    ],
-)
-def test_static_frictions_that_cannot_be_are_refused(static, error, message):
-    with pytest.raises(error, match=message):
-        System(np.eye(3), 0.1, static=static)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda s: list(folds.folds(s)),
-        lambda s: folds.can_stick(s, [0.0, 0.0]),
-        lambda s: strata.corners(s),
-        lambda s: blowup.continuations(s, Coulomb(), 0.0, 0.0),
-        lambda s: slow_time.follow(s, Coulomb(), 0.0, 0.0, 1.0),
-    ],
-)
-def test_what_is_written_for_one_friction_says_so(call):
-    system = System([[1.0, 0.2], [-0.2, 1.0]], 0.1, 1.0, static=[1.0, 1.25])
-    with pytest.raises(ValueError, match=r"static: expected the kinetic friction, .* got 1.25 above 1 at block 1"):
-        call(system)
 
 
 # the sigmoid engine
@@ -224,11 +190,6 @@ def test_what_the_law_strays_from_its_tangent_is_bounded(ratio, delta):
     assert is_certain(0.4)
 
 
-def test_a_block_with_static_friction_alone_is_refused():
-    with pytest.raises(ValueError, match=r"static: engine='sigmoid' .* got 1 above 0 at block 1"):
-        simulate(System(np.eye(2), 0.0, [1.0, 0.0], static=1.0), 0.0, 0.0, 1.0, engine="sigmoid")
-
-
 # the exact engine
 
 
@@ -285,17 +246,6 @@ def test_at_static_friction_a_block_slips_against_the_force_alone():
             simulate(system, static, -0.2, 1.0, modes=[1])
         with pytest.raises(ValueError, match="got -1 for block 0, which begins with 0"):
             simulate(system.changed(back_slip=False), static, -0.2, 1.0, modes=[-1])
-
-
-@pytest.mark.parametrize("modes", [[0], [0, 2], 0, [0.5, 0], [[0, 0]]])
-def test_modes_are_one_a_block(modes):
-    with pytest.raises(ValueError, match="modes: expected 2 of the numbers"):
-        simulate(System(np.eye(2), 0.1), 0.0, 0.0, 1.0, modes=modes)
-
-
-def test_the_smoothed_law_takes_no_modes():
-    with pytest.raises(ValueError, match="modes: expected None with engine='sigmoid'"):
-        simulate(System(np.eye(2), 0.1), 0.0, 0.0, 1.0, modes=[0, 0], engine="sigmoid")
 
 
 def test_a_run_goes_on_with_the_modes_of_its_end(rng):
@@ -394,9 +344,3 @@ def test_the_smoothed_law_tends_to_the_exact_one(n):
     print(n, len(exact.events), errors)
     assert len(exact.events) > 0
     assert 0.55 < np.polyfit(np.log(widths[1:]), np.log(errors[1:]), 1)[0] < 0.8
-
-
-def test_an_engine_that_takes_one_friction_alone_says_so(monkeypatch):
-    monkeypatch.setattr(ENGINES["coulomb"], "takes_static", False)
-    with pytest.raises(ValueError, match=r"static: .* that engine='coulomb' takes, got 1.3 above 1 at block 0"):
-        simulate(System([[1.0]], 0.0, static=1.3), 0.0, 0.0, 1.0)
