@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S, named
-from stickslip.analysis.ensemble import Group
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import estimates, student

@@ -15,7 +15,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.answer import Row, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import label
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 

@@ -21,13 +21,12 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.analysis.models import pool
-from stickslip.analysis.series.cascades import Law, Window, sums
+from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps, rotations
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import LN2, Statistic, ratio
 
 LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
-EVENTS = Law("events")
 
 
 #: Columns of `run_sums`, numerator and denominator each: sizes and numbers of cascades of the run and of its

@@ -198,7 +198,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 }
 #: Whether the drive is slow and the chain large: then episodes fill little of the time, and come by the belt's way.
 #: `FANO` is the variance of counts over their mean: 1 for a Poisson process in windows of any length, as no CV shows.
-DRIVE: Mapping[str, Quantity] = {
+SLOW_DRIVE: Mapping[str, Quantity] = {
     OCCUPANCY: Quantity(lambda one, _: (float(one.duration.sum()), one.t_stop - one.t_start)),
     BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
     FANO: Quantity(_counts),

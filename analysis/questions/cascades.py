@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, law
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough

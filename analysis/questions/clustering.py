@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student

@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, verdict_on

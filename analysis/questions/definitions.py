@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Window

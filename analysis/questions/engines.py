@@ -26,7 +26,9 @@ from stickslip.analysis.contrast import (
     told,
     weight,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, law
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 

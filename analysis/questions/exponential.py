@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import EVENTS, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models import pool
-from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.cascades import EVENTS, Window
 from stickslip.analysis.series.cascades import sizes as cascade_sizes
 from stickslip.analysis.series.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.stats.compare import against

@@ -18,7 +18,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, HANG_ON_SPEED
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,

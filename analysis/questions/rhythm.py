@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from scipy import special, stats
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, law
+from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import rhythm
 from stickslip.analysis.models.rhythm import (
     LEAST_HARMONICS,
@@ -23,10 +25,10 @@ from stickslip.analysis.models.rhythm import (
     SWINGS,
     Spectra,
 )
-from stickslip.analysis.questions.sweep import curves
+from stickslip.analysis.questions.sweep import FALLS, RISES, curves
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import equivalence_test
+from stickslip.analysis.stats.compare import UNKNOWN, equivalence_test
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
@@ -41,7 +43,6 @@ LEAST_P = 0.05  # of one power for all, as of points on it: below, it is none
 MOST_DRAWN = 3  # groups in the figure
 ENGINE = "engine"  # beside `KEYS`
 _ORDER = (SWINGS, SLOW, NONE, SHORT)  # what leads
-RISES, FALLS, UNKNOWN = "rises", "falls", "cannot be told"
 _RHYTHM: Mapping[str, str] = {
     "group": S, "verdict": S, "p_value": F, "cycle": F, "n_windows": F, "span": F, "needed": F,
     **{f"{name}{end}": F for name in NUMBERS for end in ("", "_low", "_high")}, "reason": S,

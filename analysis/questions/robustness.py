@@ -17,7 +17,7 @@ from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, nam
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
-from stickslip.analysis.series.cascades import Law, Window, sizes
+from stickslip.analysis.series.cascades import EVENTS, Window, sizes
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
@@ -155,7 +155,7 @@ class _Judged:
             self.sums[member] = found
             if member in bases:
                 halves.append(enough.halves(win))
-                n_cascades += len(sizes(win, Law("events")))
+                n_cascades += len(sizes(win, EVENTS))
         self.basis = enough.basis(np.array(halves), n_cascades, self.level)
         self.lack = self._lack()
         self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()

@@ -17,9 +17,10 @@ from stickslip.analysis.models.fates import kaplan_meier, median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
 from stickslip.analysis.series import parting
+from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.style import CYCLE, GREY, panel
 
-GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
+GROWS, SHRINKS = "grow", "shrink"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that grow still in proportion
 SMALL = 0.1  # a start is moved by little if by less than so much of the ceiling

@@ -19,7 +19,9 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, START, SYSTEM_KEYS, Data, Group, Study
+from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain

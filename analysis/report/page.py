@@ -8,13 +8,17 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
+from jinja2 import Environment
+from jinja2.runtime import Macro
 from markupsafe import Markup
 
 from stickslip.analysis.answer import F, I, Recipe, S, frame, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES, Data, Study
+from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, question, refuse_unknown
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
@@ -24,6 +28,8 @@ from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 from stickslip.sim.systems.terms import TERMS
 
+#: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
+OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
 _ROWS = 10_000  # of a table that are Python's values at once
 MOST_ALERTS = 3  # by rank, what changes the answer first
@@ -160,28 +166,22 @@ def build(
     groups = groups_table(study)
     filled = environment()
     filled.globals["unit"] = study.unit
-    shown = [_Shown(**vars(one), words=filled.get_template(f"{one.key}.html").module) for one in found]
-    answered, raised = [one for one in shown if not one.lack], {one.key for one in shown}
-    primary = settings.question or _primary(study, answered)
-    leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
-    others = [one for one in answered if one not in leading]
-    said = [one.says("answer") for one in leading[:MOST_SAID]]
-    ordered = [*leading, *others]
-    alarms = [text for one in ordered if (text := one.says("alarm"))]
-    heard = [*leading, *(one for one in others if getattr(one.words, "of_data", False))]
-    warned = [item for one in heard for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
-    alerts = sorted(warned, key=_rank)[:MOST_ALERTS]
+    shown = [_Shown(**vars(one), words=_words(filled, one.key)) for one in found]
+    leading, others = _in_order(study, [one for one in shown if not one.lack])
+    said = [one.says(one.words.answer) for one in leading[:MOST_SAID]]
+    alarms = [text for one in (*leading, *others) if (text := one.says(one.words.alarm))]
+    raised = {one.key for one in shown}
     page = filled.get_template("report.html").render(
         title=title,
         about=about,
         leading=leading,
         leading_answers=_safe(said),
-        answered=ordered,
+        answered=[*leading, *others],
         lacking=[one for one in shown if one.lack],
         asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
-        not_raised=[filled.get_template(f"{key}.html").module for key in settings.question if key not in raised],
+        not_raised=[_words(filled, key) for key in settings.question if key not in raised],
         alarms=_safe(alarms),
-        alerts=_safe(alerts),
+        alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),
         primary=[one.words.name for one in leading],
         settings=settings,
         members=len(data.members),
@@ -195,18 +195,38 @@ def build(
     return Report(page, tables, [*(plain(text) for text in alarms), title, *(plain(text) for text in said)], figures)
 
 
+def _words(filled: Environment, key: str) -> SimpleNamespace:
+    """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{key}.html").module)))
+
+
 @dataclass(frozen=True)
 class _Shown(Answered):
-    """An answer beside its template."""
+    """An answer beside the words of its template."""
 
-    words: Any = None
+    words: SimpleNamespace = field(default_factory=SimpleNamespace)
 
-    def says(self, name: str) -> str:
-        """What a macro of the template makes of the facts; nothing if there is none of that name."""
-        return str(getattr(self.words, name)(self.facts)).strip() if hasattr(self.words, name) else ""
+    def says(self, macro: Macro | None) -> str:
+        """What a macro of the template makes of the facts; nothing where the template lacks it."""
+        return "" if macro is None else str(macro(self.facts)).strip()
 
     def figure(self, name: str, alt: str) -> Markup:
+        """A figure as an image that is part of the page."""
         return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
+
+
+def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
+    """The answers that lead the page, in their order, and the others in the order of the page."""
+    primary = study.settings.question or _primary(study, answered)
+    leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
+    return leading, [one for one in answered if one not in leading]
+
+
+def _alerts(heard: Sequence[_Shown]) -> list[str]:
+    """The most important alerts of some answers, as list items."""
+    warned = [item for one in heard
+              for item in re.findall(r"<li.*?</li>", one.says(one.words.alerts), re.DOTALL)]  # fmt: skip
+    return sorted(warned, key=_rank)[:MOST_ALERTS]
 
 
 def _rank(alert: str) -> int:

@@ -33,6 +33,9 @@ import numpy as np
 
 SAMPLED = ("drop", "length", "descent", "decreases")
 DEFINITIONS = ("events", *SAMPLED)
+#: Change points of n_stick of a run: t and n_stick, each shape (m,); n_stick[k] holds on [t[k], t[k+1]), the last for
+#: ever.
+ChangePoints = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, order=True)
@@ -46,9 +49,12 @@ class Law:
         return self.definition if self.dt is None else f"{self.definition}, dt = {self.dt:g}"
 
 
+EVENTS = Law("events")
+
+
 def laws(dts: Iterable[float]) -> list[Law]:
     """Every definition, the sampled ones at each step of `dts`."""
-    return [Law("events"), *(Law(name, dt) for name in SAMPLED for dt in dts)]
+    return [EVENTS, *(Law(name, dt) for name in SAMPLED for dt in dts)]
 
 
 @dataclass(frozen=True)
@@ -281,7 +287,7 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
     rises = np.flatnonzero(moved > 0)
     pausing = _sums(moved[rises[0] : rises[-1] + 1]) if len(rises) else np.zeros(3)
     if dt is None:
-        return {Law("events"): pausing[[0, 2]]}
+        return {EVENTS: pausing[[0, 2]]}
     falling, fall = steps < 0, np.zeros(3)
     if not falling.all():
         first, last = np.searchsorted(at, (np.argmin(falling), len(steps) - np.argmin(falling[::-1])))

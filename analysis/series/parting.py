@@ -11,14 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import sample
+from stickslip.analysis.series.cascades import ChangePoints, sample
 
 SPAN = 20.0
 SHARE = 0.5
 STEP = 1.0  # of the times at which gaps are known
-
-#: Change points of n_stick of a run: t and n_stick, each (m,); the last value holds for ever.
-ChangePoints = tuple[np.ndarray, np.ndarray]
 
 
 def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:

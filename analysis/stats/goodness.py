@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.stats import student
+from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
 
@@ -20,7 +21,7 @@ FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
 #: test is made at each of these; p_value is that of the second.
 CUTS = (200, 60, 20)
 FEWEST_SHOWN = 10  # cascades expected of a size for it to be drawn
-REJECTED, NOT_REJECTED, UNDECIDED, UNKNOWN = "rejected", "not rejected", "undecided", "cannot be told"
+REJECTED, NOT_REJECTED, UNDECIDED = "rejected", "not rejected", "undecided"
 
 
 def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:

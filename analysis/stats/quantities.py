@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import Law, Window, sums
+from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.stats.estimates import Statistic, correlation_time, gamma, ratio
 
 
@@ -17,7 +17,7 @@ def exit_rate(win: Window) -> float:
 
 
 def _cascades(win: Window) -> tuple[float, float]:
-    total, count = sums(win.step)[Law("events")]
+    total, count = sums(win.step)[EVENTS]
     return float(total), float(count)
 
 
