@@ -1,4 +1,4 @@
-"""Groups of an ensemble with the catalogues of their runs, and what these come to."""
+"""The catalogues of episodes of an ensemble, by group, and their statistics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, against
 from stickslip.analysis.stats.estimates import Undefined, over_matrices
 
-MARGIN = 0.1  # of every statistic, relative, and of Poisson's CV: what some twenty systems can exclude
+MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
 _ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first: the others are compared with it
 

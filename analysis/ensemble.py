@@ -1,14 +1,4 @@
-"""An ensemble as the statistics see it, and its members sorted into groups of like members.
-
-A group holds the members that differ in what is drawn only: the matrix, the start, the stiffness ratios of a sigmoid.
-Only members in motion at t_end enter a statistic, those in a lull too (`models.fates`): to leave these out would
-select the runs by how they ended. The others are counted, with outcome and reason.
-
-The runs of a group are not independent of each other: its units are (`with_units`). They are its matrices; where
-there is one matrix and several starts they are the starts, and what is inferred holds over starts of this system. A K
-from a file is a system of its own, apart from other files; but files with one draw and one start each are units, as
-matrices are.
-"""
+"""An ensemble as the statistics see it, and the study of it that every question is given."""
 
 from __future__ import annotations
 
@@ -38,23 +28,23 @@ Separation = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Data:
-    """An ensemble as the statistics see it. All mappings are by member_id, and may load lazily.
+    """An ensemble as the statistics see it. Mappings are by member_id and may load lazily.
 
     Attributes
     ----------
     members : DataFrame
-        One row a member; the columns in `REQUIRED`, null where a setting does not apply. `with_units` and
-        `with_starts` add their own, `with_rates` makes null what does not hold.
+        One row a member, with the columns in `members.REQUIRED`; null where a setting does not apply.
+        `members.completed` adds the others.
     series : mapping to ChangePoints
-        Of every member that did not fail.
+        Series of n_stick of every member that did not fail.
     events : mapping to Events
         Empty if the scene does not record them.
     separations : mapping to Separation
-        Of members that are a changed copy of another; empty if the scene does not record them.
+        For members that are changed copies of another; empty if the scene does not record them.
     thresholds : mapping to mapping of float to ChangePoints
-        n_stick of a sigmoid run by threshold, under further definitions |w - v| < threshold r_i eps.
+        n_stick of a sigmoid run under further definitions of sticking, |w - v| < threshold r_i eps, by threshold.
     episodes : DataFrame, optional
-        A row an episode: member_id, start, end, size, moment. None if the scene does not record them.
+        One row an episode: member_id, start, end, size, moment. None if the scene does not record them.
     """
 
     members: pd.DataFrame
@@ -70,7 +60,7 @@ class Data:
 
 @dataclass
 class Study:
-    """What every question is given: the data, what was declared before, and the groups."""
+    """What every question is given: the data, the settings declared beforehand, and the groups."""
 
     data: Data
     settings: AnalysisSettings
@@ -80,7 +70,7 @@ class Study:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """Of the members that are no changed copy of another, filled; by n and engine."""
+        """Groups of the unchanged members, filled, by n and engine."""
         found = groups(unchanged(self.data.members))
         for group in found:
             fill(group, self.data.series, self.settings)
@@ -88,17 +78,17 @@ class Study:
 
     @property
     def margins(self) -> dict[str, float]:
-        """By how much runs may differ and be equivalent; where episodes are recorded, gamma is not asked about."""
+        """Margins of equivalence by quantity; without gamma where episodes are recorded."""
         left_out = {"gamma"} if self.data.episodes is not None else set[str]()
         return {name: margin for name, margin in self.settings.margins.items() if name not in left_out}
 
     @property
     def unit(self) -> str:
-        """What most groups have for units."""
+        """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     def fate(self, member_id: str) -> str:
-        """Fate of a member, as `models.fates.fate` has it."""
+        """Fate of a member, from `models.fates.fate`."""
         outcome, t_end, rate = self._fated[member_id]
         points = None if outcome == "failed" else self.data.series[member_id]
         return fate(outcome, points, t_end, rate)
@@ -121,35 +111,35 @@ class Study:
         Raises
         ------
         ValueError
-            If its series is not one, naming the member.
+            If its change points are not a series; the error names the member.
         """
         return window_of(self.data.series[member_id], member_id, self.settings.t_burn, t_end)
 
     def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
-        """The same under each further threshold; raises as `window`."""
+        """n_stick of a member on [t_burn, t_end] under each further threshold; raises as `window`."""
         found = self.data.thresholds.get(member_id, {})
         return {c: window_of(points, member_id, self.settings.t_burn, t_end) for c, points in found.items()}
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.
 
-        First those all of whose runs stay in motion, which are no survivors; of these the largest n first.
+        Groups all of whose runs stay in motion come first, since the others hold survivors only; then the largest n.
         """
         found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
         return sorted(found, key=lambda one: (len(one.moving) < len(one.members), -int(one.key["n"])))
 
     def refusal(self) -> tuple[str, dict[str, Any]]:
-        """Why no group is judged, a code of `stats.enough`, and the facts that ``basis.html`` says of it."""
+        """Why no group is judged: a code of `stats.enough`, and the facts that ``basis.html`` puts into words."""
         best = max((one.basis(self.settings.confidence) for one in self.groups), key=lambda one: one.n_cascades)
         return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
     def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
-        """Row (unit), member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.
+        """Row of the unit, member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.
 
         Raises
         ------
         ValueError
-            If a series is not one, naming the member.
+            If the change points of a member are not a series; the error names the member.
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
         columns = (group.moving[name] for name in ("unit", "member_id", "t_end"))
@@ -157,18 +147,18 @@ class Study:
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
     def generator(self, member_id: str) -> np.random.Generator:
-        """Random numbers of a member depend on its name alone, not on its place in the table."""
+        """Random numbers of a member, which depend on its name and the seed but not on its place in the table."""
         words = np.frombuffer(hashlib.sha256(member_id.encode()).digest(), dtype="<u4")
         return np.random.default_rng(np.random.SeedSequence([self.settings.seed, *words.tolist()]))
 
 
 def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:
-    """Refuse input that cannot mean what it says.
+    """Refuse input that contradicts itself.
 
     Raises
     ------
     ValueError
-        Naming the column, member or setting, what was expected and what came.
+        Names the column, member or setting, and says what was expected and what was given.
     """
     missing = [name for name in REQUIRED if name not in members.columns]
     if missing:
@@ -190,5 +180,5 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
         if outcome != "failed" and member_id not in series:
             raise ValueError(
                 f"series: no change points for the {outcome} member {member_id!r}; every member that did not fail "
-                "has some, be it the start alone"
+                "has at least one, its start"
             )

@@ -1,4 +1,4 @@
-"""The grid of a sweep: its axes, the point of each group on it, and statistics of some points together."""
+"""The grid of a sweep: its axes, the point of each group, and statistics over some of the points."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from stickslip.analysis.stats.estimates import Estimate, over_matrices
 from stickslip.analysis.stats.quantities import QUANTITIES
 
 IN_MOTION = "share in motion"
-AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
+AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
 MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
-#: What tells the runs of a sweep apart that is not swept.
+#: Keys that separate settings and are not swept.
 _FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
 Value = float | str
@@ -30,7 +30,7 @@ Value = float | str
 
 @dataclass(frozen=True)
 class Axis:
-    """Keys that change together, as a scene names them, and the values that they have, in ascending order."""
+    """Keys that change together, as a scene names them, and their values in ascending order."""
 
     keys: tuple[str, ...]
     values: tuple[tuple[Value, ...], ...]
@@ -52,7 +52,7 @@ class Axis:
 
 @dataclass
 class Point:
-    """A group at its place in the grid: a value of each axis, and what each unit gives, as a `Sample`."""
+    """A group on the grid: its value on each axis, the sums of its units, and its runs by fate."""
 
     group: Group
     at: dict[Axis, tuple[Value, ...]]
@@ -65,7 +65,7 @@ class Point:
 
 
 def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """Groups that differ in keys that may be swept alone, by what they share."""
+    """Groups that differ only in keys that may be swept, by the name of what they share."""
     found: dict[tuple[Any, ...], list[Group]] = {}
     for group in groups:
         found.setdefault(tuple(group.key[name] for name in (*_FIXED, *ENGINE_KEYS)), []).append(group)
@@ -74,7 +74,7 @@ def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
 
 
 def values(group: Group) -> dict[str, Value]:
-    """What a group has of each key that may be swept: a number, or the distribution that it is drawn from."""
+    """Value of each key that may be swept: a number, or the distribution from which it is drawn."""
     drawn, given = (
         dict(part.split(" = ", 1) for part in (group.key[name] or "").split("; ") if part)
         for name in ("drawn", "parameters")
@@ -83,14 +83,14 @@ def values(group: Group) -> dict[str, Value]:
     for column in _SWEPT:
         key, number = column.removesuffix("0"), group.key[column]
         if column == "kappa" and group.key["file"] is not None:
-            continue  # the scale of the file's K, which nobody sweeps
+            continue  # it is the scale of the file's K, which is not swept
         if number is not None or key in drawn:
             found[key] = drawn[key] if number is None else float(number)
     return found
 
 
 def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
-    """The axes of what is swept, the longest first; keys whose values go together are one."""
+    """The axes of a sweep, the longest first; keys whose values change together share an axis."""
     by_setting = [[values(group) for group in some] for some in found.values()]
     points = [point for some in by_setting for point in some]
     keys = [key for key in dict.fromkeys(key for point in points for key in point)
@@ -112,7 +112,7 @@ def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
 
 
 def _place(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
-    """Where a group stands in the grid."""
+    """The value of a group on each axis."""
     own = values(group)
     return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
 
@@ -123,7 +123,7 @@ def as_text(value: Sequence[Value]) -> str:
 
 
 def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
-    """Numbers before distributions."""
+    """Sorts values: numbers before distributions."""
     return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
 
 
@@ -141,7 +141,7 @@ def point_of(study: Study, group: Group, axes: Sequence[Axis]) -> Point:
 
 
 def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
-    """A statistic of some points of a grid together."""
+    """A statistic over some points of a grid, taken together."""
     both = Sample()
     for point, name in product(points, (of.name, AT_MOST) if of.is_share else (of.name,)):
         for unit, row in point.sample.sums.get(name, {}).items():

@@ -1,4 +1,14 @@
-"""Members in groups of like ones, and what the runs of a group in motion give, a row a unit."""
+"""Groups of like members, with the sums of their runs in motion, one row a unit.
+
+A group holds members that differ only in what is drawn: the matrix, the start, the stiffness ratios of a sigmoid.
+Only members in motion at t_end enter a statistic, including those in a lull (`models.fates`): leaving these out would
+select runs by how they ended. The other members are counted, with outcome and reason.
+
+The runs of a group are not independent of each other, but its units are (`members.with_units`). The units are the
+matrices. Where one matrix has several starts, the units are the starts, and inference holds over starts of this
+system. A K from a file is a system by itself, apart from other files; but files with one draw and one start each are
+units, as matrices are.
+"""
 
 from __future__ import annotations
 
@@ -24,41 +34,41 @@ Series = Mapping[str, ChangePoints]
 
 @dataclass
 class Group:
-    """Members alike in everything but what is drawn, with what their runs in motion give, a row a unit.
+    """Members that differ only in what is drawn, with the sums of their runs in motion, one row a unit.
 
-    In motion are those that finished and stick in the last quarter, or are in a lull there (`models.fates`): a run at
-    rest has no steady state, and of a quiet one nobody knows whether it is at rest.
+    A run is in motion if it finished and a block sticks in its last quarter, or if it is in a lull there
+    (`models.fates`). A run at rest has no steady state, and whether a quiet run is at rest is not known.
 
     Attributes
     ----------
     label : str
-        n, engine and whatever tells it from the others.
+        n, engine and whatever distinguishes it from the others.
     key : dict
-        The values that its members share, by `SYSTEM_KEYS` and `ENGINE_KEYS`.
+        The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
     members : DataFrame
     units : list of int
-        Of the members in motion, ascending: the rows of all arrays.
+        Units of the members in motion, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
-        Sums over runs of the time mean of n_stick, of that in each half of the window, of the variance in time, of 1
+        Sums over runs of: time mean of n_stick, its means in the two halves of the window, variance in time, 1.
     quantities : dict of str to ndarray, shape (G, 2)
         Sums over runs of `QUANTITIES`, by name.
     stuck : ndarray, shape (G, 2)
-        Sums over runs of the integral of n_stick, and of the time without lulls (`models.counting`): their quotient
-        is the mean n_stick of the pool that the runs are held against.
+        Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`). Their quotient is
+        the mean n_stick of the pool with which the runs are compared.
     histograms : list of ndarray
-        Cascades by `events`: histogram[k] of size k.
+        Of each unit: histogram[k] cascades of size k, by the definition `events`.
     effective : ndarray, shape (G, 4)
-        `effective.row`, of several runs of one unit their mean.
+        Mean of `effective.row` over the runs of each unit.
     fates : list of str
-        Of each member, as `models.fates.fate` has it.
+        Fate of each member, from `models.fates.fate`.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     moving : DataFrame
         The members in motion.
     n_quiet : int
-        Finished, but quiet.
+        Members that finished, but are quiet.
     n_short : int
-        In motion, but too short for a correlation time.
+        Members in motion whose window is too short for a correlation time.
     """
 
     label: str
@@ -78,7 +88,7 @@ class Group:
 
     @property
     def unit(self) -> str:
-        """What its units are: `MATRIX`, `START` or `FILE`."""
+        """What the units are: `MATRIX`, `START` or `FILE`."""
         return str(self.members["unit_is"].iloc[0])
 
     @property
@@ -96,13 +106,13 @@ class Group:
 
     @property
     def pool_mean(self) -> float | None:
-        """Mean n_stick without lulls, of the pool that the runs are held against; None where no block ever sticks."""
+        """Mean n_stick without lulls, which the pool shares; None if no block ever sticks."""
         stuck, time = self.stuck.sum(axis=0)
         return float(stuck / time) if stuck else None
 
     @property
     def counts(self) -> np.ndarray:
-        """Cascades of each size from 1 on, shape (G, K)."""
+        """Number of cascades of each size from 1 on, shape (G, K)."""
         longest = max((len(h) for h in self.histograms), default=1)
         found = np.zeros((len(self.histograms), longest), dtype=np.int64)
         for row, one in zip(found, self.histograms, strict=True):
@@ -110,7 +120,7 @@ class Group:
         return found[:, 1:]
 
     def by_unit(self) -> np.ndarray:
-        """`means` averaged over the runs of each unit: every unit weighs the same."""
+        """`means` averaged over the runs of each unit, so that every unit has the same weight."""
         return self.means / self.means[:, 4:] if len(self.means) else self.means
 
     def mean(self, confidence: float) -> Estimate:
@@ -118,7 +128,7 @@ class Group:
         return over_matrices(ratio, self.by_unit()[:, [0, 4]], confidence)
 
     def drift(self, confidence: float) -> Estimate:
-        """Mean n_stick in the second half of the window minus the first, paired over units."""
+        """Mean n_stick in the second half of the window minus that in the first, paired over units."""
         rows = self.by_unit()
         return over_matrices(ratio, np.column_stack([rows[:, 2] - rows[:, 1], rows[:, 4]]), confidence)
 
@@ -128,7 +138,7 @@ class Group:
 
 
 def groups(members: pd.DataFrame) -> list[Group]:
-    """Split members into groups, unperturbed ones first, then by n and engine."""
+    """Members as groups: unperturbed ones first, then by n and engine."""
 
     def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
         key = part[0]
@@ -139,14 +149,14 @@ def groups(members: pd.DataFrame) -> list[Group]:
     return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
 
 
-def law(engine: str) -> str:
-    """What pages call an engine."""
+def engine_name(engine: str) -> str:
+    """The name of an engine on pages."""
     return "exact" if engine == "coulomb" else engine
 
 
 def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
-    """Name of a group: n, engine, how it decides what sticks, and whatever sets it apart from the others."""
-    parts = [f"n = {key['n']}", law(key["engine"])]
+    """Name of a group: n, engine, its rule of sticking, and whatever distinguishes it from the other groups."""
+    parts = [f"n = {key['n']}", engine_name(key["engine"])]
     defaults = ENGINES[key["engine"]].defaults()
     for name in key:
         if name in ("n", "engine", "perturbation_size") or key[name] is None:
@@ -166,7 +176,7 @@ def _plain(value: object) -> str:
 
 
 def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
-    """Read each run of a group once and keep the sums of those in motion."""
+    """Fill in a group's sums: read each run once and add those in motion."""
     group.units = [int(unit) for unit in group.finished["unit"].unique()]
     n_rows = len(group.units)
     group.means, group.effective, group.stuck = (np.zeros((n_rows, k)) for k in (5, 4, 2))

@@ -18,8 +18,8 @@ from stickslip.analysis.models.laws import Difference, difference_of_order, dist
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate, Undefined
 
-#: By which a law may be off: a distribution function by three in a hundred of the episodes; shares of first blocks by
-#: a quarter of them; a correlation by 0.1. Twenty systems of a thousand episodes each exclude as much.
+#: Margins of laws: three episodes in a hundred for a distribution function, a quarter of the shares of first blocks,
+#: 0.1 for a correlation. Twenty systems of a thousand episodes each can exclude differences as large.
 GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
 
 
@@ -54,7 +54,7 @@ LAWS: Mapping[str, Compared] = {
 
 
 def names(found: Sequence[Catalogues]) -> list[str]:
-    """Groups by what tells them apart: their method, place in a sweep and number of blocks."""
+    """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
     of_one_size = len({one.group.key["n"] for one in found}) == 1
     return [_method(one.label, of_one_size, all("exact" in one.label for one in found)) for one in found]
 
@@ -70,7 +70,7 @@ def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
 
 
 def _power(number: re.Match[str]) -> str:
-    """Such as 2.5e-04."""
+    """A small number as a power of ten, such as 2.5e-04."""
     digits, _, exponent = f"{float(number[0]):e}".partition("e")
     return f"{float(digits):g}e{exponent}"
 
@@ -161,7 +161,10 @@ def comparison(
 
 
 def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:
-    """A setting by its laws, its rate, and what those that could be compared come to; no rows if none could be."""
+    """One setting: the contrasts of its laws and of its rate, and the verdict on all laws that could be compared.
+
+    It has no rows if no law could be compared.
+    """
     label = contrasts[0]["setting"]
     rows = [row | {"method": methods[label]} for row in compared if row["setting"] == label]
     known = [row for row in rows if row["p_equivalent"] is not None]
@@ -175,7 +178,7 @@ def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping
 
 
 def _differing(settings: Sequence[Row]) -> list[Row]:
-    """Methods that differ, together where it is in the same laws, or in all that could be compared."""
+    """Methods that differ, grouped by the laws in which they do; no laws are named where it is in all compared."""
     found: dict[tuple[str, ...], list[Row]] = {}
     for one in settings:
         if one["differ"]:
@@ -193,6 +196,6 @@ def _differing(settings: Sequence[Row]) -> list[Row]:
 
 
 def _rate_off(one: Row) -> float:
-    """How far the rate is off; one without any episode comes last, as the page says that by itself."""
+    """How far the rate is off; a setting without any episode comes last, as an alert says so."""
     off = float(one["rate"]["relative"])
     return abs(off) if off > -1 else -1.0

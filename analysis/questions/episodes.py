@@ -1,7 +1,7 @@
-"""Episodes: how often, how large, how regular; the law of their moments; by how much all this hangs on the method.
+"""Episodes: how often, how large, how regular; the law of their moments; how much all this depends on the method.
 
-An episode runs from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
-is held against exact events on the same systems, by whole laws: a mean may be right where the law is not.
+An episode lasts from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
+is compared with exact events on the same systems by whole laws, since a mean may be right where the law is not.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
-SLOW = 0.05  # of the time in episodes, at most, where the drive is slow for the chain
-FEWEST = 30  # episodes from a magnitude on for its rate to be drawn
-_STEP = 2  # classes from point to point of the figures
-MOST_OVER = 2.5  # times the reference's rate that a figure shows
+SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
+FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
+_STEP = 2  # classes between points of the figures
+MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _GROUPS: Mapping[str, str] = {
     "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
     **{f"{name}{end}": F for name in (*QUANTITIES, *SLOW_DRIVE) for end in ("", "_low", "_high")},
@@ -158,7 +158,7 @@ def _figures(
 
 
 def _changes(leaders: Sequence[Catalogues], level: float) -> list[Row]:
-    """From the first to the last of some systems: mean size, and the number of episodes by way of the belt."""
+    """Contrasts of the last of some systems with the first: mean size, and episodes by the belt's travel."""
     first, last = leaders[0], leaders[-1]
     if first is last:
         return []
@@ -183,7 +183,7 @@ def _b_rows(b: Mapping[str, Sequence[BValue]]) -> list[Row]:
 
 
 def _sizes(one: Catalogues, level: float) -> list[Row]:
-    """Shares of the episodes that take at least so many blocks, at sizes half as large again each."""
+    """Shares of the episodes that take at least a number of blocks, for numbers that grow by a factor of 1.5."""
     rows: list[Row] = []
     runs = [np.concatenate([run.size for run in some]) for some in one.runs.values()]
     most = max(int(some.max(initial=0)) for some in runs)
@@ -196,14 +196,14 @@ def _sizes(one: Catalogues, level: float) -> list[Row]:
 
 
 def _in_classes(one: Catalogues) -> np.ndarray:
-    """Magnitudes of each unit in classes from the least to the largest, shape (G, K)."""
+    """Histogram of magnitudes of each unit, from the least class to the largest, shape (G, K)."""
     least, by_unit = one.row["least"], [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
     n_classes = int(np.floor((one.magnitudes().max() - least) / FITTED + 1e-9)) + 1
     return np.array([in_classes(some, least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
 
 
 def _fits(one: Catalogues, counts: np.ndarray) -> list[Fit]:
-    """Of each law of moments; none where there is no maximum of the likelihood."""
+    """The fit of each law of moments; empty where the likelihood has no maximum."""
     magnitudes, least = one.magnitudes(), one.row["least"]
     if magnitudes.max() < least:
         return []
@@ -221,7 +221,7 @@ def _b_values(one: Catalogues, level: float) -> list[BValue]:
 
 
 def _laws(study: Study, lead: Catalogues) -> tuple[list[Row], Row]:
-    """Each law beside the moments of a group, its gain over the power law; which they follow, and its exponents."""
+    """Rows of the table `episode_laws`, and facts: the law that the moments of a group follow, with its exponents."""
     level, counts = study.settings.confidence, _in_classes(lead)
     fits = _fits(lead, counts)
     if not fits:
@@ -242,7 +242,10 @@ def _laws(study: Study, lead: Catalogues) -> tuple[list[Row], Row]:
 
 
 def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
-    """Of the power law with a cut-off, which holds the two others: without cut-off, and at the exponent -1."""
+    """The law that moments follow, from the power law with a cut-off.
+
+    It contains the two others: the power law has no cut-off, and the exponential has the exponent -1.
+    """
     if fit == REJECTED:
         return NONE
     if cut_off.value == 0.0:
@@ -255,7 +258,7 @@ def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
 
 
 def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge: float, level: float) -> list[Row]:
-    """Episodes per unit time from each magnitude on, and over those of the first setting of the same systems."""
+    """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
     rows: list[Row] = []
     edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
     for first, *others in systems:
@@ -301,7 +304,7 @@ def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
 
 
 def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
-    """A colour an engine, a line a setting."""
+    """Style of each group's line: one colour for each engine, one line for each of its settings."""
     seen: dict[str, int] = {}
     looks = {}
     for label, (engine, _) in labels.items():
@@ -339,7 +342,7 @@ def _lines(
 
 @panel()
 def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """Episodes per unit time from each magnitude on, a line a group, bands of their intervals.
+    """Episodes per unit time from each magnitude on, one line a group, with bands of their intervals.
 
     Rows are those of the table `episode_rates`; labels are (engine, method) by group.
     """
@@ -351,7 +354,7 @@ def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, s
 
 @panel()
 def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """The same over the reference's, on the same systems, up to `MOST_OVER`; parameters as of `frequencies`."""
+    """Rate over the reference's on the same systems, up to `MOST_OVER`; parameters as in `frequencies`."""
     ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
     ax.axhline(1.0, color=EXACT, linewidth=1)
     _lines(ax, rows, labels, "over")
@@ -361,9 +364,9 @@ def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str
 
 @panel()
 def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], lead: str) -> None:
-    """b against the magnitude from which it is taken, and what is predicted for it of the group `lead`.
+    """b against the magnitude from which it is estimated, and the prediction for the group `lead`.
 
-    Rows are those of the table `b_values`; labels as of `frequencies`.
+    Rows are those of the table `b_values`; labels as in `frequencies`.
     """
     some = [row for row in rows if row["group"] == lead]
     ax.plot([row["magnitude"] for row in some], [row["predicted"] for row in some], "--", color=GREY, linewidth=1)
@@ -373,7 +376,7 @@ def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, st
 
 @panel()
 def shares_of_sizes(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """Shares of episodes by least size; rows of the table `episode_sizes`, labels as of `frequencies`."""
+    """Shares of episodes by least size; rows of the table `episode_sizes`, labels as in `frequencies`."""
     _lines(ax, rows, labels, "share", "size")
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -382,7 +385,7 @@ def shares_of_sizes(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[st
 
 @panel()
 def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
-    """Magnitude against time of the episodes of one run, each (m,)."""
+    """Magnitude of the episodes of one run against time, each (m,)."""
     floor = float(magnitude.min()) - 0.1
     ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
     ax.plot(t, magnitude, "o", color=EXACT, markersize=2)

@@ -1,7 +1,7 @@
 """What changes along the keys that a scene sweeps: mean n_stick, gamma and the fates of runs, value by value.
 
-Every value of a key is set against its first, unit by unit and within every point of the other swept keys: the random
-draws are the same at all of them. A row of a comparison is a unit, its runs at all points of the grid together.
+Every value of a key is compared with its first, within each unit and each point of the other swept keys, since all
+share the random draws. A row of a comparison is a unit, with its runs at all points of the grid.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "seco
 
 
 def answer(study: Study) -> Answer | None:
-    """How statistics change with each swept key; None where none is swept."""
+    """How statistics change with each swept key; None where no key is swept."""
     found = settings(study.groups)
     axes = axes_of(found)
     if not axes:
@@ -65,7 +65,7 @@ def answer(study: Study) -> Answer | None:
               for name, some in found.items()}  # fmt: skip
     rows = [_value_row(point, name, axes, level) for name, some in points.items() for point in some]
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
-    for row in contrasts:  # a change is one from nothing too, which has no ratio
+    for row in contrasts:  # a change from zero is a change, although it has no ratio
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
@@ -113,7 +113,7 @@ def _statistics(study: Study) -> list[Statistic]:
 
 
 def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], study: Study) -> Iterator[Row]:
-    """Each value of each axis against the first that has enough units, in each statistic, not judged yet."""
+    """Contrasts of each value of each axis with the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
     for axis, one in product(axes, _statistics(study)):
         known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
@@ -137,7 +137,7 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
 
 
 def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
-    """What holds of a contrast of shares in motion whatever quiet runs do: the weaker tests, the wider interval."""
+    """What holds of a contrast of shares in motion whatever quiet runs do: weaker tests and a wider interval."""
     corners = [
         contrast.contrast(
             one, Sample({one.name: first.sums[a]}), Sample({one.name: second.sums[b]}), paired=True,
@@ -156,12 +156,12 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
 
 
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
-    """Of how many units a statistic is known at one value of an axis."""
+    """Number of units for which a statistic is known at one value of an axis."""
     return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
 
 
 def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:
-    """Add what two points have of the units that both have."""
+    """Add the sums of two points to two samples, for the units that both points have."""
     if a.group.unit != b.group.unit:
         return
     mine, theirs = a.sample.sums.get(name, {}), b.sample.sums.get(name, {})
@@ -171,18 +171,18 @@ def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) ->
 
 
 def _differ(first: Sample, second: Sample, name: str) -> bool:
-    """Whether not all runs of both met one end: else there is nothing to test."""
+    """Whether the runs of both met different ends; otherwise there is nothing to test."""
     rows = np.vstack([first.rows(name)[1], second.rows(name)[1]])
     return 0 < rows[:, 0].sum() < rows[:, 1].sum()
 
 
 def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:
-    """The last value of each axis against its first."""
+    """The contrasts of the last value of each axis with its first."""
     return [row for axis in axes for row in rows if row["key"] == axis.name and row["is_last"]]
 
 
 def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> list[Row]:
-    """What is said of each key, what changes most first: its ends, or what is shown where the ends show nothing."""
+    """One contrast a key, the largest change first: that of its ends or, if they show none, one that is shown."""
 
     def order(row: Row) -> tuple[Any, ...]:
         is_shown = row["verdict"] in (RISES, FALLS)
@@ -194,12 +194,12 @@ def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> 
 
 
 def _place(row: Row) -> tuple[Any, ...]:
-    """What a change is of, whatever the setting."""
+    """What identifies a change in every setting."""
     return tuple(row[name] for name in ("quantity", "key", "first_value", "second_value"))
 
 
 def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
-    """A change in several settings: the least and the largest, and the verdicts; None if one has none."""
+    """Least and largest relative change over several settings, and the verdicts; None if a setting has no value."""
     known = sorted((row for row in rows if row["relative"] is not None), key=lambda row: row["relative"])
     if not len(known) == n_settings > 1:
         return {"everywhere": None}
@@ -208,17 +208,17 @@ def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
 
 
 def _weight(row: Row) -> float:
-    """A change in units of its margin; from nothing it is without bound."""
+    """Size of a change in units of its margin; infinite for a change from zero."""
     return np.inf if row["relative"] is None else contrast.weight(row)
 
 
 def _known(*p: float | None) -> float | None:
-    """The first; where it alone is missing, one that shows nothing."""
+    """The first p-value; 1, which shows nothing, if it is missing but the second is known."""
     return p[0] if p[0] is not None or p[1] is None else 1.0
 
 
 def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The statistics as they are told: shares of runs first if one changes beyond the margin, else mean n_stick."""
+    """The statistics in order: shares of runs come first if one changes beyond its margin, else mean n_stick."""
     moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
     return (IN_MOTION, MEAN, GAMMA) if moved else (MEAN, GAMMA, IN_MOTION)
 
@@ -248,7 +248,7 @@ _OF = {
 def _figures(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str], level: float
 ) -> dict[str, Any]:
-    """A map of the first two axes, and what there is along the first; what leads comes first."""
+    """A map over the first two axes, and the statistics along the first, in the order of `leading`."""
     main = points[lead]
     ticks = axes[0].x, [as_text(value) for value in axes[0].values]
     found: dict[str, Any] = {}
@@ -278,7 +278,7 @@ def _figures(
 def _lines(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
-    """Along the first axis: a line for each value of the next one, or for each setting."""
+    """Lines along the first axis, one for each value of the second, or for each setting."""
     kept = {lead, *list(points)[: MOST_LINES - 1]}
     parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
@@ -298,9 +298,9 @@ def curves(
     ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
     lines: Sequence[tuple[str, Sequence[Estimate | None]]],
 ) -> None:  # fmt: skip
-    """A statistic against a key, with intervals, a line a value of another key.
+    """A statistic against a key, with intervals, one line for each value of another key.
 
-    Where the key's values are no numbers, `x` is None and they stand evenly spaced.
+    `x` is None if the key's values are not numbers, and they are then evenly spaced.
     """
     at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
@@ -329,7 +329,7 @@ def heat_map(
     up: tuple[str, Sequence[str]],
     cells: Sequence[Sequence[float | None]],
 ) -> None:
-    """A statistic at each point of a grid of two keys, a row a value of `up`; grey where there is none."""
+    """A statistic at each point of a grid of two keys, one row for each value of `up`; grey where it has no value."""
     shown = np.array(cells, dtype=float)
     ax.set_facecolor("#d8d8d8")
     image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")

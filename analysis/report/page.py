@@ -31,8 +31,8 @@ from stickslip.sim.systems.terms import TERMS
 #: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
-_ROWS = 10_000  # of a table that are Python's values at once
-MOST_ALERTS = 3  # by rank, what changes the answer first
+_ROWS = 10_000  # of a table that are turned into Python objects at a time
+MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
@@ -44,19 +44,19 @@ _GROUPS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure as the files that a report keeps of it."""
+    """A drawn figure: the contents of its two files in a report."""
 
     svg: str
     pdf: bytes
 
     def address(self) -> str:
-        """As the address of an image that is part of a page: inline, two SVGs would mix up their ids."""
+        """Data URL of the SVG, for an image inside the page; with inline SVGs, ids of two figures would clash."""
         return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
 
 
 @dataclass(frozen=True)
 class Answered:
-    """A question's answer with its figures drawn: plain values, which another process may have made."""
+    """A question's answer with its figures drawn; made of plain values, so that another process may make it."""
 
     key: str
     facts: Mapping[str, Any]
@@ -66,14 +66,14 @@ class Answered:
 
 
 def prepare() -> None:
-    """Compile the templates, as long as there is nothing else to do."""
+    """Compile the templates in advance, while a process is idle."""
     filled = environment()
     for name in ("report", *QUESTIONS):
         filled.get_template(f"{name}.html")
 
 
 def ask(study: Study, key: str) -> Answered | None:
-    """Put one of `QUESTIONS` to a study; None if it does not arise from such data: one block has no cascades."""
+    """Answer to one of `QUESTIONS`; None if such data do not raise it, as one block has no cascades."""
     asked = question(key)
     found = asked.answer(study) if asked.is_asked_of(study) else None
     if found is None:
@@ -83,7 +83,7 @@ def ask(study: Study, key: str) -> Answered | None:
 
 
 def draw(recipe: Recipe) -> Drawn:
-    """Draw a figure and keep its files."""
+    """A figure drawn as SVG and PDF."""
     figure = recipe()
     return Drawn(svg(figure), pdf(figure))
 
@@ -95,9 +95,9 @@ class Report:
     Attributes
     ----------
     html : str
-        The whole page, images inside.
+        The whole page, with its images inside.
     tables : dict of str to DataFrame
-        Every table, with nulls where a column does not apply or a number could not be computed.
+        All tables, with nulls where a column does not apply or a number could not be computed.
     headline : list of str
         The main statements, for a terminal.
     figures : dict of str to Drawn
@@ -109,7 +109,7 @@ class Report:
     figures: dict[str, Drawn] = field(default_factory=dict)
 
     def files(self) -> dict[str, bytes]:
-        """What the report consists of, by path. The page comes last: whoever finds it finds what it names."""
+        """Contents of the report's files by path. The page comes last: once it exists, all that it names exists."""
         found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
         found["report/tables.json"] = _json(self.tables)
         for name, drawn in self.figures.items():
@@ -118,7 +118,7 @@ class Report:
 
 
 def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:
-    """Tables as lists of rows, a row a line; a part at a time, since rows of Python's values are large."""
+    """Tables as JSON lists of rows, one row a line; encoded in parts, since rows as Python objects are large."""
     encode = json.JSONEncoder(allow_nan=False).encode
     listed = []
     for name, table in tables.items():
@@ -137,27 +137,26 @@ def build(
     answers: Callable[[Study], Iterable[Answered | None]] | None = None,
     made_from: str = "",
 ) -> Report:
-    """Analyse an ensemble and say what was found.
+    """Report on an ensemble.
 
     Parameters
     ----------
     data : Data
-        Members and what they recorded; the `series` of every member that did not fail.
+        The members and their records; `series` of every member that did not fail.
     settings : AnalysisSettings
     title, about : str
         Shown at the head of the page, escaped.
     provenance : mapping of str to str
-        What the data came from, shown as given, escaped.
+        Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Gives what `ask` says of each of `QUESTIONS`, in their order; by default they are asked one after the other.
-
+        Returns what `ask` returns for each of `QUESTIONS`, in their order; default: asks them one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
     Raises
     ------
     ValueError
-        If members, series or settings contradict each other, naming the column, member or setting.
+        If members, series or settings contradict each other; names the column, member or setting.
     """
     refuse_unknown(settings.question)
     study = Study(data, settings)
@@ -230,7 +229,7 @@ def _alerts(heard: Sequence[_Shown]) -> list[str]:
 
 
 def _rank(alert: str) -> int:
-    """Of an alert, as its template gives it; a tick has none and comes last."""
+    """Rank of an alert, as its template gives it; a tick has no rank and comes last."""
     given = re.match(r'<li data-rank="(\d)"', alert)
     return int(given[1]) if given else 9
 
@@ -240,12 +239,12 @@ def _safe(texts: Sequence[str]) -> list[Markup]:
 
 
 def plain(text: str) -> str:
-    """What a template made, without tags: for a terminal."""
+    """Text of a template's result without tags, for a terminal."""
     return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text.replace("<sub>", "_")))).strip()
 
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
-    """What leads where the scene does not say: the question of the lowest rank that may, and those beside it."""
+    """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
     asked = {one.key: question(one.key) for one in answered}
     ranked = [(one.rank, key) for key, one in asked.items() if one.rank is not None and one.leads(study)]
     if not ranked:
@@ -255,7 +254,7 @@ def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
 
 
 def group_columns() -> list[tuple[str, str, str | None]]:
-    """Of the table of groups: heading, column and how its numbers are shown; those that all groups are without go."""
+    """Columns of the table of groups: heading, key, and how values are shown; the page leaves out empty ones."""
     titles = {term.name: term.title for term in TERMS}
     of_system = [name for name in SYSTEM_KEYS if name in titles]
     return [
@@ -270,7 +269,7 @@ def group_columns() -> list[tuple[str, str, str | None]]:
 
 
 def groups_table(study: Study) -> pd.DataFrame:
-    """What each group is: its system, its engine's settings, and how many members and matrices it has."""
+    """Table of the groups: system, settings of the engine, and numbers of members and matrices."""
     texts = {column for column, dtype in _GROUPS.items() if dtype == S}
     rows = []
     for group in study.groups:

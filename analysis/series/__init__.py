@@ -1,1 +1,1 @@
-"""What is read off the series of one run: windows, cascades, cycles, when two runs part, and surrogates of blocks."""
+"""What is computed from the series of single runs: windows, cascades, cycles, when two runs part, surrogates."""

@@ -146,7 +146,7 @@ def point(keys, period, rng, error=0.03):
     """A group whose periods without one matrix each have an error of that size."""
     off = error / np.sqrt(19) * rng.standard_normal(20)
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
-    numbers = {name: np.exp(logs) for name in question.LAWS}
+    numbers = {name: np.exp(logs) for name in question.SCALED}
     found = rhythm.Rhythm(rhythm.SWINGS, 0.001, values=numbers)
     keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
     label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
