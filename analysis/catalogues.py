@@ -73,7 +73,7 @@ class Catalogues:
 
 
 def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
-    """The catalogues of each group of which a run reached t_end, in the order of `fineness`."""
+    """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
     of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
     found = [Catalogues(group, _by_unit(group, of_member, study.settings.t_burn)) for group in groups]

@@ -60,6 +60,7 @@ def names(found: Sequence[Catalogues]) -> list[str]:
 
 
 def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
+    """Name of a method from the label of its group, without what all groups share."""
     bare = label.partition(", ")[2] if of_one_size else label
     if are_exact:
         bare = ", ".join(word for word in bare.split(", ") if word != "exact") or "exact"
@@ -137,14 +138,14 @@ def _apart(study: Study, first: Catalogues, second: Catalogues, name: str, law: 
 def comparison(
     contrasts: Sequence[Sequence[Row]], compared: Sequence[Row], methods: Mapping[str, str]
 ) -> dict[str, Any]:
-    """What a page says of methods beside each other.
+    """Facts of the comparison of methods, for the page.
 
     Parameters
     ----------
     contrasts : sequence of sequence of Row
-        As of `against_reference`.
+        Those of `against_reference`.
     compared : sequence of Row
-        As of `by_laws`.
+        Those of `by_laws`.
     methods : mapping of str to str
         Names of the groups' methods, by label.
     """

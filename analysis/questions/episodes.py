@@ -262,10 +262,10 @@ def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge
     rows: list[Row] = []
     edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
     for first, *others in systems:
-        reference = {edge: _exceeding(first, edge) for edge in edges}
+        reference = {edge: first.at_least(edge) for edge in edges}
         for one, edge in itertools.product((first, *others), edges):
             before = reference[edge]
-            sums = before if one is first else _exceeding(one, edge)
+            sums = before if one is first else one.at_least(edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
@@ -281,17 +281,6 @@ def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge
                 **named("over", over),
             })  # fmt: skip
     return rows
-
-
-def _exceeding(one: Catalogues, magnitude: float) -> dict[int, np.ndarray]:
-    """By unit: episodes of at least that magnitude, and the time in which they were counted."""
-    return {
-        unit: np.array([
-            sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
-            sum(run.t_stop - run.t_start for run in runs),
-        ], dtype=np.float64)
-        for unit, runs in one.runs.items()
-    }  # fmt: skip
 
 
 def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:

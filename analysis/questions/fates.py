@@ -158,7 +158,7 @@ def _runs(group: Group) -> Iterator[Row]:
     """Fate of each run, with the time at which its motion ended or up to which it was followed."""
     table = group.members
     setting = tuple(value for name, value in group.key.items() if name not in ("z0", "w0"))
-    hangs = any(group.key[name] is not None for name in SPEED_DEPENDENT)
+    is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
     columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
     rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
     for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
@@ -168,7 +168,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
             "times": times, "t": None if how == FAILED else ends_at(how, *times)[0],
             "growth_rate": None if pd.isna(rate) else float(rate),
-            "untold": "law" if hangs else "rate" if pd.isna(rate) else "stable",
+            "untold": "law" if is_speed_dependent else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
             "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
             "setting": (*setting, int(matrix)),

@@ -201,12 +201,12 @@ def _words(filled: Environment, key: str) -> SimpleNamespace:
 
 @dataclass(frozen=True)
 class _Shown(Answered):
-    """An answer beside the words of its template."""
+    """An answer with the words of its template."""
 
     words: SimpleNamespace = field(default_factory=SimpleNamespace)
 
     def says(self, macro: Macro | None) -> str:
-        """What a macro of the template makes of the facts; nothing where the template lacks it."""
+        """Text of a macro of the template on the facts; empty if the template lacks the macro."""
         return "" if macro is None else str(macro(self.facts)).strip()
 
     def figure(self, name: str, alt: str) -> Markup:

@@ -1,1 +1,1 @@
-"""What is computed from the series of single runs: windows, cascades, cycles, when two runs part, surrogates."""
+"""Series of single runs: windows, cascades, cycles, surrogates, and when two runs part."""
