@@ -5,6 +5,6 @@ Takes arrays and data frames; knows no files. All quantities are dimensionless.
 
 import lazy_loader
 
-# Each room is loaded when a name of it is first asked for: who draws needs no statistics.
-# The names are in __init__.pyi.
+# A room is loaded when one of its names is first used: drawing alone needs no statistics. The names are in
+# __init__.pyi.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

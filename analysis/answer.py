@@ -1,4 +1,4 @@
-"""What a question of a report is, and what it finds: facts, tables and figures; the words are in its template."""
+"""A question of a report, and its answer: facts, tables and figures. The words are in its template."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.stats.estimates import Estimate
 
-#: Draws a figure when it is called, from plain data.
+#: Draws a figure from plain data when called.
 Recipe = Callable[[], Figure]
 Row = dict[Any, Any]
 
@@ -24,11 +24,11 @@ class Answer:
     Attributes
     ----------
     facts : mapping
-        What the question's template says, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
+        What the template puts into words, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
     lack : str
-        Why there is no answer, a code that the template puts into words; empty if there is one.
+        A code for why there is no answer, which the template puts into words; empty if there is an answer.
     tables : mapping of str to DataFrame
-        Kept whole as Parquet, with nullable types: null and never NaN.
+        Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
     figures : mapping of str to Recipe
         By name; the template says what each shows.
     """
@@ -50,20 +50,19 @@ class Question:
     Attributes
     ----------
     answer : callable
-        Of a `Study`, what is found; None where the question does not arise from such data.
+        Maps a `Study` to its answer; to None where such data do not raise the question.
     share : float
-        Of the time of a report, as measured on the scenes that ship, where there is something to answer: the longest
-        are begun first.
+        Its share of the time of a report, as measured on the scenes that ship; the longest questions are begun first.
     of_cascades : bool
-        Whether it is about cascades: such questions are not asked where episodes are recorded, which contain
-        them, nor of one block, which has none.
+        Whether it is about cascades. Such questions are not asked where episodes are recorded, since episodes contain
+        cascades, nor of one block, which has none.
     rank : int, optional
-        Where the scene names no question, the answered one of the lowest rank leads the page, if `leads` agrees. One
-        without a rank leads only if it is named.
+        Where the scene names no question, the answered question of the lowest rank leads the page, if `leads` allows
+        it. A question without a rank leads only if it is named.
     leads : callable
-        Of a `Study`, whether it may lead.
+        Maps a `Study` to whether the question may lead.
     beside : tuple of str
-        The questions that follow it on the first screen when it leads by its rank.
+        Questions that follow it on the first screen when it leads by rank.
     """
 
     answer: Callable[[Study], Answer | None]
@@ -82,7 +81,7 @@ S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable typ
 
 
 def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd.DataFrame:
-    """Rows as a data frame with the columns and nullable types of a schema; what a row lacks is null."""
+    """Data frame of some rows, with the columns and nullable types of a schema; what a row lacks is null."""
     listed = list(rows)
     columns: dict[str, Any] = dict(schema)  # pandas' stubs know each dtype by its literal name only
     return pd.DataFrame(
@@ -91,7 +90,7 @@ def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd
 
 
 def named(name: str, estimate: Estimate) -> Row:
-    """An estimate as three columns: its value and the ends of its interval."""
+    """Columns of an estimate: its value and the ends of its interval."""
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 

@@ -1,7 +1,7 @@
-"""How far two groups of runs lie apart in each statistic: paired where they share their random systems.
+"""Contrasts: how far two groups of runs differ in each statistic, paired where they share their random systems.
 
-Every statistic is a function of two sums a unit, so that one estimator serves all of them. A difference is relative
-to the first group; of shares of runs it is the difference itself.
+Every statistic is a function of two sums over each unit, so one estimator serves all of them. A difference is
+relative to the first group, except that shares of runs are subtracted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S, named
-from stickslip.analysis.ensemble import Group
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import estimates, student
@@ -34,11 +34,11 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
-SHORT_WINDOW = "short window"  # a reason beside those of `stats.enough` and of the estimates
-#: of shares of runs, which a scene declares no margin for: one run in five, which twenty matrices can show
+SHORT_WINDOW = "short window"  # a reason, like those of `stats.enough` and of the estimates
+#: Margin of shares of runs, for which a scene declares none: one run in five, which twenty matrices can resolve.
 SHARE_MARGIN = 0.2
-#: Laws certify a collapse more or less often: runs are compared in what is seen of all, whether a block sticks in the
-#: last quarter.
+#: Engines certify a collapse more or less often, so runs are compared by what is seen in all of them: whether a block
+#: sticks in the last quarter.
 ALL_SLIP, RUN_AWAY = "share all slipping", "share run away"
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
@@ -51,7 +51,7 @@ SCHEMA: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Statistic:
-    """A statistic by name: how it follows from two sums, and by how much it may differ."""
+    """A statistic: its name, how it follows from two sums, and its margin."""
 
     name: str
     of: estimates.Statistic
@@ -61,39 +61,39 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Sample:
-    """What one group gives.
+    """The sums of one group, from which its statistics follow.
 
     Attributes
     ----------
     sums : dict of str to dict of int to ndarray, shape (2,)
-        By statistic and unit. Only runs that reached t_end enter, but for shares, where each unit has its first
-        run that did not fail: 1 or 0, and 1.
+        By statistic and unit. Only runs that reached t_end enter. Shares are the exception: there each unit has 1 or
+        0, and 1, from its first run that did not fail.
     unjudged : set of str
-        Statistics that most windows are too short for.
+        Statistics for which most windows are too short.
     """
 
     sums: dict[str, dict[int, np.ndarray]] = field(default_factory=dict)
     unjudged: set[str] = field(default_factory=set)
 
     def rows(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Units in ascending order, and their sums, shape (G, 2); those in which nothing was counted left out."""
+        """Units in ascending order and their sums, shape (G, 2), without units in which nothing was counted."""
         found = self.sums.get(name, {})
         kept = sorted(unit for unit, row in found.items() if row[1] > 0)
         return np.array(kept, dtype=np.int64), np.array([found[unit] for unit in kept]).reshape(-1, 2)
 
     def add(self, name: str, unit: int, row: Sequence[float]) -> None:
-        """Add two sums of a run to those of its unit."""
+        """Add the two sums of a run to those of its unit."""
         held = self.sums.setdefault(name, {})
         held[unit] = held.get(unit, np.zeros(2)) + np.array(row, dtype=np.float64)
 
     def add_window(self, unit: int, win: Window, of: Collection[str]) -> None:
-        """Add some quantities of the window of a run."""
+        """Add the sums of some quantities over a run's window."""
         for name in of:
             self.add(QUANTITIES[name].label, unit, QUANTITIES[name].sums(win))
 
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
-    """Quantities of some names, where a margin is declared."""
+    """The named quantities for which a margin is declared, as statistics."""
     return [
         Statistic(one.label, one.of, margins[name]) for name, one in QUANTITIES.items() if name in {*of} & {*margins}
     ]
@@ -105,7 +105,7 @@ def shares() -> list[Statistic]:
 
 
 def sample(group: Group) -> Sample:
-    """What the runs of a filled group give."""
+    """The sums of the runs of a filled group."""
     found = Sample({
         QUANTITIES[name].label: dict(zip(group.units, rows, strict=True)) for name, rows in group.quantities.items()
     })  # fmt: skip
@@ -122,7 +122,10 @@ def sample(group: Group) -> Sample:
 
 
 def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Row:
-    """Second against first in one statistic, not judged yet; paired: over the units that both have."""
+    """How far the second group differs from the first in one statistic, not judged yet.
+
+    Paired contrasts use the units that both groups have.
+    """
     (mine, a), (theirs, b) = first.rows(one.name), second.rows(one.name)
     if paired:
         both = np.intersect1d(mine, theirs)
@@ -144,7 +147,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
     of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None
-    seen = after.value - before.value  # of shares; their test adds runs, and its centre is no difference of any two
+    seen = after.value - before.value  # of shares, whose test adds runs: its centre is not their difference
 
     def shown(test: Compared) -> Estimate:
         low, high = test.interval(confidence)
@@ -157,7 +160,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
         test = equivalence_test(*(of or relative_difference(one.of, a, b, paired)), one.margin)
     except Undefined as why:
         return row | {"reason": str(why)}
-    half = student.quantile(confidence, test.dof) * test.error  # within the margins where equivalence is shown
+    half = student.quantile(confidence, test.dof) * test.error  # within the margins just when equivalence is shown
     return (
         row
         | named("relative", shown(test))
@@ -172,9 +175,10 @@ def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estim
 
 
 def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
-    """Write verdicts into contrasts that were tested, by Holm's rule over all `n_tests`, each kind by itself.
+    """Write verdicts into the contrasts that were tested.
 
-    What is compared with the margin is `relative`.
+    The p-values of equivalence and those of a difference are each adjusted by Holm's rule over all `n_tests`.
+    `relative` is compared with the margin.
     """
     tested = [row for row in rows if row["p_equivalent"] is not None]
     for name in ("p_equivalent", "p_different"):
@@ -186,7 +190,7 @@ def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
 
 
 def told(rows: Iterable[Row]) -> list[Row]:
-    """Contrasts worth a reader's time: those with a difference, but for ends that all runs of both met, or none."""
+    """The contrasts to report: those with a value, except shares that are 0 in both groups or 1 in both."""
     return [row for row in rows if row["relative"] is not None and not _is_plain(row)]
 
 

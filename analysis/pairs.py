@@ -1,8 +1,8 @@
-"""Which members are changed copies of which: a displaced start, moved constants, redrawn stiffness ratios.
+"""Pairs of a member and its changed copy: a displaced start, changed constants or redrawn stiffness ratios.
 
-A changed run is compared with the run of the same matrix, under the same engine and settings, that was not changed,
-its base. The pairs of one setting, kind and size of change make a `Comparison`; its matrices are the independent
-units, and several draws of one matrix are not.
+A changed run is compared with its base: the unchanged run of the same matrix, under the same engine and settings. The
+pairs of one setting with one kind and size of change make a `Comparison`. Its matrices are the independent units;
+several draws of one matrix are not independent.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.answer import Row, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Study, label, split
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import label
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
-#: what a perturbation moves, if the members do not say: every constant by up to a share of its scale
+#: How a perturbation is read if the members do not say: it moves every constant by up to a share of its scale.
 DEFAULT_READING = "scale"
 _CHANGING = ("perturbation_size", "ratio")  # settings in which a changed member differs from its base
 _SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in _CHANGING)
@@ -29,7 +31,7 @@ _COLUMNS = [*_CHANGING, "member_id", "matrix", "ratio_draw", "perturbation_readi
 
 @dataclass(frozen=True, order=True)
 class Change:
-    """What was done to the base: a kind, for constants how `size` is read, and the size (0 for redrawn ratios)."""
+    """How a copy differs from its base: the kind, how `size` is read (for constants), the size (0 for ratios)."""
 
     kind: str
     reading: str | None = None
@@ -46,7 +48,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Pair:
-    """A changed member and its base, by member_id; both of one matrix."""
+    """A changed member and its base, by member_id; both have the same matrix."""
 
     matrix: int
     base: str
@@ -63,7 +65,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Setting:
-    """Members alike in everything but matrix and change: `bases` (one a matrix) and what was made of them."""
+    """Members that differ in matrix and change only: `bases`, one a matrix, and the comparisons with them."""
 
     label: str
     key: dict[str, Any]
@@ -72,15 +74,15 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Watched:
-    """A pair up to t_stop, the end of the run that was watched for less long.
+class Followed:
+    """A pair that was followed up to t_stop, where the shorter of its runs ends.
 
     Attributes
     ----------
     gaps : ndarray
         `parting.gap` of the two.
     t : float or None
-        When the changed run had parted from its base.
+        When the changed run had parted from its base; None if it had not.
     """
 
     pair: Pair
@@ -90,23 +92,23 @@ class Watched:
 
 
 def level(study: Study, setting: Setting) -> float | None:
-    """What two different matrices show after t_burn, however they end, see `parting.level`.
+    """Mean |n_stick difference| of two different matrices after t_burn (`parting.level`), however their runs end.
 
-    None if they show nothing, or if most have come to slip for good or are quiet: it then falls to nothing with time.
+    None if it is zero, or if most runs slip for good or are quiet, since it then vanishes with time.
     """
     bases = {base: how for base in setting.bases.values() if (how := study.fate(base)) != FAILED}
     n_settled = sum(how in SETTLED for how in bases.values())
     if len(bases) < 2 or 2 * n_settled > len(bases):
         return None
     t_end = float(setting.key["t_end"])
-    watched = [study.ends[base][1] if how == DIVERGED else t_end for base, how in bases.items()]
-    return parting.level([study.data.series[base] for base in bases], watched, study.settings.t_burn, t_end) or None
+    until = [study.ends[base][1] if how == DIVERGED else t_end for base, how in bases.items()]
+    return parting.level([study.data.series[base] for base in bases], until, study.settings.t_burn, t_end) or None
 
 
-def watch(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Watched]:
-    """The pairs of a comparison up to t_end at most; those of which a run failed are left out.
+def follow(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Followed]:
+    """The pairs of a comparison, followed up to t_end at most; pairs with a failed run are left out.
 
-    A collapsed run stays as it is; one that ran away is watched until then.
+    A collapsed run stays as it is; a run that ran away is followed until it did.
     """
     found = []
     for pair in comparison.pairs:
@@ -115,21 +117,21 @@ def watch(study: Study, comparison: Comparison, level: float, t_end: float) -> l
             continue
         t_stop = min([t_end, *(t for outcome, t in two if outcome == "diverged")])
         gaps = parting.gap(study.data.series[pair.base], study.data.series[pair.changed], t_stop)
-        found.append(Watched(pair, t_stop, gaps, parting.parted_at(gaps, level)))
+        found.append(Followed(pair, t_stop, gaps, parting.parted_at(gaps, level)))
     return found
 
 
 def settings(members: pd.DataFrame) -> list[Setting]:
-    """Sort members into settings and, in each, changed members into comparisons with their base.
+    """Settings of an ensemble, each with the comparisons of changed members with their bases.
 
-    A base has no change at all. For the sigmoid it has equal stiffness ratios; if no member has, the first draw of
-    the ratios is the base. Constants and start are compared under the same ratios. A member changed in two ways
-    at once, or without base, is in no comparison.
+    A base is unchanged. For the sigmoid it has equal stiffness ratios or, if no member has, the first draw of the
+    ratios. Changes of constants and of the start are compared under the same ratios. A member that was changed in two
+    ways at once, or has no base, is in no comparison.
 
     Parameters
     ----------
     members : DataFrame
-        As `analysis.ensemble.Data` has them.
+        Those of `analysis.ensemble.Data`.
 
     Returns
     -------
@@ -143,7 +145,7 @@ def settings(members: pd.DataFrame) -> list[Setting]:
 
 
 def _change(row: Row) -> Change | None:
-    """The change of start or constants; None for neither."""
+    """The change of the start or the constants; None if neither was changed."""
     if row["twin_size"]:
         return Change(START, None, float(row["twin_size"]))
     if row["perturbation_size"]:
@@ -152,12 +154,12 @@ def _change(row: Row) -> Change | None:
 
 
 def _ratios(row: Row) -> tuple[bool, int]:
-    """Which stiffness ratios a member has: equal ones, as under the exact law, or which draw."""
+    """Whether a member's stiffness ratios are drawn, and the number of the draw. The exact engine has equal ones."""
     return row["ratio"] not in (None, "one"), int(row["ratio_draw"] or 0)
 
 
 def _compared(rows: Sequence[Row]) -> tuple[dict[int, str], tuple[Comparison, ...]]:
-    """Of a setting, the base of each matrix, and the comparisons with bases."""
+    """The base of each matrix of a setting, and the comparisons with bases."""
     original = [row for row in rows if _change(row) is None]
     first = min(map(_ratios, original), default=(False, 0))
     bases: dict[int, str] = {}

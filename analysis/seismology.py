@@ -5,29 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-#: Columns that a catalogue is made from.
+#: Columns that a catalogue needs.
 _NEEDED = ("start", "moment", "first_block")
 
 
 def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Episodes with the columns of a catalogue, as ObsPy reads and writes them in CSV.
+    """Episodes as a catalogue with the columns that ObsPy reads and writes in CSV.
 
     Parameters
     ----------
     episodes : DataFrame
-        A row an episode: start, moment, first_block, and member_id if they are of several runs.
+        One row an episode: start, moment, first_block, and member_id if several runs are in it.
 
     Returns
     -------
     DataFrame
-        id; time, in UTC: a unit of time counts as a second since 1970; lat and dep, zero; lon, the block that left
-        first, a thousandth of a degree each; mag, log10 of the size of the moment; magtype. Episodes whose moment is
-        zero have no magnitude and are left out.
+        id; time, in UTC, where a unit of time counts as a second since 1970; lat and dep, which are zero; lon, the
+        number of the block that left first, in thousandths of a degree; mag, log10 of the absolute moment; magtype.
+        Episodes whose moment is zero have no magnitude and are left out.
 
     Raises
     ------
     TypeError, ValueError
-        If it is no frame, or lacks one of the columns.
+        If `episodes` is not a DataFrame, or lacks one of the columns.
     """
     if not isinstance(episodes, pd.DataFrame):
         raise TypeError(

@@ -1,4 +1,4 @@
-"""What a reader of the data must declare before any number is computed."""
+"""What must be declared before any number is computed."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ class AnalysisSettings:
     Parameters
     ----------
     t_burn : float
-        Statistics use [t_burn, t_end] (dimensionless): the shared start is not yet forgotten before.
+        Statistics use [t_burn, t_end] (dimensionless): before t_burn the shared start still shows.
     dt : tuple of float
-        Sampling steps of the sampled definitions (dimensionless), shown in tables.
+        Sampling steps of the sampled definitions of a cascade (dimensionless), shown in tables.
     resamples : int
-        Most surrogates of a member for what chance gives; `analysis.series.nulls.DRAWS` are enough.
+        Largest number of surrogates a member, for the values under chance; `analysis.series.nulls.DRAWS` are enough.
     confidence : float
         Level of every interval, in (0, 1).
     seed : int
-        Root of every random number.
+        Seed from which all random numbers derive.
     map_dt : tuple of float
-        Further sampling steps, for figures; those of `dt` if there are none.
+        Sampling steps for figures; default: those of `dt`.
     tau : tuple of float
-        Gaps within which exits are looked at as pairs (dimensionless).
+        Exits closer than such a gap count as a pair (dimensionless).
     smallest : int
-        Least size of a cascade that the law is fitted to.
+        Smallest size of a cascade that laws of sizes are fitted to.
     margins : mapping of str to float
-        By name of ``QUANTITIES`` in ``analysis.stats.quantities``: how much two runs may differ and be equivalent.
+        The largest difference of two runs that counts as equivalence, by name of ``QUANTITIES`` in
+        ``analysis.stats.quantities``.
     question : tuple of str
-        Primary questions, in the order in which they lead the report; by default what the data are about.
+        Primary questions, in the order in which they lead the report; default: chosen from what the data hold.
 
     Raises
     ------

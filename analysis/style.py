@@ -1,4 +1,4 @@
-"""The style of every plot: colour-blind safe, legible, the same bytes for like data."""
+"""The style of every plot: safe for colour-blind readers, legible, and the same bytes for the same data."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ WIDTH = 7.2  # inches: the text width of the report
 
 
 def svg(figure: Figure) -> str:
-    """A figure as SVG text, without date: a function of the figure alone."""
+    """A figure as SVG text, which depends on the figure alone: it holds no date."""
     buffer = io.StringIO()
     with matplotlib.rc_context(STYLE):
         FigureCanvasSVG(figure)
         layout = figure.get_layout_engine()
-        if layout is not None:  # left in place, it would have the figure drawn twice
+        if layout is not None:  # if left in place, the figure would be drawn twice
             layout.execute(figure)
             figure.set_layout_engine("none")
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None})
@@ -63,13 +63,13 @@ def blank(height: float) -> Figure:
 
 
 def subplots(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
-    """Such a figure and its axes, shape (rows, columns)."""
+    """A figure as of `blank` and its axes, shape (rows, columns)."""
     figure = blank(height)
     return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
 
 
 def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> None:
-    """One legend below the figure for the curves of its axes, or of some of them, each name once."""
+    """Put one legend below a figure, for the curves of all axes or of some, with each name once."""
     drawn: dict[str, Any] = {}
     for ax in figure.axes if axes is None else axes:
         drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
@@ -77,21 +77,21 @@ def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> 
 
 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
-EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two laws, as filled circles and open squares
+EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two friction laws, as filled circles and open squares
 P = ParamSpec("P")
 
 
 def panel(
     height: float = PANEL[1], **axes: Any
 ) -> Callable[[Callable[Concatenate[Any, P], None]], Callable[P, Figure]]:
-    """Of a function that draws on axes, one that makes a figure half a page wide.
+    """Decorator that makes a function that draws on axes return a figure half a page wide.
 
     Parameters
     ----------
     height : float
         In inches.
     **axes
-        As `Figure.subplots` takes them; by default what draws is given one `Axes`.
+        Arguments of `Figure.subplots`; default: the function is given one `Axes`.
     """
 
     def of(draw: Callable[Concatenate[Any, P], None]) -> Callable[P, Figure]:
@@ -108,7 +108,7 @@ def panel(
 
 
 def size_axis(ax: Axes, largest: int) -> None:
-    """An axis of sizes, 1 to `largest`: whole numbers, be there one alone."""
+    """Make x an axis of sizes from 1 to `largest`, with ticks at whole numbers, even if there is only one."""
     ax.set_xlim(0.5, largest + 0.5)
     ax.xaxis.set_major_locator(MaxNLocator(nbins="auto", integer=True, min_n_ticks=1))
 
@@ -116,10 +116,14 @@ def size_axis(ax: Axes, largest: int) -> None:
 def over_blocks(
     ax: Axes, groups: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> Iterator[tuple[str, list[Mapping[str, Any]], np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]]:
-    """Axes for power over that of independent blocks, against the period, for three groups by colour at most.
+    """Prepare axes for power relative to independent blocks against the period, and yield what to draw on them.
 
-    Yields of each group, to be drawn: label, rows with an interval, period, ratio, low, high, each (m,), and colour.
-    Rows have `above` and `upto`, the ends of a band of periods, and `ratio`, `low`, `high`.
+    A row has `above` and `upto`, the ends of a band of periods, and `ratio`, `low`, `high`.
+
+    Yields
+    ------
+    label, rows, period, ratio, low, high, colour
+        Of each group, of three at most, the rows that have an interval; the arrays have shape (m,).
     """
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, rows) in enumerate(groups.items()):

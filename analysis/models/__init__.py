@@ -1,1 +1,1 @@
-"""Estimates of what blocks do together, over the systems of an ensemble, each with its interval."""
+"""What blocks do together: estimates over the systems of an ensemble, each with its interval."""

@@ -1,13 +1,14 @@
-"""Do exits cluster, and do the blocks swing together? Each quantity beside what blocks that ignore each other give.
+"""Whether exits cluster and blocks move together: quantities of a run beside those of blocks that ignore each other.
 
-n_stick is the sum of the blocks' series x_i (1 where block i sticks), so its power, its variance, the variance of the
-number of exits in a window and the number of pairs of exits close in time are sums over pairs of blocks. The null is
-`nulls.rotated`, each block's series turned by a random amount of its own. Terms of two different blocks then have
-expectations that depend on the blocks' numbers alone, terms of one block stay, and no draws are needed:
+n_stick is the sum of the blocks' series x_i (1 where block i sticks). Its power, its variance, the variance of the
+number of exits in a window and the number of pairs of exits close in time are therefore sums over pairs of blocks.
+The null is `nulls.rotated`: each block's series rotated by a random amount of its own. Then the expectation of a term
+of two different blocks depends only on their numbers of events, a term of one block does not change, and no draws are
+needed:
 
     power      sum_i |X_i(f)|^2          variance   sum_i var x_i          Fano, pairs   `OwnGaps`.
 
-Pairs see what happens within a mean gap between exits, power what happens in hundreds of them.
+Pairs show what happens within a mean gap between exits, power what happens over hundreds of them.
 """
 
 from __future__ import annotations
@@ -22,24 +23,24 @@ from stickslip.analysis.series.nulls import BlockSteps, in_order
 from stickslip.analysis.stats.estimates import Undefined
 
 POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
-SAMPLES = 4096  # of a window: periods from a thousandth of it on are free of aliases
-SEGMENTS = 2  # Welch's segments are so much shorter than the window, tapered by Hann and overlapping by half
-CHUNK = 256  # blocks whose samples are in memory at once
+SAMPLES = 4096  # of a window: periods above a thousandth of it are free of aliasing
+SEGMENTS = 2  # window over Welch's segment; segments have a Hann taper and overlap by half
+CHUNK = 256  # blocks whose samples are in memory at a time
 
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that is measured.
+    """A quantity to be measured.
 
     Attributes
     ----------
     kind : str
-        `POWER`, mean over a band of periods; `VARIANCE` in time; `FANO`, variance over mean of the numbers of exits
-        in windows; `PAIRS`, number of pairs of exits.
+        `POWER`, the mean over a band of periods; `VARIANCE` in time; `FANO`, the variance over the mean of the number
+        of exits in windows; `PAIRS`, the number of pairs of exits close in time.
     upto : float, optional
-        Longest period; length of the windows; gap within which a pair counts.
+        Longest period (`POWER`); length of the windows (`FANO`); largest gap of a pair (`PAIRS`).
     above : float, optional
-        Shortest period.
+        Shortest period (`POWER`).
     """
 
     kind: str
@@ -48,21 +49,21 @@ class Part:
 
 
 def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
-    """Each part of one run: what is observed, and what rotation gives; shape (p, 2).
+    """Observed value and expectation under rotation of each part, for one run, shape (p, 2).
 
     Parameters
     ----------
     steps : BlockSteps
     parts : sequence of Part
-        Periods within `periods(span)`.
+        Their periods must be within `periods(span)`.
 
     Raises
     ------
     ValueError
-        If a period is longer than a segment or too short for the samples, or a gap or a window longer than half of
-        the run's.
+        If a period is longer than a segment or too short for the samples, or if a gap or a window is longer than half
+        of the run's window.
     Undefined
-        If fewer than two exits are seen.
+        If there are fewer than two exits.
     """
     t, block = steps.exits()
     if len(t) < 2:
@@ -70,7 +71,9 @@ def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
     reach = max((part.upto or 0.0 for part in parts if part.kind in (FANO, PAIRS)), default=0.0)
     if 2 * reach > steps.span:
         raise ValueError(f"parts: expected gaps and windows of at most {steps.span / 2:g}, got {reach:g}")
-    own = own_gaps(t, block, steps.span, min(1.5 * reach, steps.span / 2))  # windows are made to tile the span
+    own = own_gaps(
+        t, block, steps.span, min(1.5 * reach, steps.span / 2)
+    )  # room for windows that are stretched to tile the span
     kinds = {part.kind for part in parts}
     share = _share_stuck(steps) if kinds & {POWER, VARIANCE} else np.zeros(0)
     spectra = _spectra(steps, share) if POWER in kinds else None
@@ -99,7 +102,7 @@ def pairs(t: np.ndarray, tau: float) -> float:
 
 
 def n_windows(length: float, span: float) -> int:
-    """How many windows of about `length` tile the span; at least two."""
+    """Number of windows of about `length` that tile the span; at least two."""
     return max(2, round(span / length))
 
 
@@ -112,14 +115,15 @@ def fano(t: np.ndarray, t_start: float, t_stop: float, n_windows: int) -> float:
 
 @dataclass(frozen=True)
 class OwnGaps:
-    """What the exits of single blocks keep under rotation: numbers a block, and gaps within blocks.
+    """What rotation keeps of the exits: their number in each block, and the gaps within blocks.
 
     Attributes
     ----------
     counts : ndarray, shape (b,)
         Exits of each block.
     gaps : ndarray
-        Between exits of one block, those below a reach of at most half the span; the window is closed to a circle.
+        Gaps between exits of one block, on the window closed to a circle; those below a reach of at most half the
+        span.
     span : float
     """
 
@@ -128,20 +132,20 @@ class OwnGaps:
     span: float
 
     def pairs(self, tau: float) -> float:
-        """Expected pairs of exits within tau under rotation, tau <= the reach.
+        """Expected number of pairs of exits within tau under rotation, for tau <= the reach.
 
-        Two blocks of m_i and m_j exits have m_i m_j (2x - x^2) pairs, x = tau / span. A gap g within a block is
-        cut by the seam with probability g / span, and is then no longer short.
+        Two blocks with m_i and m_j exits have m_i m_j (2x - x^2) pairs, x = tau / span. The seam cuts a gap g
+        within a block with probability g / span, and the gap is then no longer short.
         """
         total, x = float(self.counts.sum()), tau / self.span
         between = 0.5 * (total**2 - np.sum(self.counts.astype(np.float64) ** 2))
         return float(between * x * (2 - x) + np.sum(1 - self.gaps[self.gaps < tau] / self.span))
 
     def fano(self, n_windows: int) -> float:
-        """Expected Fano factor under rotation, of counts in `n_windows` equal windows of length L <= the reach.
+        """Expected Fano factor under rotation of counts in `n_windows` equal windows of length L <= the reach.
 
-        The blocks' counts are uncorrelated, so their variances add; that of a block follows from its gaps g:
-        E c^2 = m / K + 2 sum (L - g)_+ / span, with K windows.
+        The blocks' counts are uncorrelated, so their variances add. The variance of a block follows from its gaps g:
+        with K windows, E c^2 = m / K + 2 sum (L - g)_+ / span.
         """
         length = self.span / n_windows
         second = self.counts.sum() / n_windows + 2.0 * np.sum(np.maximum(length - self.gaps, 0.0)) / self.span
@@ -150,7 +154,7 @@ class OwnGaps:
 
 
 def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> OwnGaps:
-    """Gaps below `reach` between exits of the same block; `t` in order of time, reach <= span / 2."""
+    """Gaps below `reach` between exits of the same block; `t` must be in order, and reach <= span / 2."""
     order = in_order(block)
     times, index, counts = t[order], block[order], np.bincount(block)
     size, start = counts[index], (np.cumsum(counts) - counts)[index]
@@ -170,11 +174,12 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
 
 
 def periods(span: float) -> tuple[float, float]:
-    """The shortest and the longest period that the power of a window resolves."""
+    """Shortest and longest period that the power of a window resolves."""
     return 4 * span / SAMPLES, span / SEGMENTS
 
 
 def _checked(part: Part, span: float) -> tuple[float, float]:
+    """The band of a part; ValueError if the window does not resolve it."""
     shortest, longest = periods(span)
     if part.above is None or part.upto is None or not shortest <= part.above < part.upto <= longest:
         raise ValueError(f"parts: expected a band of periods within {shortest:g} and {longest:g}, got {part}")
@@ -182,20 +187,20 @@ def _checked(part: Part, span: float) -> tuple[float, float]:
 
 
 def _share_stuck(steps: BlockSteps) -> np.ndarray:
-    """The share of the window that each block sticks; 0 of those that do not change, which add nothing."""
+    """Share of the window during which each block sticks; 0 for blocks without changes, which contribute nothing."""
     stuck = np.where(_first_steps(steps) < 0, steps.span, 0.0)
     return (stuck + np.bincount(steps.block, steps.step * (steps.t_stop - steps.t))) / steps.span
 
 
 def _first_steps(steps: BlockSteps) -> np.ndarray:
-    """The first step of each block, 0 if it has none; an exit means that it stuck before."""
+    """First step of each block, 0 if it has none; an exit means that the block stuck before."""
     first = np.zeros(int(steps.block.max(initial=-1)) + 1, dtype=np.int64)
     first[steps.block[::-1]] = steps.step[::-1]
     return first
 
 
 def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies, shape (m,), and power of n_stick and of the blocks added up, shape (2, m)."""
+    """Frequencies, shape (m,), with the power of n_stick and the sum of the blocks' powers, shape (2, m)."""
     dt = steps.span / SAMPLES
     index, first = steps.block, _first_steps(steps)
     place = np.minimum(np.ceil((steps.t - steps.t_start) / dt).astype(np.int64), SAMPLES)
@@ -214,9 +219,9 @@ def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _welch(x: np.ndarray, dt: float) -> np.ndarray:
-    """One-sided power of each row of x, from which the mean of the whole window has been taken.
+    """One-sided power of each row of x, from which the mean over the whole window has been subtracted.
 
-    Not that of each segment (as Welch's method has it): the slowest motion would go with it.
+    Welch's method subtracts the mean of each segment instead, which would remove the slowest motion.
     """
     m = SAMPLES // SEGMENTS
     taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(m) / m)
@@ -229,7 +234,7 @@ def _welch(x: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _band(frequency: np.ndarray, spectra: np.ndarray, shortest: float, longest: float) -> np.ndarray:
-    """Mean power between two periods, by the trapezoidal rule: a band holds two frequencies or none."""
+    """Mean power between two periods by the trapezoidal rule, which works for bands with few frequencies or none."""
     low, high = 1 / longest, 1 / shortest
     inside = frequency[(frequency > low) & (frequency < high)]
     nodes = np.concatenate(([low], inside, [high]))

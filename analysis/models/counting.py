@@ -1,16 +1,17 @@
-"""Why gamma is not ln 2: what is counting, what single blocks' habits, what coupling; each as a share of ln 2.
+"""Why gamma differs from ln 2: the parts due to counting, to single blocks' habits and to coupling, relative to ln 2.
 
     gamma / ln 2 - 1 = counting + habits + coupling
 
-    counting    pool - coin          as many blocks without memory: finitely many can let go (`models.pool`)
+    counting    pool - coin          as many blocks without memory, of which finitely many can let go (`models.pool`)
     habits      rotation - pool      the runs' own blocks, which have memory and differ, but ignore each other
-    coupling    runs - rotation      what turning each block's series in time breaks (`nulls.rotated`)
+    coupling    runs - rotation      what rotating each block's series in time breaks (`nulls.rotated`)
 
-Of independent blocks, with memory or without, coupling is zero; of alike blocks without memory, habits are too.
+For independent blocks, with or without memory, coupling is zero; for equal blocks without memory, habits are zero
+too.
 
-Lulls, stretches of more than `LULL` in which no block sticks, are cut out first: nothing can let go in them, yet they
-would count as time in which fewer blocks stick, and turned in time they would fill up with events of other blocks.
-Every block slips at both ends of a lull, so its series go on from the one to the other.
+Lulls, which are stretches longer than `LULL` in which no block sticks, are cut out first. Nothing can let go in a
+lull, yet it would count as time in which fewer blocks stick, and rotation would fill it with events of other blocks.
+Every block slips at both ends of a lull, so its series continue across the cut.
 """
 
 from __future__ import annotations
@@ -21,29 +22,28 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.analysis.models import pool
-from stickslip.analysis.series.cascades import Law, Window, sums
+from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps, rotations
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import LN2, Statistic, ratio
 
 LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
-EVENTS = Law("events")
 
 
-#: Columns of `run_sums`, numerator and denominator each: sizes and numbers of cascades of the run and of its
-#: rotations, the integral of n_stick and the time, and the sums of the slope.
+#: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
+#: of its rotations, integral of n_stick and time, and the sums of the slope.
 OBSERVED, ROTATED, MEAN, SLOPE = (slice(k, k + 2) for k in (0, 2, 4, 6))
 N_COLUMNS = 8
 
 
 def lulls(win: Window) -> np.ndarray:
-    """How long n_stick stays at each value of its path, shape (m + 1,), where that is a lull; else 0."""
+    """Length of each lull at its place in the path of n_stick, shape (m + 1,), and 0 elsewhere."""
     lengths = np.diff(win.t, prepend=win.t_start, append=win.t_stop)
     return np.where((lengths > LULL) & (win.path() == 0), lengths, 0.0)
 
 
 def without_lulls(win: Window, steps: BlockSteps) -> tuple[Window, BlockSteps, float]:
-    """A window and its blocks' changes with its lulls cut out, and how long these are together."""
+    """A window and its blocks' changes with the lulls cut out, and the total length of the lulls."""
     edges = np.concatenate(([win.t_start], win.t, [win.t_stop]))
     cut = np.concatenate(([0.0], np.cumsum(lulls(win))))
     total = float(cut[-1])
@@ -59,10 +59,11 @@ def without_lulls(win: Window, steps: BlockSteps) -> tuple[Window, BlockSteps, f
 
 
 def slope_sums(win: Window) -> np.ndarray:
-    """Of the slope of P(the next change is an exit | n_stick), within a run: sums of products and of squares.
+    """Sums of products and of squares, for the slope of P(the next change is an exit | n_stick) within a run.
 
-    Squares from a run's own mean are too small by the variance of that mean, a share 2 tau / T; those of its halves
-    are by twice as much. What they differ by is added: the error left is of second order in tau / T.
+    Squares about a run's own mean are too small by the variance of that mean, a share 2 tau / T; squares about the
+    means of its halves are too small by twice as much. Their difference is added, which leaves an error of second
+    order in tau / T.
     """
     before, is_exit = win.path()[:-1].astype(np.float64), win.step < 0
     if len(before) < 2:
@@ -74,7 +75,7 @@ def slope_sums(win: Window) -> np.ndarray:
 
 
 def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """What a run without lulls gives, shape (N_COLUMNS,); it adds over runs and matrices.
+    """Sums of a run without lulls, shape (N_COLUMNS,), which add over runs and matrices.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
     steps : BlockSteps
         The same changes, block by block.
     draws : int
-        Rotations.
+        Number of rotations.
     rng : Generator
     """
     span = win.t_stop - win.t_start
@@ -91,7 +92,7 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
 
 
 def of_pool(n: int, of: Callable[[int, float], float], rows: np.ndarray) -> np.ndarray:
-    """`pool.gamma` or `pool.slope` at the mean n_stick of rows of sums."""
+    """`pool.gamma` or `pool.slope` at the mean n_stick of each row of sums."""
     means = ratio(rows[:, MEAN])
     if not all(pool.is_one(n, mean) for mean in means):
         raise estimates.Undefined("no block sticks, or all do: there is no such pool")
@@ -99,7 +100,7 @@ def of_pool(n: int, of: Callable[[int, float], float], rows: np.ndarray) -> np.n
 
 
 def parts(n: int) -> dict[str, Statistic]:
-    """By name, the excess of gamma over ln 2 and what it is made of, as statistics of rows of `run_sums`."""
+    """The excess of gamma over ln 2 and its parts by name, as statistics of rows of `run_sums`."""
 
     def runs(rows: np.ndarray) -> np.ndarray:
         return estimates.gamma(rows[:, OBSERVED]) / LN2 - 1

@@ -1,7 +1,7 @@
 """Episodes: how often, how large and how regular they are, and the law of their moments.
 
-The magnitude of an episode is M = log10 of the size of its moment. Sums of runs add over the runs of a system; what
-is estimated is a function of sums over systems, as everywhere here. Dimensionless.
+The magnitude of an episode is M = log10 |moment|. The sums of runs add over the runs of a system, and every estimate
+is a function of sums over systems. All quantities are dimensionless.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, o
 from stickslip.analysis.stats.families import Family, Fit
 from stickslip.analysis.stats.student import half_width
 
-B_STEP = 0.5  # from least magnitude to least magnitude at which b is shown
+B_STEP = 0.5  # between the least magnitudes from which b is shown
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
-#: Width of those that laws are fitted in. The moment of a class is that at its middle, and what this errs by grows
-#: with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, its
-#: standard error 0.03.
+#: Width of the classes in which laws are fitted. The moment at the middle stands for the class, and the error of that
+#: grows with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, with
+#: a standard error of 0.03.
 FITTED = 0.02
 _LOG10_E = float(np.log10(np.e))
 
@@ -33,11 +33,11 @@ class Catalogue:
     ----------
     t_start, t_stop : float
     start, duration, moment : ndarray, shape (m,)
-        moment is zero nowhere; below it where blocks slip on the whole with the belt, as forces can make them.
+        moment is never zero; it is negative where blocks slip on the whole with the belt, as forces can make them do.
     size : ndarray of int, shape (m,)
     slip : float
-        What the belt would have all blocks slip in that time, n |v| (t_stop - t_start); NaN if v is not one
-        number, or zero.
+        Total slip of all blocks if they slipped as far as the belt travels, n |v| (t_stop - t_start); NaN if v is
+        zero or differs between blocks.
     first_block : ndarray of int, shape (m,)
         The block that left first.
     """
@@ -53,47 +53,47 @@ class Catalogue:
 
     @property
     def magnitude(self) -> np.ndarray:
-        """log10 of the sizes of the moments, shape (m,)."""
+        """log10 |moment|, shape (m,)."""
         return np.log10(np.abs(self.moment))
 
     @property
     def quiet(self) -> np.ndarray:
-        """Quiet times, from the end of each to the start of the next, shape (m - 1,).
+        """Quiet times, from the end of each episode to the start of the next, shape (m - 1,).
 
-        Those from start to start hold the durations: where episodes fill much of the time, as dead time they make
-        any process look regular, and any size look as if it put off the next.
+        Times from start to start would contain the durations. Where episodes fill much of the time, this dead time
+        would make any process look regular, and any large episode seem to delay the next.
         """
         return self.start[1:] - (self.start + self.duration)[:-1]
 
     @property
     def sizes_and_quiets(self) -> np.ndarray:
-        """Of each but the last its size, and the quiet time after it, shape (m - 1, 2)."""
+        """Size of each episode but the last, and the quiet time after it, shape (m - 1, 2)."""
         return np.column_stack([self.size[:-1], self.quiet])
 
     def is_late(self) -> np.ndarray:
-        """Which of them begin in the second half, shape (m,)."""
+        """Mask of the episodes that begin in the second half, shape (m,)."""
         return np.asarray(self.start >= 0.5 * (self.t_start + self.t_stop))
 
     def halves(self) -> np.ndarray:
-        """How many begin in the first and in the second half, shape (2,)."""
+        """Number of episodes that begin in the first half and in the second, shape (2,)."""
         return np.bincount(self.is_late().astype(np.int64), minlength=2).astype(np.float64)
 
     def first_blocks(self, n: int) -> np.ndarray:
-        """How often each of n blocks leaves first, in the first half and in the second, shape (2, n)."""
+        """Number of episodes in which each block leaves first, in the first half and the second, shape (2, n)."""
         return np.bincount(self.is_late() * n + self.first_block, minlength=2 * n).reshape(2, n)
 
 
 def completeness(magnitudes: np.ndarray) -> float:
-    """Upper edge of the fullest class of magnitudes: the least one that a law is fitted to (maximum curvature).
+    """Magnitude of completeness: the upper edge of the fullest class of magnitudes, from which laws are fitted.
 
-    S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869. The fullest class may be full in part, if the
-    least moments lie in it, so that a law begins one class higher: J. Woessner and S. Wiemer, Bull. Seismol. Soc. Am.
-    95 (2005) 684-698, doi:10.1785/0120040007.
+    By maximum curvature: S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869. The fullest class may
+    itself be incomplete if the least moments lie in it, so laws begin one class higher: J. Woessner and S. Wiemer,
+    Bull. Seismol. Soc. Am. 95 (2005) 684-698, doi:10.1785/0120040007.
 
     Raises
     ------
     Undefined
-        If there are none.
+        If there are no magnitudes.
     """
     if not len(magnitudes):
         raise Undefined("no episode")
@@ -102,25 +102,25 @@ def completeness(magnitudes: np.ndarray) -> float:
 
 
 def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
-    """How many there are in each class of width `FITTED` from `least` on, shape (n_classes,)."""
+    """Number of magnitudes in each class of width `FITTED` from `least` on, shape (n_classes,)."""
     k = np.floor((magnitudes - least) / FITTED + 1e-9).astype(np.int64)
     return np.bincount(k[(k >= 0) & (k < n_classes)], minlength=n_classes)
 
 
 def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
-    """Of moments, in the classes of `in_classes`: N(M) ~ 10^(-b M), that with a cut-off, and an exponential.
+    """Laws of moments in the classes of `in_classes`: a power law N(M) ~ 10^(-b M), with a cut-off, an exponential.
 
-    All are laws from the first class up to the last one: b is that of a bounded law, which Aki's estimate is not.
+    The laws are bounded by the first and the last class. Aki's estimate of b, in contrast, assumes no upper bound.
 
-    The second holds the others. A class is as wide as its moment m, so a density m^(-1 - b) exp(-lambda m / mean) has
-    shares m^-b exp(...).
+    The second contains the two others. The width of a class is proportional to its moment m, so a density
+    m^(-1 - b) exp(-lambda m / mean) has shares m^-b exp(-lambda m / mean).
 
     Parameters
     ----------
     least : float
         Magnitude at which the first class begins.
     mean : float
-        A moment of the order of those that the cut-off acts on.
+        Scale of the cut-off: a moment of the same order.
     """
 
     def moments(k: np.ndarray) -> np.ndarray:
@@ -143,20 +143,20 @@ def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A statistic of episodes: two sums of a run, and what they come to; `least` is that of `completeness`."""
+    """A statistic of episodes: two sums of a run, from its catalogue and the `completeness`, and their statistic."""
 
     sums: Callable[[Catalogue, float], tuple[float, float]]
     of: Statistic = ratio
 
 
 def _b_value(found: Catalogue, least: float) -> tuple[float, float]:
-    """Aki's estimate b = log10(e) / (mean M - least): K. Aki, Bull. Earthq. Res. Inst. 43 (1965) 237-239."""
+    """Sums of Aki's b = log10(e) / (mean M - least): K. Aki, Bull. Earthq. Res. Inst. 43 (1965) 237-239."""
     above = found.magnitude[found.magnitude >= least] - least
     return _LOG10_E * len(above), float(above.sum())
 
 
 def _spread(found: Catalogue, _: float) -> tuple[float, float]:
-    """Squared deviations of quiet times in units of the run's own mean, and their number."""
+    """Sum of squared deviations of quiet times, in units of the run's own mean, and their number."""
     gaps = found.quiet
     if len(gaps) < 2:
         return 0.0, 0.0
@@ -165,7 +165,7 @@ def _spread(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 def _counts(found: Catalogue, _: float) -> tuple[float, float]:
-    """Variance and mean of the numbers of episodes in `WINDOWS` windows of equal quiet time, so no dead time."""
+    """Variance and mean of the number of episodes in `WINDOWS` windows of equal quiet time, without dead time."""
     took = np.cumsum(found.duration)
     quiet = found.t_stop - found.t_start - float(found.duration.sum())
     counts = np.histogram(found.start - found.t_start - took + found.duration, WINDOWS, (0.0, max(quiet, 0.0)))[0]
@@ -174,12 +174,12 @@ def _counts(found: Catalogue, _: float) -> tuple[float, float]:
 
 RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
 SIZE, OCCUPANCY, BY_WAY, FANO = "mean size", "share of time in episodes", "episodes by block and way", "Fano factor"
-WINDOWS = 20  # of a run's quiet time, in which episodes are counted
+WINDOWS = 20  # into which a run's quiet time is divided to count episodes
 
 
 @dataclass(frozen=True)
 class BValue:
-    """Aki's b of the episodes from a magnitude on, how many these are, and what a fitted law predicts for it."""
+    """Aki's b of the episodes from a magnitude on, their number, and the b that a fitted law predicts."""
 
     least: float
     n_episodes: int
@@ -196,9 +196,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     QUIET: Quantity(_spread, lambda sums: np.sqrt(ratio(sums))),
     SLIP: Quantity(lambda one, _: (float(one.moment.sum()), one.slip)),
 }
-#: Whether the drive is slow and the chain large: then episodes fill little of the time, and come by the belt's way.
-#: `FANO` is the variance of counts over their mean: 1 for a Poisson process in windows of any length, as no CV shows.
-DRIVE: Mapping[str, Quantity] = {
+#: Quantities that show whether the drive is slow for the chain: episodes then fill little of the time, and their
+#: number is proportional to the belt's travel. `FANO` is the variance of counts over their mean: 1 for a Poisson
+#: process in windows of any length, which a CV does not test.
+SLOW_DRIVE: Mapping[str, Quantity] = {
     OCCUPANCY: Quantity(lambda one, _: (float(one.duration.sum()), one.t_stop - one.t_start)),
     BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
     FANO: Quantity(_counts),
@@ -208,9 +209,17 @@ DRIVE: Mapping[str, Quantity] = {
 def b_values(
     runs: Sequence[Sequence[Catalogue]], law: Fit, least: float, fewest: int, confidence: float
 ) -> list[BValue]:
-    """Aki's b from `least` on, and from each multiple of half a magnitude above, while there are `fewest` episodes.
+    """Aki's b from `least` on, and from each higher multiple of half a magnitude with at least `fewest` episodes.
 
-    runs: the catalogues of each system; law: one of `laws_of_moments`, fitted in the classes of `in_classes`.
+    Parameters
+    ----------
+    runs : sequence of sequence of Catalogue
+        The catalogues of each system.
+    law : Fit
+        One of `laws_of_moments`, fitted in the classes of `in_classes`.
+    least : float
+    fewest : int
+    confidence : float
     """
     of, shares = QUANTITIES[B_VALUE], law.shares()
     found: list[BValue] = []
@@ -226,9 +235,9 @@ def b_values(
 
 
 def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
-    """Whether there are two or more, none shown to be off what the law predicts (Bonferroni).
+    """Whether there are two or more values of b, none of which is shown to differ from its prediction (Bonferroni).
 
-    The first is as predicted where the law was fitted to the same magnitudes.
+    The first is not tested: it is as predicted because the law was fitted to the same magnitudes.
     """
     if len(found) < 2:
         return False
@@ -243,7 +252,7 @@ def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
 
 
 def drift(sums: np.ndarray) -> np.ndarray:
-    """Episodes of the second half over those of the first, less 1; of the sums of `Catalogue.halves`."""
+    """Number of episodes in the second half over that in the first, minus 1, from sums of `Catalogue.halves`."""
     if (sums[:, 0] == 0).any():
         raise Undefined("no episode in the first half")
     return sums[:, 1] / sums[:, 0] - 1.0

@@ -1,9 +1,10 @@
 """Fates of runs, and how long motion lasts.
 
-An end is certain: a collapse is certified, a runaway left every bound. A run in which no block sticks over the last
-quarter has not ended for that: such runs stick again after thousands of units. Where the linear growth rate of the
-state in which all blocks slip is positive, that state does not last and the run is in a lull, a part of its motion.
-Where the rate is not positive or not known the run is quiet: whether a block sticks again cannot be told.
+Only two ends are certain: a collapse is certified, and a runaway left every bound. A run in which no block sticks
+over the last quarter need not have ended, since such runs have stuck again after thousands of units. If the linear
+growth rate of the state in which all blocks slip is positive, that state does not last: the run is in a lull, which
+is part of its motion. If the rate is not positive or not known, the run is quiet: whether a block sticks again cannot
+be told.
 """
 
 from __future__ import annotations
@@ -21,14 +22,16 @@ COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
 )  # fmt: skip
 ENDS = (COLLAPSED, DIVERGED)
 MOVING = (SUSTAINED, LULL)
-SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, for ever or as far as is seen
-WATCHED = (*ENDS, QUIET, *MOVING)  # all but failed
-LAST_SHARE = 0.25  # of a run: a lull or quiet if no block sticks in this last part of it, held if all do throughout
-#: A growth rate beyond this is positive: rounding moves a double eigenvalue of a matrix of order one by as much.
+SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or as far as is known
+WATCHED = (*ENDS, QUIET, *MOVING)  # the fates of runs that did not fail
+LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it, held if all stick throughout
+#: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
+#: much.
 RATE_ROUNDING = 1e-8
 
 
-#: Of `kaplan_meier`: times, share that has not ended, and the ends of its interval, each (m,), each from its time on.
+#: Result of `kaplan_meier`: times, share that has not ended, lower and upper end of its interval, each (m,); the
+#: values hold from their time on.
 Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -39,22 +42,22 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
     ----------
     times : ndarray, shape (m,), float64
     ended : ndarray, shape (m,), bool
-        Whether it ended then, or was only watched until then.
+        Whether it ended then, or was only followed until then (censored).
     confidence : float
 
     Returns
     -------
     t, share, low, high : ndarray
-        From 0 and each time of an end on. Where the share is 0 or 1 that interval has no width, and Wilson's stands
-        in its place.
+        Values from time 0 and from the time of each end on. Where the share is 0 or 1, Greenwood's interval has no
+        width and Wilson's replaces it.
     """
-    t = np.union1d(0.0, times[ended])  # some may end at 0
-    # how many are not before each t, and how many of them do not end then
+    t = np.union1d(0.0, times[ended])  # an end may be at 0
+    # the number at risk at each t, and how many of these do not end then
     n_at_risk = (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
     at_end = np.sort(times[ended])
     n_stay = n_at_risk - (np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left"))
     share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):  # where there is no width
+    with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
         variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
         half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
         low, high = share ** np.exp(-half), share ** np.exp(half)
@@ -66,16 +69,16 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
 def survival(
     fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
 ) -> Curve:
-    """Share of runs that have not ended by a time, as `kaplan_meier`, of what `ends_at` says of each.
+    """Share of runs that have not ended by a time: `kaplan_meier` of the results of `ends_at`.
 
-    The lower end of the interval is that where quiet runs ended at their last events, the upper where they did not.
+    The lower end of the interval takes quiet runs as ended at their last events, the upper end as not ended.
 
     Parameters
     ----------
     fates : sequence of str
-        Of runs that did not fail.
+        Fates of runs that did not fail.
     t_last, t_stop, t_end : ndarray, shape (m,)
-        Last event of each, when it was certified or left every bound, and the end that was asked for.
+        Of each run: its last event; when it was certified or left every bound; and the end that was asked for.
     """
     found = [ends_at(*one) for one in zip(fates, t_last, t_stop, t_end, strict=True)]
     times, ended = np.array([t for t, _ in found], dtype=np.float64), np.array([is_end for _, is_end in found])
@@ -93,14 +96,14 @@ def survival(
 
 
 def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) -> Estimate:
-    """Time by which half have ended, of what `kaplan_meier` returns; None where half are never seen to.
+    """Time by which half have ended, from a result of `kaplan_meier`; None if fewer than half are seen to end.
 
-    The interval holds the times of ends at which that of the share contains one half (Brookmeyer and Crowley 1982,
-    Biometrics 38, 29); an end of it that the data do not reach is None.
+    The interval holds the times at which the interval of the share contains one half (Brookmeyer and Crowley 1982,
+    Biometrics 38, 29). An end that the data do not reach is None.
     """
 
     def first(below: np.ndarray) -> float | None:
-        below = below & (share < 1)  # no end is at 0 otherwise
+        below = below & (share < 1)  # before the first end nothing counts
         return float(t[np.argmax(below)]) if below.any() else None
 
     value = first(share <= 0.5)
@@ -109,7 +112,7 @@ def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) 
 
 
 def is_unstable(growth_rate: float | None) -> bool:
-    """Whether the state in which all blocks slip is known to be linearly unstable; None: the rate is not known."""
+    """Whether the state in which all blocks slip is known to be linearly unstable; a rate of None is not known."""
     return growth_rate is not None and growth_rate > RATE_ROUNDING
 
 
@@ -123,10 +126,10 @@ def fate(
     outcome : str
         "finished", "collapsed", "diverged" or "failed".
     series : tuple of ndarray, shape (m,) each
-        Its change points, t and n_stick, of which the last decides.
+        Its change points, t and n_stick; the last one decides.
     t_end : float
     growth_rate : float, optional
-        The linear growth rate of the state in which all blocks slip, where it is known.
+        The linear growth rate of the state in which all blocks slip, if known.
     """
     if outcome != "finished" or series is None:
         return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
@@ -137,12 +140,13 @@ def fate(
 
 
 def ends_at(how: str, t_last: float, t_stop: float, t_end: float) -> tuple[float, bool]:
-    """When a watched run ended, or until when it was watched, and whether it ended: what `kaplan_meier` takes.
+    """When a run ended or was censored, and whether it ended: the input of `kaplan_meier`.
 
-    A collapsed run ends at `t_last`, its last event: its certificate, at `t_stop`, comes later, when the engine asks
-    and the motion has decayed far enough. A runaway ends at `t_stop`, when it left every bound. All others are
-    censored at t_end. A run that ended and is not certified by then is quiet, or, if that was in the last quarter,
-    seems in motion: there shares are too high; before, the interval of `survival` takes the quiet ones either way.
+    A collapsed run ends at `t_last`, its last event. Its certificate, at `t_stop`, comes later: when the engine
+    checks and the motion has decayed far enough. A runaway ends at `t_stop`, when it left every bound. All others are
+    censored at t_end. A run that ended without being certified by then is quiet or, if it ended in the last quarter,
+    seems in motion. In that quarter shares are therefore too high; before it, the interval of `survival` covers both
+    possible fates of quiet runs.
     """
     if how == COLLAPSED:
         return t_last, True
@@ -150,30 +154,31 @@ def ends_at(how: str, t_last: float, t_stop: float, t_end: float) -> tuple[float
 
 
 def is_all_slip(last: tuple[float, float], t_end: float) -> bool:
-    """Whether no block sticks throughout the last quarter, from the last change point: t and n_stick."""
+    """Whether no block sticks in the last quarter, from the t and n_stick of the last change point."""
     t, n_stick = last
     return n_stick == 0 and t <= (1 - LAST_SHARE) * t_end
 
 
 def is_held(last: tuple[float, float], n: int, t_end: float) -> bool:
-    """Whether all n blocks stick throughout the last quarter, from the last change point: t and n_stick.
+    """Whether all n blocks stick throughout the last quarter, from the t and n_stick of the last change point.
 
-    Such a run counts as in motion: a belt may load its blocks until one lets go. On a belt at rest it is at rest.
+    Such a run counts as in motion, since a belt may load its blocks until one lets go. On a belt at rest it is at
+    rest.
     """
     t, n_stick = last
     return n_stick == n and t <= (1 - LAST_SHARE) * t_end
 
 
 def bounded_share(counts: np.ndarray, confidence: float) -> Estimate:
-    """Share of runs with a property, where some runs cannot be told.
+    """Share of runs with a property that is unknown for some runs.
 
-    The value counts these as without it. The interval goes from the lower end of that share to the upper end of the
-    share that counts them as with it, each end that of `compare.share_over_matrices`.
+    The value counts these runs as lacking it. The interval reaches from the lower end of that share to the upper end
+    of the share that counts them as having it; both ends are those of `compare.share_over_matrices`.
 
     Parameters
     ----------
     counts : ndarray, shape (G, 3)
-        One row a matrix: runs with the property, runs that cannot be told, and all.
+        One row a matrix: runs with the property, runs for which it is unknown, and all runs.
     confidence : float
     """
     has, untold, n_runs = np.asarray(counts, dtype=np.float64).T

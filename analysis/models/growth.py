@@ -1,12 +1,12 @@
 """Growth rate of small displacements, with its sign.
 
-The logarithm of the distance of two runs is regressed on time over one range for all pairs, from a fixed time on. A
-range that began where a pair has grown, or ended for each pair where it has, would pick upward fluctuations, and a
-rate near zero would come out positive.
+The logarithm of the distance of two runs is regressed on time over one range for all pairs, from a fixed time on. If
+the range began or ended where a pair has grown, it would select upward fluctuations, and a rate near zero would come
+out positive.
 
-The rule: a pair is in its linear range while floor < distance < ceiling. Pairs that leave it before `t_from + least`
-are dropped: they have no range to regress. The others share the range from `t_from` to the first time that one of
-them leaves. Where more than a tenth of the pairs are dropped, the rates of the others are a selection: `is_selected`.
+A pair is in its linear range while floor < distance < ceiling. Pairs that leave it before `t_from + least` have no
+range to regress and are dropped. The others share the range from `t_from` to the first time at which one of them
+leaves. If more than a tenth of the pairs are dropped, the remaining rates are a biased selection: `is_selected`.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ import numpy as np
 
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 
-LEAST_POINTS = 5  # of a range, for a slope
-MOST_DROPPED = 0.1  # share of the pairs
+LEAST_POINTS = 5  # of a range, to fit a slope
+MOST_DROPPED = 0.1  # share of the pairs, without `is_selected`
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Growth rate over matrices.
+    """Growth rate of small displacements, over matrices.
 
     Attributes
     ----------
     rate : Estimate
-        Mean over matrices of the slope of log distance (per unit of time), jackknife-t interval.
+        Mean over matrices of the slope of log distance (per unit of time), with a jackknife-t interval.
     t_from, t_to : float
         The range that was regressed.
     n_pairs, n_floor, n_ceiling : int
-        Pairs in all, and those dropped at the floor and at the ceiling.
+        Number of all pairs, and of those dropped at the floor and at the ceiling.
     """
 
     rate: Estimate
@@ -45,7 +45,7 @@ class Growth:
 
     @property
     def is_selected(self) -> bool:
-        """Whether so many pairs are dropped that the rate is that of a selection."""
+        """Whether so many pairs are dropped that the rate is that of a biased selection."""
         return self.n_floor + self.n_ceiling > MOST_DROPPED * self.n_pairs
 
 
@@ -58,20 +58,20 @@ def growth(
     bounds: tuple[float, float],
     confidence: float,
 ) -> Growth:
-    """Growth rate of pairs of runs whose starts differ by one small size.
+    """Growth rate of the distance of pairs of runs whose starts differ by one small size.
 
     Parameters
     ----------
     times : ndarray, shape (m,)
         Common to all pairs, ascending.
     distances : sequence of ndarray, each shape (m,) or shorter
-        One a pair; a shorter one ended early and leaves the range there.
+        One array a pair; a shorter one ended early and leaves the range there.
     matrix : sequence of int
-        Of each pair. Pairs of one matrix are averaged: they are not independent.
+        Matrix of each pair. Pairs of one matrix are averaged, as they are not independent.
     t_from, least : float
-        Where the range begins and the shortest range that counts.
+        Beginning of the range, and the shortest length that counts.
     bounds : (float, float)
-        Floor and ceiling: above the error of integration, below the distance at which pairs saturate.
+        Floor, above the error of integration, and ceiling, below the distance at which pairs saturate.
     confidence : float
     """
     t = times[times >= t_from]
@@ -84,7 +84,7 @@ def growth(
         log[k, : len(d)] = np.log(np.where(inside[k, : len(d)], d, 1.0))
         first = int(np.cumprod(inside[k], dtype=np.int64).sum())
         at_floor[k] = first < len(d) and d[first] <= bounds[0]
-    length = np.cumprod(inside, axis=1, dtype=np.int64).sum(axis=1)  # up to the first that is outside
+    length = np.cumprod(inside, axis=1, dtype=np.int64).sum(axis=1)  # points up to the first outside
     needed = max(int(np.searchsorted(t, t_from + least, side="right")), LEAST_POINTS)
     kept = length >= needed
     n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))

@@ -1,10 +1,11 @@
-"""Do two methods give the same law on the same systems? Largest gap of distribution functions, shares, correlations.
+"""Whether two methods give the same law on the same systems: gaps of distribution functions, shares, correlations.
 
-A system has one run, or some, by each of two methods. Where both have one law these may be swapped, whole, in any
-system by itself, however the values within a run depend on each other: the p-value of a difference is the share of
-swaps of runs that give as large a one (paired swaps are turned signs: Fisher 1935, The Design of Experiments, 21).
-A permutation of single values would take them as independent. That the difference is within a margin is an
-intersection-union test (Berger 1982, Technometrics 24, 295): at each value by itself, by Student's t over systems.
+Each system has one or more runs by each of two methods. If both methods have the same law, the runs of a system may
+be swapped whole between the methods, however the values within a run depend on each other. The p-value of a
+difference is the share of such swaps that give a difference as large (swapping a pair flips a sign: Fisher 1935, The
+Design of Experiments, 21). A permutation of single values would treat them as independent. Equivalence within a
+margin is an intersection-union test (Berger 1982, Technometrics 24, 295): each value by itself, by Student's t over
+systems.
 """
 
 from __future__ import annotations
@@ -20,21 +21,22 @@ from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife, ratio
 
 SWAPS = 9999  # an error of 0.2 points on a p-value of 0.05
-POINTS = 200  # quantiles at which distribution functions are held against each other
+POINTS = 200  # quantiles at which distribution functions are compared
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of two laws: its size with its interval, and the p-values that it is within the margin, and that there is none.
+    """Difference of two laws, with its tests.
 
     Attributes
     ----------
     size : Estimate
-        `low` is zero where no difference is shown.
+        Of a gap, `low` is zero where no difference is shown.
     p_equivalent, p_different : float
+        p-values of the test of equivalence within the margin, and of the test of no difference.
     at, below : float, optional
-        Of distribution functions: the value where their gap is largest, and F' - F there.
+        For distribution functions: the value at which their gap is largest, and F' - F there.
     """
 
     size: Estimate
@@ -47,14 +49,15 @@ class Difference:
 def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
     """Largest gap of the distribution functions of two methods, within systems: sup |sum w (F' - F) / sum w|.
 
-    w = m m' / (m + m') of a system with m and m' values: what weighs a difference of two means best, and stays where
-    the two are swapped. Its interval, at each end: down by the 1 - alpha quantile of the largest error, that of
-    swaps of what systems are off by from their mean; up to the largest of the one-sided bounds of the gap by value.
+    A system with m and m' values has the weight w = m m' / (m + m'), which is optimal for a difference of two means
+    and does not change when the two are swapped. The lower end of the interval is the gap minus the 1 - alpha
+    quantile of the largest error, from swaps of the systems' deviations from their mean. The upper end is the largest
+    of the one-sided bounds of the gap at each value.
 
     Parameters
     ----------
     pairs : sequence of two ndarray, shape (m,) and (m',)
-        Values by the first and by the second method, of each system.
+        Values by the first and by the second method, for each system.
     margin : float
     confidence : float
     rng : numpy.random.Generator
@@ -63,7 +66,7 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
     Raises
     ------
     Undefined
-        If too few systems have values by both, or all values are one.
+        If too few systems have values by both, or all values are the same.
     """
     known = [(np.sort(a), np.sort(b)) for a, b in pairs if len(a) and len(b)]
     _check(len(known), confidence)
@@ -92,24 +95,24 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
 
 
 def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
-    """How far shares of categories lie apart, in any way in each system: sqrt(sum D^2 / sum p^2), D = p' - p.
+    """Distance between shares of categories within systems: sqrt(sum D^2 / sum p^2), D = p' - p.
 
-    From halves of runs, so that noise adds nothing: sum D^2 is estimated by the product of D in the first half and in
-    the second, sum p^2 likewise. Where the law is one, the two methods may be swapped in one half alone, which turns
-    the sign of the product, if the halves of a run do not depend on each other. A product below zero counts as zero
-    before its error is added: no interval is short because its estimate cannot be.
+    The halves of runs are used so that noise adds nothing: sum D^2 is estimated by the product of D in the first half
+    and in the second, sum p^2 likewise. If the laws are the same and the halves of a run are independent, the two
+    methods may be swapped in one half alone, which flips the sign of the product. A negative product counts as zero
+    before its error is added, so that the interval is not too short.
 
     Parameters
     ----------
     pairs : sequence of two ndarray, shape (2, K)
-        Counts of K categories in the first half and in the second, of each system by each method.
+        Counts of K categories in the first and in the second half, for each system by each method.
     margin, confidence, rng
-        As of `largest_gap`.
+        As in `largest_gap`.
 
     Raises
     ------
     Undefined
-        If too few systems have something in each half, or all is in one category.
+        If too few systems have counts in each half, or all counts are in one category.
     """
     known = [(a, b) for a, b in pairs if a.sum(axis=1).all() and b.sum(axis=1).all()]
     _check(len(known), confidence)
@@ -126,13 +129,13 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
 
 
 def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
-    """Rank correlation (Spearman) of two columns by the second method less that by the first, within systems.
+    """Spearman's rank correlation of two columns by the second method minus that by the first, within systems.
 
     Parameters
     ----------
     pairs : sequence of two ndarray, shape (m, 2) and (m', 2)
     margin, confidence, rng
-        As of `largest_gap`.
+        As in `largest_gap`.
 
     Raises
     ------
@@ -152,28 +155,30 @@ def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.
 
 
 def _check(n: int, confidence: float) -> None:
-    """All turned one way, up to a common sign, are 2 of 2^n patterns: the least p-value that there can be."""
+    """Refuse so few systems that the least possible p-value, 2 of 2^n patterns of signs, could show nothing."""
     if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
         raise Undefined(FEW_MATRICES)
 
 
 def _signs(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Signs of n systems, a row a swap, the first as observed."""
+    """Signs of n systems, one row a swap; the first row is as observed."""
     signs = rng.choice([-1.0, 1.0], (SWAPS + 1, n))
     signs[0] = 1.0
     return signs
 
 
 def _share(found: np.ndarray) -> float:
-    """Of values as large as the first, but for rounding."""
+    """Share of the values that are as large as the first, up to rounding."""
     return float(np.mean(found >= found[0] - 1e-12 * abs(found[0])))
 
 
 def _t_below(x: float, error: float, dof: float) -> float:
+    """P(T < x / error); without an error, whether x is not negative."""
     return student.below(x / error, dof) if error else float(x >= 0)
 
 
 def _below(ordered: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Empirical distribution function of ordered values."""
     return np.searchsorted(ordered, at, side="right") / len(ordered)
 
 

@@ -1,32 +1,34 @@
-"""The null of a finite pool in closed form: n independent blocks, each of which sticks and lets go at constant rates.
+"""The null of a finite pool, in closed form: n independent blocks that stick and let go at constant rates.
 
-A block that sticks lets go at rate 1 - p and one that slips sticks at rate p, p = m / n, so that m of them stick on
-average; time is in units that cascades by `events` do not see. n_stick is a birth-death chain with binomial law. Seen
-from an exit, J ~ Binomial(n - 1, p) of the other blocks stick (size-biasing), and the next event is an entry with
-probability
+A stuck block lets go at rate 1 - p and a slipping block sticks at rate p = m / n, so that m blocks stick on average;
+the unit of time does not matter for cascades by `events`. n_stick is a birth-death chain with a binomial law. At an
+exit, J ~ Binomial(n - 1, p) of the other blocks stick (size-biasing), and the next event is an entry with probability
 
     u(J) = p (n - J) / (p (n - J) + (1 - p) J).
 
-The mean size is 1 / E u(J), so gamma = -log(1 - E u(J)). With s2 = n p (1 - p) the variance of n_stick, x = J - n p,
+The mean size is 1 / E u(J), so gamma = -log(1 - E u(J)). With x = J - n p and s2 = n p (1 - p), which is the variance
+of n_stick,
 
     u = 1/2 (1 - x / (2 s2) + (1 - 2 p) x^2 / (4 s2^2) + ...),    E x = -p,    E x^2 = s2 + O(1),
 
 so that E u = 1/2 (1 + 1 / (4 s2)), and for large s2
 
-    gamma = ln 2 + 1 / (4 s2),      variance of the sizes = m (m - 1) (1 - 1 / s2)      to first order:
+    gamma = ln 2 + 1 / (4 s2),      variance of the sizes = m (m - 1) (1 - 1 / s2)      to first order.
 
-the excess of gamma over ln 2 is one of counting, (1 / (4 ln 2)) / s2 = 0.36 / s2 of it, and vanishes with n.
+The excess of gamma over ln 2 is thus an effect of counting: relative to ln 2 it is (1 / (4 ln 2)) / s2 = 0.36 / s2,
+and it vanishes for large n.
 
-What drives it is that an exit is the likelier the more blocks stick. Where n_stick neither rises nor falls in the
-long run, as many changes go from k + 1 to k as back, so an exit finds one block more sticking than an entry does: the
-slope of P(the next change is an exit | n_stick) by least squares over changes is 1 / (4 V), V the variance of n_stick
-before a change, be there memory or coupling or none. Of the pool V = (n - 1) p (1 - p) + 1/4 (`slope`).
+Its cause is that an exit is more likely the more blocks stick. If n_stick neither rises nor falls in the long run, as
+many changes go from k + 1 to k as back, so an exit finds one more block sticking than an entry does. The slope of
+P(the next change is an exit | n_stick) by least squares over changes is therefore 1 / (4 V), with V the variance of
+n_stick before a change, whether or not there is memory or coupling. In the pool, V = (n - 1) p (1 - p) + 1/4
+(`slope`).
 
 Which null answers which question:
 
-- fair order, gamma = ln 2: would a coin do?
-- the pool: does gamma differ from ln 2 by more than the finite number of blocks that can let go explains?
-- rotation (`nulls.rotated`): do blocks act on each other, each keeping its own rhythm?
+- fair order, gamma = ln 2: is it like the toss of a coin?
+- the pool: does gamma differ from ln 2 by more than the finite number of blocks explains?
+- rotation (`nulls.rotated`): do blocks, each with its own rhythm, act on each other?
 """
 
 from __future__ import annotations
@@ -39,43 +41,44 @@ from stickslip.analysis.stats.estimates import Statistic
 
 
 def _entry_next(n: int, p: float) -> np.ndarray:
-    """u(j), j = 0..n - 1 blocks that stick after an exit: the chance that the next event is an entry."""
+    """Probability u(j) that the next event is an entry, if j = 0..n - 1 blocks stick after an exit."""
     j = np.arange(n)
     return p * (n - j) / (p * (n - j) + (1 - p) * j)
 
 
 def is_one(n: int, mean: float | None) -> bool:
-    """Whether there is such a pool: of one block, or where all always stick, or none, there are no cascades."""
+    """Whether such a pool has cascades: it has none with a single block, or if all blocks always stick or slip."""
     return n > 1 and mean is not None and 0 < mean < n
 
 
 def _others(n: int, p: float) -> np.ndarray:
-    """Chance that k = 0..n - 1 of the other n - 1 blocks stick: binomial."""
+    """Binomial probability that k = 0..n - 1 of the other n - 1 blocks stick."""
     k, m = np.arange(n), n - 1
     ways = special.gammaln(m + 1) - special.gammaln(k + 1) - special.gammaln(m - k + 1)
     return np.exp(ways + special.xlogy(k, p) + special.xlog1py(m - k, -p))
 
 
 def gamma(n: int, mean: float) -> float:
-    """gamma by `events` of a pool of n blocks of which `mean` stick on average."""
+    """gamma by `events` of a pool of n blocks, of which `mean` stick on average."""
     return float(-np.log1p(-_others(n, mean / n) @ _entry_next(n, mean / n)))
 
 
 def slope(n: int, mean: float) -> float:
-    """Of P(the next change is an exit | n_stick) by least squares over the changes of the pool, a block."""
+    """Slope, per block, of P(the next change is an exit | n_stick) in the pool, by least squares over changes."""
     p = mean / n
     return 1 / (1 + 4 * (n - 1) * p * (1 - p))
 
 
 def law(n: int, mean: float, k_max: int) -> np.ndarray:
-    """P(size = k), k = 1..k_max, of the pool's cascades by `events`; sums to one where k_max = n.
+    """P(size = k), k = 1..k_max, of the pool's cascades by `events`; it sums to one if k_max = n.
 
-    A cascade begins with an exit that follows an entry. The law of the number of blocks that stick is carried from
-    exit to exit: where j stick after one, the next event is an exit, to j - 1, with probability 1 - u(j).
+    A cascade begins with an exit that follows an entry. The law of the number of stuck blocks is carried from exit to
+    exit: if j blocks stick after one, the next event is an exit, to j - 1, with probability 1 - u(j).
     """
     p = mean / n
     entry = _entry_next(n, p)
-    # The chain is reversible: as many stick after an entry as before an exit, J + 1. An exit next begins a cascade.
+    # The chain is reversible: after an entry as many stick as before an exit, J + 1. If an exit follows, it begins a
+    # cascade.
     stuck = np.arange(1, n + 1)
     exit_next = (1 - p) * stuck / (p * (n - stuck) + (1 - p) * stuck)
     after = _others(n, p) * exit_next
@@ -88,16 +91,16 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
 
 
 def excess(n: int, mean: float) -> float:
-    """Variance of the sizes over m (m - 1), minus one: what `dispersion.excess` is for the pool."""
+    """Variance of the pool's sizes over m (m - 1), minus one: the value of `dispersion.excess` in the pool."""
     sizes, shares = np.arange(1, n + 1), law(n, mean, n)
     m = sizes @ shares
     return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)
 
 
 def against(n: int) -> Statistic:
-    """gamma of cascades less that of the pool with the same mean n_stick: a statistic of sums over matrices.
+    """Statistic: gamma minus that of the pool with the same mean n_stick.
 
-    Its columns: total size and number of cascades by `events`, time mean of n_stick, 1 for each run; shape (m, 4).
+    Its sums, shape (m, 4): total size and number of cascades by `events`, integral of n_stick (or mean), time (or 1).
     """
 
     def difference(sums: np.ndarray) -> np.ndarray:
@@ -107,9 +110,9 @@ def against(n: int) -> Statistic:
 
 
 def excess_against(n: int) -> Statistic:
-    """`dispersion.excess` of cascades less that of the pool with the same mean n_stick, of sums over matrices.
+    """Statistic: `dispersion.excess` minus that of the pool with the same mean n_stick.
 
-    Its columns: `dispersion.moments` by `events`, time mean of n_stick, 1 for each run; shape (m, 5).
+    Its sums, shape (m, 5): `dispersion.moments` by `events`, integral of n_stick (or mean), time (or 1).
     """
 
     def difference(sums: np.ndarray) -> np.ndarray:

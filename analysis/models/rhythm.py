@@ -1,17 +1,17 @@
-"""The slow rhythm of n_stick: a damped oscillator that noise drives, beside what independent blocks do.
+"""The slow rhythm of n_stick: a noisy damped oscillator, on top of what independent blocks do.
 
-With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), that of n_stick is, at
-periods of several cycles of a block,
+With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), the one-sided spectrum of
+n_stick is modelled, at periods of several cycles of a block, as
 
     S(f) = c S_0(f) + P s(f),     s(f) = 8 g w0^2 / ((w0^2 - w^2)^2 + 4 g^2 w^2),     w = 2 pi f, g = w0 / (2 Q),
 
-of one side: s has the integral 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing swings,
-and above 1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. A swing has decayed to 1 / e after 1 / g.
+The integral of s is 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing swings, and above
+1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. A swing decays to 1 / e in the time 1 / g.
 
-The four numbers are fitted to periodograms of whole windows, averaged over matrices, by Whittle's likelihood, with
-the expectation of the periodogram in the place of the spectrum (Sykulski, Olhede, Guillaumin, Lilly and Early 2019,
-Biometrika 106: 251): what leaks at the window's ends is part of the model, so that the estimates have no resolution
-of their own and do not move with the window's length.
+The four numbers P, w0, Q and c are fitted to periodograms of whole windows, averaged over matrices, by Whittle's
+likelihood with the expected periodogram in place of the spectrum (Sykulski, Olhede, Guillaumin, Lilly and Early 2019,
+Biometrika 106: 251). Leakage at the window's ends is thus part of the model, and estimates do not depend on the
+length of the window.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 
 SWINGING = 0.5  # quality above which a damped oscillator swings
-QUALITIES = (0.2, 20.0)  # those that are looked for
+QUALITIES = (0.2, 20.0)  # range of the fit
 LEAST_HARMONICS = 10  # in the band
 LEAST_PERIODS = 2.0  # of the oscillator in a window
 SURROGATES = 999
 MOST_STEPS = 100  # of Fisher scoring
 
 SWINGS, SLOW, NONE, SHORT = "swings", "slow", "none shown", "window too short"
-#: What is estimated: the natural period, which is that without damping; the quality; the width in frequency, 1 /
-#: (period x quality); the time in which a swing decays to 1 / e; the rhythm's variance, and its share of that of
+#: What is estimated: the natural period, without damping; the quality; the width in frequency, 1 / (period x
+#: quality); the time in which a swing decays to 1 / e; the rhythm's variance, and its share of the variance of
 #: n_stick; the share c of the blocks' own power; the period at which the spectrum peaks, and the power there over
 #: that of independent blocks.
 NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
 
 
 def n_harmonics(span: float, shortest: float) -> int:
-    """How many frequencies k / span, k = 1, 2, ..., a window has up to 1 / shortest."""
+    """Number of frequencies k / span, k = 1, 2, ..., of a window up to 1 / shortest."""
     return int(span / shortest * (1 + 1e-12))
 
 
 def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
-    """Power of n_stick at the first m harmonics of the window, and of the blocks added up; shape (2, m).
+    """Power of n_stick at the first m harmonics of the window, and the sum of the blocks' powers, shape (2, m).
 
-    One-sided, 2 |X(f)|^2 / span, from the times of the steps: exact, without samples. That of the blocks added up is
-    the expectation of n_stick's under rotation.
+    It is one-sided, 2 |X(f)|^2 / span, and exact: computed from the times of the steps, without samples. The sum of
+    the blocks' powers is the expectation of the power of n_stick under rotation.
     """
     n_blocks = int(steps.block.max(initial=-1)) + 1
     turn = np.exp(-2j * np.pi * (steps.t - steps.t_start) / steps.span)
@@ -64,21 +64,21 @@ def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
 
 
 def spectrum(frequency: np.ndarray, period: float, quality: float) -> np.ndarray:
-    """One-sided spectrum s(f) of an oscillator of variance 1; `period` is that without damping, 2 pi / w0."""
+    """One-sided spectrum s(f) of an oscillator of variance 1; `period` is the natural one, 2 pi / w0."""
     x = (frequency * period) ** 2
     return (2 / np.pi) * period / quality / ((1 - x) ** 2 + x / quality**2)
 
 
 def expected(frequency: np.ndarray, span: float, period: np.ndarray, quality: np.ndarray) -> np.ndarray:
-    """What the periodogram of a window of length `span` is at its harmonics, of an oscillator of variance 1.
+    """Expected periodogram of an oscillator of variance 1, at the harmonics of a window of length `span`.
 
-    In expectation, 4 int_0^span (1 - t / span) R(t) cos(2 pi f t) dt, R = (s2 exp(s1 t) - s1 exp(s2 t)) / (s2 - s1)
-    and s1, s2 the roots of s^2 + 2 g s + w0^2. Periods and qualities are numbers, or columns for several oscillators.
+    It is 4 int_0^span (1 - t / span) R(t) cos(2 pi f t) dt, with R = (s2 exp(s1 t) - s1 exp(s2 t)) / (s2 - s1) and
+    s1, s2 the roots of s^2 + 2 g s + w0^2. Periods and qualities are numbers, or columns for several oscillators.
     """
     w0 = 2 * np.pi / np.asarray(period)
     g = w0 / (2 * np.asarray(quality))
     root = np.sqrt(g * g - w0 * w0 + 0j)
-    root = np.where(abs(root) < 1e-5 * g, 1e-5 * g, root)  # next to where the roots are one
+    root = np.where(abs(root) < 1e-5 * g, 1e-5 * g, root)  # avoids the double root
     s1, s2 = -g + root, -g - root
     square = (2 * np.pi * frequency) ** 2  # exp(2 pi i f span) = 1
     found = np.zeros(np.broadcast(square, root).shape)
@@ -100,10 +100,11 @@ class Spectra:
     span : float
         Length of each window.
     observed, independent : ndarray, shape (G, m)
-        Of n_stick, and of the blocks added up (`periodogram`); a row a matrix, the mean of its runs.
+        Power of n_stick, and the sum of the blocks' powers (`periodogram`); one row a matrix, the mean of its runs.
     variance : ndarray, shape (G,)
-        Of n_stick in time, within windows.
+        Variance of n_stick in time, within windows.
     n_runs : ndarray, shape (G,)
+        Number of runs of each matrix.
     """
 
     span: float
@@ -120,7 +121,7 @@ class Spectra:
 def fit(
     span: float, observed: np.ndarray, independent: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whittle's fit of log(P, period without damping, Q, c), by Fisher scoring; several at once.
+    """Whittle estimates of log(P, natural period, Q, c) by Fisher scoring, for several sets of spectra at once.
 
     Parameters
     ----------
@@ -169,14 +170,14 @@ def fit(
 
 
 def _bounds(frequency: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of what is looked for: periods within the band and up to two windows."""
+    """Bounds of the parameters of `fit`; periods from the shortest of the band up to two windows."""
     scale = observed.mean() * frequency[-1]  # a variance
     low = np.log([1e-4 * scale, 1 / frequency[-1], QUALITIES[0], 1e-3])
     return low, np.log([1e2 * scale, 2 / frequency[0], QUALITIES[1], 1e3])
 
 
 def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarray:
-    """The best of the fits from a grid of periods and qualities, shape (4,); of spectra of shape (m,)."""
+    """The best fit, shape (4,), from a grid of initial periods and qualities, to spectra of shape (m,)."""
     low, high = _bounds(np.arange(1, len(observed) + 1) / span, observed)
     left = max(np.median(observed[len(observed) // 2 :] / independent[len(observed) // 2 :]), 0.01)
     above = max(np.sum(observed - left * independent), 0.01 * observed.sum()) / span
@@ -193,19 +194,19 @@ def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True)
 class Rhythm:
-    """What an ensemble shows.
+    """The rhythm of an ensemble.
 
     Attributes
     ----------
     verdict : str
-        `SWINGS`; `SLOW`, for a slow motion in common that is not shown to swing; `NONE`; or `SHORT`, for a motion
-        that is slower than windows can tell.
+        `SWINGS`; `SLOW`, for a common slow motion that is not shown to swing; `NONE`; or `SHORT`, for a motion that
+        is too slow for the windows.
     p : float
         The share of surrogates without coupling whose slow power is as concentrated.
     found : dict of str to Estimate
         By the names of `NUMBERS`; empty for `NONE` and `SHORT`.
     values : dict of str to ndarray, shape (1 + G,)
-        The same numbers, of all matrices and without one each; NaN for the peak of a spectrum without one.
+        The same numbers, from all matrices and with each left out; NaN for the peak if the spectrum has none.
     period : float or None
         The natural period that fits best.
     """
@@ -218,12 +219,12 @@ class Rhythm:
 
 
 def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm:
-    """Whether n_stick has a slow rhythm, and which; intervals are jackknife-t over matrices.
+    """The slow rhythm of n_stick, if there is one, with jackknife-t intervals over matrices.
 
     Parameters
     ----------
     data : Spectra
-        Of at least two matrices, `LEAST_HARMONICS` harmonics or more.
+        Spectra of at least two matrices with `LEAST_HARMONICS` harmonics or more.
     confidence : float
     rng : numpy.random.Generator
         Draws the surrogates.
@@ -250,10 +251,10 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
 
 
 def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:
-    """`NUMBERS` of fits of shape (b, 4), each shape (b,); NaN for the peak of a spectrum without one."""
+    """`NUMBERS` from fits of shape (b, 4), each of shape (b,); NaN for the peak if the spectrum has none."""
     power, natural, quality, left = at.T
     at_zero = expected(np.zeros(1), data.span, natural[:, None], quality[:, None])[:, 0]
-    total = variance + power * at_zero / (2 * data.span)  # what the mean of a window takes with it
+    total = variance + power * at_zero / (2 * data.span)  # adds the variance that the mean of a window removes
     with np.errstate(invalid="ignore"):
         peak = np.sqrt(1 - 0.5 / quality**2) / natural
     own = np.array(
@@ -267,7 +268,7 @@ def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: n
 
 
 def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
-    """A number with its interval by its logarithm, or logit; of all, and without one matrix each, shape (1 + G,)."""
+    """A number with its interval on the log or logit scale; values from all matrices, and with each left out."""
     if not np.isfinite(values[0]):
         return Estimate(reason="no peak")
     value = float(values[0])
@@ -280,11 +281,12 @@ def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate
 
 
 def p_value(data: Spectra, rng: np.random.Generator) -> float:
-    """That slow power is spread over periods as that of blocks that ignore each other; from surrogates.
+    """p-value of the null that slow power is spread over periods as in blocks that ignore each other.
 
-    Under rotation the periodogram of a run is exponential, with the power of the blocks added up as its mean, and
-    harmonics are independent. The statistic is the largest correlation of the ratio of both with a resonance, over
-    some periods and qualities; how much power there is in all does not matter.
+    Under rotation, each harmonic of the periodogram of a run is exponential, independent of the others, with the sum
+    of the blocks' powers as its mean; surrogates are drawn from that. The statistic is the largest correlation
+    between a resonance and the ratio of the power to this mean, over some periods and qualities. The total power is
+    irrelevant.
     """
     frequency, own = data.frequency, data.independent.sum(axis=0)
     periods, qualities = np.meshgrid(np.geomspace(2 / frequency[-1], data.span / LEAST_PERIODS, 6), (1.0, 4.0))

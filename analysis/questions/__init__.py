@@ -1,4 +1,4 @@
-"""The questions that a report can answer: one file each, and one template of the same name in `report/templates`."""
+"""The questions that a report can answer: one file each, with a template of the same name in `report/templates`."""
 
 from collections.abc import Iterable
 from importlib import import_module
@@ -17,13 +17,13 @@ QUESTIONS = (
 
 
 def question(name: str) -> "Question":
-    """One of `QUESTIONS`, whose module is loaded when it is asked for."""
+    """The question of a name in `QUESTIONS`; its module is loaded only now."""
     found: Question = import_module(f"{__name__}.{name}").QUESTION
     return found
 
 
 def refuse_unknown(names: Iterable[str]) -> None:
-    """ValueError if a name is not one of `QUESTIONS`."""
+    """Raise a ValueError if a name is not one of `QUESTIONS`."""
     for name in names:
         if name not in QUESTIONS:
             remedy = did_you_mean(name, QUESTIONS) or "; choose one of these"

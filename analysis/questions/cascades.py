@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, engine_name
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough
@@ -19,13 +20,13 @@ from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
-#: By what share gamma may differ from what chance gives and count as the same, whatever a scene declares of engines.
+#: Relative margin within which gamma counts as that of chance, whatever margin a scene declares between engines.
 GAMMA_MARGIN = 0.01
 PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
 STEEPER, SHALLOWER = "steeper", "shallower"
 STEEP = Words(WITHIN, STEEPER, SHALLOWER)
 MOST_DRAWN = 2  # groups in the figure
-SHOWN = 0.06  # relative error of the shares that are drawn over the coin's
+SHOWN = 0.06  # largest relative error of a share that is drawn over the coin's
 _LAW: Mapping[str, str] = {
     "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "gamma": F, "gamma_low": F, "gamma_high": F,
     "chance": F, "difference": F, "difference_low": F, "difference_high": F, "verdict": S, "gamma_pool": F,
@@ -38,7 +39,7 @@ _SIZES: Mapping[str, str] = {
 
 
 def answer(study: Study) -> Answer:
-    """How cascade sizes fall off, and whether by more than the toss of a coin or a pool of blocks gives."""
+    """How cascade sizes fall off, and whether differently from the toss of a coin and from a pool of blocks."""
     level = study.settings.confidence
     made = [(group, _law_row(group, level)) for group in study.groups]
     sizes = [row for group, _ in made for row in _size_rows(group, level)]
@@ -86,7 +87,7 @@ def _law_row(group: Group, confidence: float) -> Row:
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
         "chance": LN2, **named("difference", _less(rate, LN2)), "gamma_pool": None, **named("over_pool", Estimate()),
         "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
-        "n_runs": len(group.members), "n_moving": len(group.moving), "law": law(group.key["engine"]),
+        "n_runs": len(group.members), "n_moving": len(group.moving), "law": engine_name(group.key["engine"]),
     }  # fmt: skip
     if basis.code in enough.JUDGED:
         row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], GAMMA_MARGIN * LN2, confidence)
@@ -109,7 +110,7 @@ def _less(estimate: Estimate, number: float) -> Estimate:
 
 
 def verdict_on(difference: Statistic, rows: np.ndarray, margin: float, confidence: float) -> str:
-    """Of a gamma against another, one of `STEEP` or `UNKNOWN`: by the rule of `stats.compare`."""
+    """Verdict on a difference of gamma, one of `STEEP` or `UNKNOWN`, by the rule of `stats.compare`."""
     try:
         return against(difference, rows, margin).verdict(confidence, STEEP)
     except Undefined:
@@ -117,7 +118,7 @@ def verdict_on(difference: Statistic, rows: np.ndarray, margin: float, confidenc
 
 
 def _size_rows(group: Group, confidence: float) -> list[Row]:
-    """Share of each size: observed with an interval over matrices, fitted, and by the toss of a coin."""
+    """Share of each size: observed with its interval over matrices, fitted, by the toss of a coin and in the pool."""
     counts = group.counts
     counts = counts[counts.sum(axis=1) > 0]
     if not len(counts):
@@ -146,7 +147,7 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
 
 
 def _one_run(study: Study, group: Group) -> tuple[int, tuple[Any, ...]]:
-    """Unit of the first run of a group; and that run, with its largest cascade after t_burn."""
+    """Unit of the first run of a group, and the arguments of `one_run`: that run, with its largest cascade."""
     row, member_id, win = next(iter(study.windows(group)))
     found = spans(win)
     one = None
@@ -163,7 +164,7 @@ _Span = tuple[int, float, float]  # of a cascade: size, first exit, last exit
 def one_run(
     ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: _Span | None
 ) -> None:
-    """n_stick(t) of one run by its change points, what is left out shaded, and one cascade enlarged."""
+    """n_stick(t) of one run from its change points, with the burn-in shaded and one cascade enlarged."""
     t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
     ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
     ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
@@ -190,10 +191,10 @@ def one_run(
 
 @panel(nrows=2, height_ratios=(1.0, 1.3))
 def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> None:
-    """Share of cascades of each size on a log axis for some groups with the fit; below, over the coin's.
+    """Share of cascades of each size for some groups, on a log axis with the fit; below, the same over the coin's.
 
-    The lower one has the sizes whose shares are known to within `SHOWN`, so that it shows what gamma differs by.
-    `laws` are rows of the table `sizes` by group; `fitted` is the first group's row of `law`.
+    The lower axes show only sizes whose shares are known to within `SHOWN`, so that the difference of gamma is
+    visible. `laws` are rows of the table `sizes` by group; `fitted` is the first group's row of `law`.
     """
     top, below = axes
     largest, widest, ends = 1, 1, [1.0]

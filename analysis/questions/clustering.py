@@ -1,4 +1,4 @@
-"""Do exits cluster? Counts of exits in windows, pairs of exits close in time, variance and power of n_stick."""
+"""Whether exits cluster: counts of exits in windows, pairs of exits close in time, variance and power of n_stick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student
@@ -20,16 +21,16 @@ from stickslip.analysis.stats.effects import LESS, MORE, Effect, over_null, toge
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.style import over_blocks, panel
 
-SLOW = 100.0  # longer periods are those of the slow rhythm, a question of its own
-BELOW_SLOW = (50.0, SLOW)  # the band next to it, where blocks hold each other back
+SLOW = 100.0  # longer periods belong to the slow rhythm, which is another question
+BELOW_SLOW = (50.0, SLOW)  # the adjacent band, where blocks hold each other back
 PRIMARY = 40.0  # the window of the primary question, about a block's own cycle
 WINDOWS = (0.5, 1.0, 5.0, 20.0, PRIMARY, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure
-SOON = 0.2  # of a mean gap between exits: an exit that another one sets off comes within so much
-POWERED = 0.8  # the chance of an effect that counts as one that would have been seen
+SOON = 0.2  # in mean gaps between exits: an exit that another one sets off comes sooner
+POWERED = 0.8  # power at which an effect counts as one that would have been shown
 MOST_DRAWN = 2  # groups in the figure
-PAIRS_MARGIN = 0.05  # of pairs, which a scene declares no margin for; of all else it is that of the variance
+PAIRS_MARGIN = 0.05  # of pairs, for which a scene declares no margin; everything else has that of the variance
 _CLUSTERING: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
     "p_value": F, "p_adjusted": F, "verdict": S, "reason": S,
@@ -39,9 +40,10 @@ _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "
 
 @dataclass(frozen=True)
 class _Measured:
-    """What a group's runs give, (G, p, 2) for its parts and the bands of the figure, a row a matrix.
+    """What was measured on a group.
 
-    `n_exits` is the mean of a matrix, `gap` the mean time between exits.
+    `runs`, shape (G, p, 2), holds the parts and then the bands of the figure, one row a matrix. `n_exits` is the mean
+    number of exits of a matrix, `gap` the mean time between exits.
     """
 
     group: Group
@@ -88,7 +90,7 @@ def answer(study: Study) -> Answer:
 
 
 def _parts(span: float, taus: Sequence[float]) -> list[Part]:
-    """What is tested, the primary question first: exits in windows next to `PRIMARY`."""
+    """What is tested; first the primary question, exits in windows of the length closest to `PRIMARY`."""
     shortest, longest = periods(span)
     beside = [Part(POWER, BELOW_SLOW[1], BELOW_SLOW[0])] if shortest <= BELOW_SLOW[0] and longest >= SLOW else []
     lengths = sorted((one for one in WINDOWS if one * LEAST_WINDOWS <= span), key=lambda one: abs(one - PRIMARY))
@@ -110,7 +112,7 @@ def _measured(study: Study, group: Group) -> _Measured:
         steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
         try:
             runs[row] += measure(steps, [*parts, *bands])
-        except Undefined:  # fewer than two exits have no gap and no rhythm
+        except Undefined:  # with fewer than two exits there is nothing to measure
             continue
         n_exits, n_runs = n_exits + int(np.sum(steps.step < 0)), n_runs + 1
     seen = runs[:, :, 1].any(axis=1)
@@ -122,7 +124,7 @@ def _effect(rows: np.ndarray, confidence: float, margin: float = 0.0) -> Effect:
 
 
 def _rows(one: _Measured, confidence: float, margin: float) -> list[Row]:
-    """One row a part. The first is the primary question; all others are judged together."""
+    """One row a part. The first is the primary question; the others are judged together."""
     margins = [PAIRS_MARGIN if part.kind == PAIRS else margin for part in one.parts]
     effects = together([_effect(one.runs[:, k], confidence, of) for k, of in enumerate(margins)], 1)
     rows = []
@@ -148,7 +150,7 @@ def _spectrum(one: _Measured, confidence: float) -> list[Row]:
 
 
 def _largest(rows: Sequence[Row]) -> Row:
-    """What leads: the primary question if it differs from chance, else the largest effect shown, else the first."""
+    """The row that leads: the primary question if it differs from chance, else the largest effect that is shown."""
     common = [row for row in rows if row["kind"] != PAIRS]
     differ = [row for row in common if row["verdict"] in (MORE, LESS)]
     if common[0] in differ or not differ:
@@ -157,25 +159,25 @@ def _largest(rows: Sequence[Row]) -> Row:
 
 
 def _code(rows: Sequence[Row]) -> str:
-    """Whether exits close in time are more or fewer than chance gives, in the first gap that differs, or the same."""
+    """Verdict on pairs of exits: that of the first gap that differs from chance, else within, else unknown."""
     found = [row["verdict"] for row in rows]
     shown = [one for one in found if one in (MORE, LESS)]
     return shown[0] if shown else WITHIN if WITHIN in found else UNKNOWN
 
 
 def _apart(rows: Sequence[Row], alpha: float) -> Row | None:
-    """Where pairs are shown to differ from chance by most, be it within the margin; None if nowhere."""
+    """The row where pairs differ most from chance, even if within the margin; None if no difference is shown."""
     shown = [row for row in rows if row["p_adjusted"] is not None and row["p_adjusted"] < alpha]
     return max(shown, key=lambda row: row["shown"], default=None)
 
 
 def _closest(rows: Sequence[Row], lead: _Measured, confidence: float, n_tests: int) -> Row | None:
-    """The least gap within which an exit follows that another one set off, and the share of the exits that may do.
+    """Bound on the share of exits that another exit set off, within the least gap that is long enough for it.
 
-    Each that does adds a pair to those of rotation. `share` is what is not excluded: up to the end of the interval,
-    but no less than if there were as many pairs as rotation gives: pairs that are few by luck exclude what other
-    data would not (Cowan, Cranmer, Gross and Vitells 2011, arXiv:1105.3166). `seen` is what would have been shown, by
-    Holm's rule as the first of so many tests, in `POWERED` of such data.
+    Each such exit adds a pair to those of rotation. `share` is the bound: the upper end of the interval, but no less
+    than if there were as many pairs as under rotation, since data with few pairs by luck would exclude too much
+    (Cowan, Cranmer, Gross and Vitells 2011, arXiv:1105.3166). `seen` is the share that would have been shown with
+    probability `POWERED`, by Holm's rule as the first of `n_tests` tests.
     """
     known = sorted((row for row in rows if row["high"] is not None), key=lambda row: row["upto"])
     row = next((row for row in known if row["upto"] >= SOON * lead.gap), None)

@@ -1,4 +1,4 @@
-"""Why is gamma not that of a coin? What is counting, a finite number of blocks, and what is coupling."""
+"""Why gamma is not that of a coin: how much is counting, from a finite number of blocks, and how much is coupling."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, verdict_on
@@ -22,10 +24,10 @@ from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
-#: Rotations of each run at most: gamma of independent blocks is known that much better than of the runs.
+#: Largest number of rotations of a run: gamma of independent blocks is known that much better than that of the runs.
 ROTATIONS = 30
-NO_CASCADES, NO_INTERVAL = "no cascades", "no interval"  # reasons beside those of `stats.enough`
-SLOPE_MARGIN = 0.1  # of the slope of P(exit | n_stick), which a scene declares no margin for
+NO_CASCADES, NO_INTERVAL = "no cascades", "no interval"  # reasons, like those of `stats.enough`
+SLOPE_MARGIN = 0.1  # of the slope of P(exit | n_stick), for which a scene declares no margin
 _PARTS = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
 _TABLE: Mapping[str, str] = {
     "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "in_lulls": F,
@@ -35,7 +37,7 @@ _TABLE: Mapping[str, str] = {
 
 
 def answer(study: Study) -> Answer | None:
-    """Parts of gamma's excess over ln 2 in each group; None where no run has a record of which block lets go."""
+    """The parts of gamma's excess over ln 2 in each group; None where no run records which block lets go."""
     if not study.data.events:
         return None
     rows = [row for group in study.groups if (row := _row(study, group)) is not None]
@@ -61,7 +63,7 @@ def answer(study: Study) -> Answer | None:
 
 
 def _row(study: Study, group: Group) -> Row | None:
-    """The parts of a group without its lulls; None if it has no events."""
+    """Row of the table `counting`: the parts of a group without its lulls; None if it has no events."""
     level, n = study.settings.confidence, int(group.key["n"])
     sums, halves = np.zeros((len(group.units), N_COLUMNS)), np.zeros((len(group.units), 4))
     lulls, total = 0.0, 0.0
@@ -98,9 +100,9 @@ def _row(study: Study, group: Group) -> Row | None:
 
 
 def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
-    """Coin, pool, independent blocks and runs against n p (1 - p); `scaled` by it, which makes the pool's flat.
+    """Coin, pool, independent blocks and runs against n p (1 - p); if `scaled`, times it, so that the pool is flat.
 
-    Faint where a law of a steady state is refused.
+    Groups that are not judged are faint.
     """
     x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
@@ -128,7 +130,7 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
 
 @panel()
 def at_one_number(ax: Axes, rows: Sequence[Row]) -> None:
-    """gamma over ln 2 of the runs and of three kinds of chance, at one n; rows of the table `counting`."""
+    """gamma over ln 2 of the runs and of three null models, at one n; rows of the table `counting`."""
     _lines(ax, rows, scaled=False)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     ax.set(xlabel=VARIANCE, ylabel=EXCESS)
@@ -137,7 +139,7 @@ def at_one_number(ax: Axes, rows: Sequence[Row]) -> None:
 
 @panel(nrows=2, height=3.6, sharex=True)
 def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
-    """The same for several n; below, times n p (1 - p), so that what falls off as the pool does is flat."""
+    """The same for several n; below, times n p (1 - p), so that what falls off like the pool is flat."""
     top, below = axes
     _lines(top, rows, scaled=False)
     _lines(below, rows, scaled=True)

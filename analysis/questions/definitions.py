@@ -1,4 +1,4 @@
-"""Does gamma depend on the definition of a cascade? gamma by each, over independent blocks' counted alike."""
+"""Whether gamma depends on the definition of a cascade: gamma by each, and over that of independent blocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame
-from stickslip.analysis.ensemble import Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Window
@@ -27,7 +28,7 @@ _DEFINITIONS: Mapping[str, str] = {
 
 
 def answer(study: Study) -> Answer:
-    """gamma by every definition and sampling step, and over independent blocks counted alike if events are kept."""
+    """gamma by every definition and sampling step and, if events are recorded, over that of independent blocks."""
     judged = study.judged()
     if not judged:
         code, facts = study.refusal()
@@ -64,13 +65,13 @@ def _span(rows: Sequence[Row], definition: str) -> tuple[float, float] | None:
 
 
 def _few(dts: Sequence[float]) -> list[float]:
-    """Three steps at most for the page: the shortest, the middle one and the longest."""
+    """At most three steps for the page: the shortest, the middle one and the longest."""
     some = sorted(dts)
     return some if len(some) <= 3 else [some[0], some[len(some) // 2], some[-1]]
 
 
 def _sums(study: Study, group: Group) -> tuple[Sums, Sums]:
-    """By law what a group's runs give, and what independent blocks do: a row a matrix, zero where none is known."""
+    """Sums by law of a group's runs, and of independent blocks: one row a matrix, zero where nothing is known."""
     settings, events = study.settings, study.data.events
     dts = sorted({*settings.dt, *settings.map_dt})
     observed, chance = ({law: np.zeros((len(group.units), 2)) for law in cascades.laws(dts)} for _ in range(2))
@@ -96,7 +97,7 @@ def _observed(win: Window, dts: Iterable[float]) -> Sums:
 
 
 def _rows(group: Group, study: Study) -> list[Row]:
-    """One row a law; all are judged together."""
+    """One row for each law of sizes; all are judged together."""
     confidence = study.settings.confidence
     observed, chance = _sums(study, group)
     seen = {law: sums[:, 1] > 0 for law, sums in observed.items()}
@@ -117,18 +118,18 @@ def _rows(group: Group, study: Study) -> list[Row]:
 
 
 def _brief(rows: Sequence[Row], definition: str, steps: Sequence[float]) -> Row:
-    """One row a definition: gamma at a few steps, and over chance at the middle one."""
+    """One row for a definition: gamma at a few steps, and over chance at the middle one."""
     own = {row["dt"]: row for row in rows if row["definition"] == definition}
-    alone = own.get(None)  # `events` know no step
+    alone = own.get(None)  # `events` has no step
     middle = alone or own[steps[len(steps) // 2]]
     return middle | {f"gamma_{k}": (alone or own[step])["gamma"] for k, step in enumerate(steps)}
 
 
 @panel()
 def by_step(ax: Axes, rows: Sequence[Row], name: str, what: str) -> None:
-    """`gamma`, or what it is `over` independent blocks', against the sampling step, by definition; band: `events`.
+    """The column `gamma` or `over` against the sampling step, one line a definition; the band is `events`.
 
-    The rows are those of the table `definitions` of one group.
+    The rows are those of one group in the table `definitions`.
     """
     known = [row for row in rows if row[f"{name}_low"] is not None]
     if name == "over":

@@ -1,8 +1,8 @@
-"""How far friction law, smoothing, threshold of sticking and tolerance move each statistic, on the same matrices.
+"""How friction law, smoothing, threshold of sticking and tolerance change each statistic on the same matrices.
 
-The exact engine at its tightest tolerance is the reference of other laws, and of what further thresholds of sticking
-give, which are read off the same runs; where none ran, the runs' own definition. The tightest tolerance is that of
-looser ones.
+The exact engine at its tightest tolerance is the reference for other engines. It is also the reference for further
+thresholds of sticking, which are applied to the same runs; if it did not run, the runs' own definition is. The
+tightest tolerance of an engine is the reference for its looser ones.
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ from stickslip.analysis.contrast import (
     told,
     weight,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES, Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, engine_name
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 
-LAW, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
-#: A difference of the laws beyond this many margins is none that smoothing explains, for eps up to _SMOOTH: the
-#: sigmoid differs from the exact engine by O(eps), 3% in mean n_stick at eps = 0.03. Above, more is allowed, as eps.
+FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
+#: Smoothing does not explain a difference between engines of more than this many margins, for eps up to _SMOOTH: the
+#: sigmoid differs from the exact engine by O(eps), 3% in mean n_stick at eps = 0.03. Above, the limit grows with eps.
 _EXPLAINED, _SMOOTH = 2.0, 0.03
 _BY_THRESHOLD = ("mean", "rate", "gamma")
 _MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
-_WIDEST = 3.0  # margins to each side in the figure: what lies further out would leave no room for the others
+_WIDEST = 3.0  # margins to each side in the figure: showing more would leave no room for the other statistics
 _TABLE: Mapping[str, str] = {
     "kind": S, "setting": S, "reference": S, "threshold": F, **SCHEMA, "is_suspect": B,
 }  # fmt: skip
@@ -44,7 +46,7 @@ _TABLE: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class _Pair:
-    """A group and what it is set against; `threshold` is a further definition of sticking, read off its runs."""
+    """A group and its reference; `threshold` is a further definition of sticking, applied to the group's runs."""
 
     kind: str
     reference: Group
@@ -53,7 +55,7 @@ class _Pair:
 
 
 def answer(study: Study) -> Answer | None:
-    """How the choice of engine and of its settings moves each statistic; None where there is no choice."""
+    """How each statistic depends on the engine and its settings; None where there is only one."""
     by_threshold = _by_threshold(study)
     pairs = list(_pairs(study, by_threshold))
     if not pairs:
@@ -68,8 +70,8 @@ def answer(study: Study) -> Answer | None:
             theirs, asked = by_threshold[pair.other.label][pair.threshold], statistics(margins, _BY_THRESHOLD)
         of_pair = {
             "kind": pair.kind, "reference": pair.reference.label, "setting": pair.other.label,
-            "threshold": pair.threshold, "n": pair.other.key["n"], "of_reference": _law(pair.reference),
-            "of_setting": _law(pair.other),
+            "threshold": pair.threshold, "n": pair.other.key["n"], "of_reference": _engine(pair.reference),
+            "of_setting": _engine(pair.other),
         }  # fmt: skip
         rows = families.setdefault((pair.kind, pair.reference.label), [])
         rows += [of_pair | contrast(one, whole[pair.reference.label], theirs, True, level) for one in asked]
@@ -88,7 +90,7 @@ def answer(study: Study) -> Answer | None:
 
 
 def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
-    """What further thresholds of sticking give, by label of the group; all runs in one pass."""
+    """Samples under further thresholds of sticking, by label of the group and threshold; one pass over the runs."""
     runs = {
         str(member_id): (group.label, int(unit), float(t_end))
         for group in study.groups
@@ -106,7 +108,7 @@ def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
 
 
 def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> Iterator[_Pair]:
-    """By kind; a looser tolerance is compared with the tightest of its own engine only."""
+    """The comparisons, by kind; a looser tolerance is compared with the tightest of its own engine only."""
     systems: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
         systems.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
@@ -116,17 +118,17 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
             kept = tuple(group.key[name] for name in ENGINE_KEYS if name not in TOLERANCES)
             families.setdefault(kept, []).append(group)
         tightest = sorted((family[0] for family in families.values()), key=_exactness)
-        yield from (_Pair(LAW, tightest[0], group) for group in tightest[1:])
+        yield from (_Pair(FRICTION, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
             exact = tightest[0] if tightest[0].key["engine"] == "coulomb" else family[0]
             yield from (_Pair(THRESHOLD, exact, family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
 
 
-def _law(group: Group) -> Row:
+def _engine(group: Group) -> Row:
     static = group.key["static"] is not None or "static" in str(group.key["drawn"])
     settings = {name: group.key[name] for name in ("eps", "step")}
-    return {"engine": law(group.key["engine"]), "static": static, **settings}
+    return {"engine": engine_name(group.key["engine"]), "static": static, **settings}
 
 
 def _tightness(group: Group) -> float:
@@ -134,7 +136,7 @@ def _tightness(group: Group) -> float:
 
 
 def _exactness(group: Group) -> tuple[bool, bool, float]:
-    """The exact engine first, then the least smoothing, then the shortest step."""
+    """Sorts groups: the exact engine first, then the least smoothing, then the shortest step."""
     eps, step = group.key["eps"], group.key["step"]
     return step is not None, eps is not None, float(eps or step or 0.0)
 
@@ -142,13 +144,13 @@ def _exactness(group: Group) -> tuple[bool, bool, float]:
 def _is_suspect(row: Mapping[str, Any]) -> bool:
     """Whether a statistic differs between the exact engine and the sigmoid by more than smoothing explains.
 
-    The rule, which is here alone: the difference is significant after adjustment, and its whole interval lies beyond
-    `_EXPLAINED` margins times max(1, eps / _SMOOTH). Where one law has none of it, there is no relative difference:
-    it is suspect if the other's interval excludes zero. Two exact or two smoothed settings are not judged, nor is
-    static friction above the kinetic: a smoothed block then creeps before it slips, and may never come to slip.
+    It does if the difference is significant after adjustment and its whole interval lies beyond `_EXPLAINED` margins
+    times max(1, eps / _SMOOTH). If one value is zero there is no relative difference: then the statistic is suspect
+    if the interval of the other value excludes zero. Two exact or two smoothed settings are not judged. Nor is static
+    friction above the kinetic, where a smoothed block creeps before it slips and may never slip.
     """
     eps, reference = row["of_setting"]["eps"], row["of_reference"]
-    if row["kind"] != LAW or eps is None or reference["eps"] is not None or reference["static"]:
+    if row["kind"] != FRICTION or eps is None or reference["eps"] is not None or reference["static"]:
         return False
     if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
         low = row["second_low"] if row["first"] == 0.0 else row["first_low"]
@@ -160,13 +162,13 @@ def _is_suspect(row: Mapping[str, Any]) -> bool:
 
 
 def _facts(found: Sequence[Row]) -> dict[str, Any]:
-    """By kind; the largest systems first."""
+    """Facts for the page, by kind of comparison; the largest systems come first."""
     by_kind = {
         kind: sorted((row for row in found if row["kind"] == kind), key=lambda row: -row["n"])
-        for kind in (LAW, TOLERANCE, THRESHOLD)
+        for kind in (FRICTION, TOLERANCE, THRESHOLD)
     }
     laws = []
-    for rows in _parted(by_kind[LAW], "setting"):
+    for rows in _parted(by_kind[FRICTION], "setting"):
         shown = told(rows)
         if shown:
             of = {"setting": rows[0]["setting"], "reference": rows[0]["reference"]}
@@ -179,20 +181,21 @@ def _facts(found: Sequence[Row]) -> dict[str, Any]:
         "thresholds": [one for rows in _parted(by_kind[THRESHOLD], "setting") if (one := _moved(rows))],
         "suspects": [
             some[0] | {"n_more": len(some) - 1}
-            for rows in _parted(by_kind[LAW], "setting")
+            for rows in _parted(by_kind[FRICTION], "setting")
             if (some := [row for row in rows if row["is_suspect"]])
         ],
     }
 
 
 def _parted(rows: Sequence[Row], key: str) -> list[list[Row]]:
+    """Rows split by the value of a key, in the order in which the values first occur."""
     return [[row for row in rows if row[key] == name] for name in dict.fromkeys(row[key] for row in rows)]
 
 
 def summary(shown: Sequence[Row]) -> Row:
-    """Contrasts by verdict; `worst` is the largest of those that differ, else cannot be told, else agree.
+    """Contrasts by verdict; `worst` is the largest that differs, else of those unknown, else of those that agree.
 
-    Differences that are shown come before those that may be none.
+    Differences whose interval excludes zero come before others.
     """
     by = {verdict: [row for row in shown if row["verdict"] == verdict] for verdict in (DIFFER, UNKNOWN, AGREE)}
     return {
@@ -210,7 +213,7 @@ def _shown_first(row: Row) -> tuple[bool, float]:
 
 
 def _sufficient(rows: Sequence[Row]) -> Row | None:
-    """The loosest tolerance at which every statistic agrees with the reference, as at all tighter ones."""
+    """The loosest tolerance at which, and at all tighter ones, every statistic agrees with the reference."""
     by_setting = _parted(rows, "setting")  # from the tightest to the loosest
     known = told(rows)
     if not known:
@@ -231,7 +234,7 @@ def _sufficient(rows: Sequence[Row]) -> Row | None:
 
 
 def _moved(rows: Sequence[Row]) -> Row | None:
-    """How far thresholds move each statistic, least and largest relative difference, and at how many it agrees."""
+    """Least and largest relative difference of each statistic over thresholds, and at how many it agrees."""
     known = told(rows)
     moved = [
         {"quantity": some[0]["quantity"], "low": min(row["relative"] for row in some),
@@ -248,9 +251,9 @@ def _moved(rows: Sequence[Row]) -> Row | None:
 
 @panel()
 def contrasts(ax: Axes, rows: Sequence[Row]) -> None:
-    """Relative differences in units of their margins with the intervals of the equivalence tests, a line a statistic.
+    """Relative differences in units of their margins, one line a statistic.
 
-    An arrowhead marks one that lies beyond the axis.
+    Bars are the intervals of the equivalence tests. An arrowhead marks a difference beyond the axis.
     """
     ax.axvspan(-1, 1, color=GREY, alpha=0.13, linewidth=0)
     ax.axvline(0, color=GREY, linewidth=0.8)

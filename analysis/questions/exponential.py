@@ -1,4 +1,4 @@
-"""Is the law of cascade sizes exponential? A test of its variance, the pool's, each size, and rival laws."""
+"""Whether the law of cascade sizes is exponential: its variance beside that of nulls, each size, and rival laws."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import EVENTS, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models import pool
-from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.cascades import EVENTS, Window
 from stickslip.analysis.series.cascades import sizes as cascade_sizes
 from stickslip.analysis.series.nulls import DRAWS, block_steps, rotated
 from stickslip.analysis.stats.compare import against
@@ -22,7 +23,7 @@ from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, m
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
-MARGIN = 0.1  # of the variance of sizes, which a scene declares no margin for
+MARGIN = 0.1  # of the variance of sizes, for which a scene declares no margin
 MOST_DRAWN = 2  # groups in the figure
 _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
@@ -36,7 +37,7 @@ _QUOTIENTS: Mapping[str, str] = {
 
 
 def answer(study: Study) -> Answer:
-    """How far the variance of sizes lies from an exponential's, and how well other laws do."""
+    """How far the variance of sizes lies from an exponential's, and how well other laws fit."""
     judged = study.judged()
     if not judged:
         code, facts = study.refusal()
@@ -71,12 +72,13 @@ def answer(study: Study) -> Answer:
 
 
 def _cut(group: Group, smallest: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes from the least on, and how many of each a matrix has."""
+    """Sizes from the smallest on, shape (K,), and the number of cascades of each in each matrix, shape (G, K)."""
     counts = group.counts[group.counts.sum(axis=1) > 0]
     return truncate(np.pad(counts, ((0, 0), (1, 0))), smallest, max(int(group.key["n"]), smallest + 1))
 
 
 def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
+    """Row of the table `exponential`: a group's variance of sizes, that of the nulls, and the fit."""
     level = study.settings.confidence
     over = over_matrices(excess, moments(counts), level)
     fit = goodness(sizes, counts, level, study.generator(group.label))
@@ -95,7 +97,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
 
 
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
-    """What blocks without memory give, and how far the runs lie from it."""
+    """Variance of the pool's sizes over an exponential's, and how far the runs lie from it."""
     n, mean = int(group.key["n"]), group.pool_mean
     known, over = sizes[0] == 1 and pool.is_one(n, mean), Estimate()
     if known:
@@ -106,7 +108,7 @@ def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float
 
 
 def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
-    """What the runs' own blocks give where they ignore each other, and how far the runs lie from it."""
+    """The same ratio for the runs' own blocks if they ignore each other, and how far the runs lie from it."""
     settings, events = study.settings, study.data.events
     sums = np.zeros((len(group.units), 3))
     for row, member_id, win in study.windows(group):
@@ -126,7 +128,7 @@ def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray)
 
 
 def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:
-    """Each size's share over that of the fitted exponential, and what the pool's law is over it."""
+    """Share of each size over that of the fitted exponential, for the runs and for the pool."""
     try:
         found = quotients(sizes, counts, confidence)
     except Undefined:
@@ -140,7 +142,7 @@ def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: 
 
 
 def _gains(sizes: np.ndarray, counts: np.ndarray) -> dict[str, float]:
-    """Log-likelihood a cascade, in nats, of a power law and of one with a cut-off, less the exponential's."""
+    """Log-likelihood per cascade, in nats, of a power law and of one with a cut-off, minus the exponential's."""
     try:
         base, *others = (maximise(law, sizes, counts) for law in (EXPONENTIAL, POWER_LAW, CUT_OFF))
     except Undefined:

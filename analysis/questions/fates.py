@@ -1,7 +1,7 @@
-"""Fates of runs: how many stay in motion, how the others end and when, and whether motion that lasts is steady.
+"""What became of the runs: how many stay in motion, how and when the others end, whether lasting motion is steady.
 
-Survival is that of Kaplan and Meier. Certified runs and runaways ended (`models.fates.ends_at` says when); all others
-are censored at t_end, be they in motion, in a lull or quiet.
+Survival is by Kaplan and Meier. Certified runs and runaways ended (`models.fates.ends_at` says when). All others, in
+motion, in a lull or quiet, are censored at t_end.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, HANG_ON_SPEED, Group, Study
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, SPEED_DEPENDENT
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -46,14 +48,14 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
 
 MOST_CURVES = 8  # in one figure
-MOST_STEPS = 2000  # of one curve that are drawn: a step is then a quarter of a dot
+MOST_STEPS = 2000  # drawn of one curve: each is then a quarter of a dot wide
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
-_DRAWN = ("n", "coupling", "file")  # what draws depend on: along other keys they are shared
+_DRAWN = ("n", "coupling", "file")  # the keys that draws depend on: along other keys draws are shared
 FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
 }  # fmt: skip
-#: What runs from different starts do at the end: their fates, and how they are drawn.
+#: What runs from different starts do at the end: the fates that belong to each kind, its colour and its mark.
 KINDS = {
     "no late stick": (SETTLED, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"),
     "ran away": ((DIVERGED,), GREY, "^"),
@@ -79,30 +81,30 @@ def answer(study: Study) -> Answer:
     groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
-    is_one_law = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
+    is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.members
     failed = members[members["outcome"] == FAILED]
-    watched = [row for row in runs if row["fate"] != FAILED]
+    followed = [row for row in runs if row["fate"] != FAILED]
     facts: dict[str, Any] = {
         "systems": systems,
         "groups": groups,
         "moving": moving,
-        "total": {**_counts(runs), "runs": len(watched), "held": sum(row["n_held"] for row in groups)},
-        "share": _share(watched, MOVING, level),
-        "n_systems": len({row["drawn"] for row in watched}),
+        "total": {**_counts(runs), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
+        "share": _share(followed, MOVING, level),
+        "n_systems": len({row["drawn"] for row in followed}),
         "has_copies": len(members) > len(runs),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
         "last_share": LAST_SHARE,
         "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
-        "is_one_law": is_one_law,
+        "is_one_engine": is_one_engine,
         "partly": [row for row in systems if 0 < row["n_moving"] < row["n_runs"]],
-        "lasting": [row for row in systems if is_one_law and row["n_moving"] == row["n_runs"]],
+        "lasting": [row for row in systems if is_one_engine and row["n_moving"] == row["n_runs"]],
         "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
-        "linear": _linear(watched),
+        "linear": _linear(followed),
         "rated": [row for row in systems if row["is_rated"]],
         "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
         "has_ends": any(row["fate"] in ENDS for row in runs),
-        "basin": _basin(watched),
+        "basin": _basin(followed),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
@@ -128,7 +130,7 @@ def answer(study: Study) -> Answer:
 def _figures(
     study: Study, facts: Mapping[str, Any], runs: Sequence[Row], curves: Mapping[str, Curve]
 ) -> dict[str, Any]:
-    """Of runs of which some ended, shares and times; of motion that lasts, n_stick of all runs of a group."""
+    """Shares by fate and times of ends if some runs ended; else n_stick of all runs of the largest group."""
     shown = {}
     if facts["total"]["n_moving"] < facts["total"]["runs"]:
         some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
@@ -153,10 +155,10 @@ def _figures(
 
 
 def _runs(group: Group) -> Iterator[Row]:
-    """Fate of each run, and when its motion ended or until when it was watched."""
+    """Fate of each run, with the time at which its motion ended or up to which it was followed."""
     table = group.members
     setting = tuple(value for name, value in group.key.items() if name not in ("z0", "w0"))
-    hangs = any(group.key[name] is not None for name in HANG_ON_SPEED)
+    is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
     columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
     rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
     for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
@@ -166,7 +168,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
             "times": times, "t": None if how == FAILED else ends_at(how, *times)[0],
             "growth_rate": None if pd.isna(rate) else float(rate),
-            "untold": "law" if hangs else "rate" if pd.isna(rate) else "stable",
+            "untold": "law" if is_speed_dependent else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
             "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
             "setting": (*setting, int(matrix)),
@@ -177,7 +179,7 @@ def _runs(group: Group) -> Iterator[Row]:
 def _curve(
     runs: Sequence[Row], group: Group, confidence: float, ends: Mapping[str, str] = MappingProxyType({})
 ) -> Curve | None:
-    """Survival of the first run of each unit of a group; `ends` tells fates that are taken for others."""
+    """Survival of the first run of each unit of a group; `ends` maps fates to those that they are counted as."""
     first: dict[int, Row] = {}
     for row in runs:
         if row["group"] == group.label and row["fate"] != FAILED:
@@ -190,27 +192,28 @@ def _curve(
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
-    """None where there is no spring between blocks, or K comes from a file."""
+    """kappa n; None where there is no spring between blocks, or K comes from a file."""
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
 def _counts(runs: Sequence[Row]) -> dict[str, int]:
-    """Runs by fate, and those in motion."""
+    """Number of runs of each fate, and of those in motion."""
     how = Counter(row["fate"] for row in runs)
     return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
 
 
 def _share(
-    watched: Sequence[Row], of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
+    followed: Sequence[Row], of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
 ) -> Estimate:
-    """Share of runs with some fates; the runs of one unit, at each point of a grid, are not independent.
+    """Share of runs with one of some fates, where the runs of one unit, over all points of a grid, are dependent.
 
-    Of `untold` it is not known, and the interval takes them either way; () takes each as it is seen.
+    For the fates in `untold` it is unknown whether the run belongs to them, and the interval covers both cases; with
+    () every run counts as it is seen.
     """
-    if not watched:
-        return Estimate(reason="no run was watched")
+    if not followed:
+        return Estimate(reason="every run failed")
     counts: dict[tuple[object, ...], list[int]] = {}
-    for row in watched:
+    for row in followed:
         held = counts.setdefault(row["drawn"], [0, 0, 0])
         held[0] += row["fate"] in of
         held[1] += row["fate"] in untold
@@ -218,13 +221,14 @@ def _share(
     return bounded_share(np.array(list(counts.values())), confidence)
 
 
-def _basin(watched: Sequence[Row]) -> Row | None:
-    """Where the runs of one system started, if starts are given by two numbers and both vary; else None.
+def _basin(followed: Sequence[Row]) -> Row | None:
+    """Starts of the runs of one system by what they do at the end (`KINDS`); None if all do the same.
 
-    By what they do at the end, where that differs: `KINDS`. Of several such systems, or laws, the one with most runs.
+    A start must be given by two numbers, and both must vary; else None. Of several such systems or engines, the one
+    with most runs.
     """
     by_setting: dict[tuple[object, ...], list[Row]] = {}
-    for row in watched:
+    for row in followed:
         by_setting.setdefault(row["setting"], []).append(row)
     found = []
     for rows in by_setting.values():
@@ -240,24 +244,25 @@ def _basin(watched: Sequence[Row]) -> Row | None:
 
 
 def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | None) -> Row:
+    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
     level = study.settings.confidence
     own = [row for row in runs if row["group"] == group.label]
-    watched = [row for row in own if row["fate"] != FAILED]
+    followed = [row for row in own if row["fate"] != FAILED]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half = Estimate() if curve is None else median(*curve)
     least = _curve(runs, group, level, {QUIET: COLLAPSED})
-    ended = [row for row in watched if row["fate"] in ENDS]
-    share, settled = _share(watched, MOVING, level), _share(watched, SETTLED, level, untold=())
+    ended = [row for row in followed if row["fate"] in ENDS]
+    share, settled = _share(followed, MOVING, level), _share(followed, SETTLED, level, untold=())
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "n_runs": len(watched), "t_end": float(group.key["t_end"]),
+        "engine": group.key["engine"], "n_runs": len(followed), "t_end": float(group.key["t_end"]),
         **_counts(own), **named("moving", share), **named("settled", settled),
         "n_held": sum(row["is_held"] for row in own), "is_rated": any(row["growth_rate"] is not None for row in own),
         "half": half, **named("median", half), "median_least": None if least is None else median(*least).value,
         "last_end": max((row["t"] for row in ended), default=None),
-        "last_quiet": max((row["times"][0] for row in watched if row["fate"] == QUIET), default=None),
+        "last_quiet": max((row["times"][0] for row in followed if row["fate"] == QUIET), default=None),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * span / (2 * memory),
         "basis": basis.code,
@@ -269,7 +274,7 @@ def _is_off_zero(estimate: Estimate) -> bool:
 
 
 def _brief(groups: Sequence[Row]) -> list[Row]:
-    """Groups of which a run was watched, in order of n and kappa n; named by n and whatever else tells them apart."""
+    """Groups with runs that did not fail, in order of n and kappa n, named by n and what else tells them apart."""
     parts = [row["group"].split(", ") for row in groups]
     shared = set.intersection(*map(set, parts)) if parts else set()
     found = [
@@ -279,9 +284,12 @@ def _brief(groups: Sequence[Row]) -> list[Row]:
     return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
 
 
-def _linear(watched: Sequence[Row]) -> list[Row]:
-    """Fates by the sign of the linear growth rate of the state in which all blocks slip; empty without the rates."""
-    known = [row for row in watched if row["growth_rate"] is not None]
+def _linear(followed: Sequence[Row]) -> list[Row]:
+    """Number of runs of each fate where slipping all together is linearly stable, and where it is unstable.
+
+    Empty if no growth rate is known.
+    """
+    known = [row for row in followed if row["growth_rate"] is not None]
     found = []
     for state, has in (("stable", False), ("unstable", True)):
         some = [row for row in known if is_unstable(row["growth_rate"]) == has]
@@ -295,14 +303,14 @@ def _commonest(reasons: pd.Series) -> str:
 
 
 def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
-    """Means of n_stick over blocks of `BLOCK` units, and the middles of the blocks."""
+    """Middles of blocks of `BLOCK` units of time, and the means of n_stick over them."""
     n_blocks = max(int((win.t_stop - win.t_start) // BLOCK), 1)
     return win.t_start + (np.arange(n_blocks) + 0.5) * (win.t_stop - win.t_start) / n_blocks, win.means(n_blocks)
 
 
 @panel()
 def shares(ax: Axes, key: str, ticks: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
-    """Shares of runs by fate, a bar a value of a key; `counts` are the runs at each value, by fate."""
+    """Shares of runs by fate, one bar for each value of a key; `counts` are the runs at each value, by fate."""
     total, floor = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(ticks))
     for name, some in counts.items():
         if any(some):
@@ -315,7 +323,7 @@ def shares(ax: Axes, key: str, ticks: Sequence[str], counts: Mapping[str, Sequen
 
 
 def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
-    """What an axis of systems is called, and its ticks."""
+    """Label and ticks of an axis of systems."""
     if len({row["n"] for row in systems}) == len(systems):
         return "blocks, n", [str(row["n"]) for row in systems]
     return "", [str(row["system"]).replace(", ", "\n") for row in systems]
@@ -323,7 +331,7 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
 
 @panel()
 def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
-    """Linear growth rate of the all-slip state of each run, marked by its fate, in order of size within a system."""
+    """Linear growth rate of the all-slip state of each run, marked by its fate and sorted within a system."""
     points: dict[str, list[tuple[float, float]]] = {}
     for k, system in enumerate(systems):
         own = sorted((row for row in runs if row["group"] == system["group"]), key=lambda row: row["growth_rate"])
@@ -342,11 +350,11 @@ def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
 
 @panel()
 def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-    """Starts in their plane, a mark a run, by what it does at the end."""
-    size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # a field of marks, no gaps
+    """Starts in their plane, one mark a run, by what the run does at the end."""
+    size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # marks fill the plane
     for kind, some in points.items():
         if some:
-            # thousands of marks: a picture inside the SVG keeps the report small
+            # of thousands of marks, a bitmap inside the SVG keeps the report small
             ax.plot(*zip(*some, strict=True), KINDS[kind][2], color=KINDS[kind][1], markersize=size,
                     markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
     ax.margins(0.01)
@@ -356,7 +364,7 @@ def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None
 
 @panel()
 def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float) -> None:
-    """Share of runs that have not ended against time, a curve a group; with intervals where there are two at most."""
+    """Share of runs that have not ended against time, one curve a group, with intervals for one or two groups."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
     for (label, (times, *shares)), colour in zip(curves, colours, strict=True):
         some = np.unique(np.linspace(0, len(times) - 1, MOST_STEPS).astype(np.int64))

@@ -1,4 +1,4 @@
-"""Does n_stick have a slow rhythm? Its period, quality and share of the variance, and their laws."""
+"""Whether n_stick has a slow rhythm: its period, quality and share of the variance, and how these scale with keys."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from scipy import special, stats
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import ENGINE_KEYS, Group, Study, law
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, engine_name
+from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import rhythm
 from stickslip.analysis.models.rhythm import (
     LEAST_HARMONICS,
@@ -23,31 +25,30 @@ from stickslip.analysis.models.rhythm import (
     SWINGS,
     Spectra,
 )
-from stickslip.analysis.questions.sweep import curves
+from stickslip.analysis.questions.sweep import FALLS, RISES, curves
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import equivalence_test
+from stickslip.analysis.stats.compare import UNKNOWN, equivalence_test
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import over_blocks, panel
 
-CYCLES = 3.0  # of a block: a motion that takes longer is slow
-LAWS = ("period", "quality", "share")  # numbers whose laws are asked for
-KEYS = ("n", "kappa", "rho", "belt_speed")  # along which
-LEAST_POINTS = 3  # of a law
-LEAST_FACTOR = 2.0  # that a key's values span, where a number may be said to go as a power of it
-LEAST_P = 0.05  # of one power for all, as of points on it: below, it is none
+CYCLES = 3.0  # of a block: motion of longer periods is slow
+SCALED = ("period", "quality", "share")  # numbers that may go as a power of a key
+KEYS = ("n", "kappa", "rho", "belt_speed")  # whose powers are fitted
+LEAST_POINTS = 3  # to fit a power
+LEAST_FACTOR = 2.0  # least ratio of the largest to the smallest value of a key, to claim a power of it
+LEAST_P = 0.05  # least p-value of the misfit, and of one exponent for all settings, to claim a power
 MOST_DRAWN = 3  # groups in the figure
-ENGINE = "engine"  # beside `KEYS`
-_ORDER = (SWINGS, SLOW, NONE, SHORT)  # what leads
-RISES, FALLS, UNKNOWN = "rises", "falls", "cannot be told"
+ENGINE = "engine"  # changes are also compared between engines
+_ORDER = (SWINGS, SLOW, NONE, SHORT)  # the first verdict found leads
 _RHYTHM: Mapping[str, str] = {
     "group": S, "verdict": S, "p_value": F, "cycle": F, "n_windows": F, "span": F, "needed": F,
     **{f"{name}{end}": F for name in NUMBERS for end in ("", "_low", "_high")}, "reason": S,
 }  # fmt: skip
 _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "low": F, "high": F, "model": F}
-_LAW: Mapping[str, str] = {
+_POWERS: Mapping[str, str] = {
     "number": S, "key": S, "first_value": F, "last_value": F, "n_points": F, "exponent": F, "low": F, "high": F,
     "p_value": F, "p_adjusted": F, "p_misfit": F, "p_apart": F,
 }  # fmt: skip
@@ -59,7 +60,7 @@ _CHANGE: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class _Measured:
-    """A group's spectra, the mean time between two exits of a block, and what is found; None of a short window."""
+    """A group's spectra, the mean cycle of a block, from exit to exit, and the rhythm; None if windows are short."""
 
     group: Group
     units: list[int]
@@ -68,7 +69,7 @@ class _Measured:
     found: rhythm.Rhythm | None
 
     def logs(self, name: str, units: Sequence[int]) -> list[float]:
-        """Logarithms of a number of `NUMBERS`: of all, and without each of some units, which need not be its own."""
+        """Logarithm of one of `NUMBERS` from all units and with each of `units` left out; others change nothing."""
         assert self.found is not None
         whole, *left_out = np.log(self.found.values[name]).tolist()
         of = dict(zip(self.units, left_out, strict=True))
@@ -91,13 +92,13 @@ def answer(study: Study) -> Answer:
     known = [one for one, row in zip(measured, rows, strict=True) if row["verdict"] in (SWINGS, SLOW)]
     known.sort(key=lambda one: int(one.group.key["n"]))
     changes = _changes(known, level)
-    laws = [one for key in KEYS for name in LAWS for one in [_law(name, key, known, level)] if one]
+    laws = [one for key in KEYS for name in SCALED for one in [_power_law(name, key, known, level)] if one]
     for one, p in zip(laws, holm([one["p_value"] for one in laws]), strict=True):
         one["p_adjusted"] = float(p)
     spectra = {one.group.label: _bands(one, level) for one in measured if one.found is not None}
     tables = {
-        "rhythm": frame(_RHYTHM, rows), "rhythm_changes": frame(_CHANGE, changes), "rhythm_laws": frame(_LAW, laws),
-        "rhythm_spectrum": frame(_SPECTRUM, [row for some in spectra.values() for row in some]),
+        "rhythm": frame(_RHYTHM, rows), "rhythm_changes": frame(_CHANGE, changes), "rhythm_laws": frame(_POWERS,
+        laws), "rhythm_spectrum": frame(_SPECTRUM, [row for some in spectra.values() for row in some]),
     }  # fmt: skip
     lead = min(rows, key=lambda row: _ORDER.index(row["verdict"]))  # of like ones the first
     told = _told(changes, lead["group"])
@@ -119,6 +120,7 @@ def answer(study: Study) -> Answer:
 
 
 def _measured(study: Study, group: Group) -> _Measured | None:
+    """The spectra and the rhythm of a group; None if fewer than two units have exits."""
     span = float(group.key["t_end"]) - study.settings.t_burn
     runs = []
     for row, member_id, win in study.windows(group):
@@ -150,7 +152,7 @@ def _measured(study: Study, group: Group) -> _Measured | None:
 
 
 def _row(one: _Measured, t_burn: float) -> Row:
-    """What a group shows; `needed` is the t_end that could tell, where this one cannot."""
+    """Row of the table `rhythm`; `needed` is the t_end that may suffice where this one does not."""
     found, span = one.found, one.data.span
     row: Row = {
         "group": one.group.label,
@@ -175,7 +177,7 @@ def _row(one: _Measured, t_burn: float) -> Row:
 
 
 def _alike(key: str, known: Sequence[_Measured]) -> list[list[_Measured]]:
-    """Groups that differ in one key alone, several each, in its order; for `ENGINE` the exact one first."""
+    """Sets of two or more groups that differ in one key only, sorted by it; for `ENGINE`, the exact one first."""
     own = ENGINE_KEYS if key == ENGINE else (key,)
     sets: dict[tuple[object, ...], list[_Measured]] = {}
     for one in known:
@@ -187,17 +189,17 @@ def _alike(key: str, known: Sequence[_Measured]) -> list[list[_Measured]]:
 
 
 def _exact_first(one: _Measured) -> bool:
-    return law(one.group.key["engine"]) != "exact"
+    return engine_name(one.group.key["engine"]) != "exact"
 
 
 def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:
-    """Each number from the first to the last of groups that differ in one key, judged together by Holm's rule."""
+    """Change of each number between the first and the last of groups that differ in one key, by Holm's rule."""
     varied = [name for name in KEYS if len({one.group.key[name] for one in known}) > 1]
     engines = {one.group.key["engine"] for one in known}
     found = [
         _change(name, key, some, confidence)
         | {"at": _others(some[0], [other for other in varied if other != key], key != ENGINE and len(engines) > 1)}
-        for name in LAWS for key in (*KEYS, ENGINE) for some in _alike(key, known)
+        for name in SCALED for key in (*KEYS, ENGINE) for some in _alike(key, known)
     ]  # fmt: skip
     for row, p in zip(found, holm([row["p_value"] for row in found]), strict=True):
         shown = RISES if row["change"] > 0 else FALLS
@@ -206,13 +208,16 @@ def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:
 
 
 def _others(one: _Measured, names: Sequence[str], by_engine: bool) -> str | None:
-    """What groups that differ in one key share, of what others differ in."""
-    of_engine = [law(one.group.key["engine"])] if by_engine else []
+    """The values, as text, that groups which differ in one key share of the other varied keys; None if none vary."""
+    of_engine = [engine_name(one.group.key["engine"])] if by_engine else []
     return ", ".join([f"{name} = {one.group.key[name]:g}" for name in names] + of_engine) or None
 
 
 def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -> Row:
-    """The last over the first, less one; for its error a matrix is left out of both at once, as they share draws."""
+    """Relative change of a number from the first to the last of some groups.
+
+    For its error a matrix is left out of both at once, as they share draws.
+    """
     units = sorted({unit for one in (some[0], some[-1]) for unit in one.units})
     logs = np.array(some[-1].logs(name, units)) - np.array(some[0].logs(name, units))
     test = equivalence_test(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1, 0.0)
@@ -228,7 +233,7 @@ def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -
 
 
 def _told(changes: Sequence[Row], lead: str) -> list[Row]:
-    """Changes of the natural period that are shown among others of the leading group, and where they are not."""
+    """Changes of the natural period that are shown and involve the leading group, and the settings without them."""
     of_period = [row for row in changes if row["number"] == "period" and row["key"] != ENGINE]
     return [
         row | {"not_at": [one["at"] for one in of_period
@@ -238,7 +243,7 @@ def _told(changes: Sequence[Row], lead: str) -> list[Row]:
 
 
 def _along(told: Sequence[Row], changes: Sequence[Row]) -> list[Row]:
-    """Changes of the natural period with one key: that told first, else the first that groups differ in."""
+    """Changes of the natural period with one key: that of the first change told, else the first that varies."""
     of_period = [row for row in changes if row["number"] == "period" and row["key"] != ENGINE]
     key = next((row["key"] for row in (*told, *of_period)), None)
     return [row for row in of_period if row["key"] == key]
@@ -247,7 +252,7 @@ def _along(told: Sequence[Row], changes: Sequence[Row]) -> list[Row]:
 def _lines(
     along: Sequence[Row], rows: Sequence[Row]
 ) -> tuple[str, list[float], list[str], list[tuple[str, list[Estimate | None]]]]:
-    """For `curves`: the key, its values, and the natural period along it, a line for each value of the others."""
+    """Arguments of `curves`: a key, its values, and the natural period along it, one line for each other setting."""
     by_label = {row["group"]: row for row in rows}
     ticks = sorted({value for row in along for value in row["values"]}, key=float)
     lines = []
@@ -261,12 +266,12 @@ def _lines(
     return along[0]["key"], [float(value) for value in ticks], ticks, lines
 
 
-def _law(name: str, key: str, known: Sequence[_Measured], confidence: float) -> Row | None:
-    """The exponent of a number in |key|, one for all sets of groups that differ in this key alone.
+def _power_law(name: str, key: str, known: Sequence[_Measured], confidence: float) -> Row | None:
+    """The exponent of a number as a power of |key|, common to all sets of groups that differ in this key only.
 
-    Least squares of the logarithms, weighted by the errors of the points; errors are from leaving out a matrix
-    everywhere at once, as groups share draws. `p_misfit` is of the points about the lines, `p_apart` of the sets'
-    own exponents about each other (Hotelling's T^2; null for one set).
+    By least squares of the logarithms, weighted by the errors of the points. Errors come from leaving out a matrix
+    everywhere at once, as groups share draws. `p_misfit` is the p-value of the points' scatter about the lines,
+    `p_apart` that of the differences between the sets' own exponents (Hotelling's T^2; null for one set).
     """
     sets = _alike(key, known)
     points = [(one, k) for k, some in enumerate(sets) for one in some]
@@ -293,7 +298,10 @@ def _law(name: str, key: str, known: Sequence[_Measured], confidence: float) -> 
 
 
 def _p_apart(slopes: np.ndarray) -> float | None:
-    """That the slopes of some sets are one, shape (k, 1 + G): all, and without one matrix each."""
+    """p-value of the null that some sets have one slope, from slopes of shape (k, 1 + G).
+
+    Columns are the slopes from all matrices, and with each left out. None for one set, or too few matrices.
+    """
     apart, n = slopes[1:] - slopes[0], slopes.shape[1] - 1
     k = len(apart)
     if not 0 < k < n:
@@ -304,7 +312,7 @@ def _p_apart(slopes: np.ndarray) -> float | None:
 
 
 def _is_power(found: Row, alpha: float) -> bool:
-    """Whether a number may be said to go as a power of a key: one is shown, over a wide range, and fits all sets."""
+    """Whether a number may be called a power of a key: it is shown over a wide range, and one exponent fits all."""
     fits = min(found["p_misfit"], 1.0 if found["p_apart"] is None else found["p_apart"]) >= LEAST_P
     return bool(fits and found["p_adjusted"] < alpha and found["last_value"] >= LEAST_FACTOR * found["first_value"])
 
@@ -313,7 +321,7 @@ def _is_power(found: Row, alpha: float) -> bool:
 
 
 def _bands(one: _Measured, confidence: float) -> list[Row]:
-    """Power over that of independent blocks, by bands of whole harmonics, and what is fitted, at their middle."""
+    """Power over that of independent blocks in bands of harmonics, beside that of the fit."""
     data, rows, begin = one.data, list[Row](), 0
     while begin < len(data.frequency):
         some = slice(begin, end := min(begin + 1 + begin // 5, len(data.frequency)))

@@ -1,6 +1,6 @@
-"""Whether changed systems keep their statistics: each matrix beside its changed copy, its replicates and the others.
+"""Whether changed systems keep their statistics: each matrix compared with its changed copy, replicates and others.
 
-Replicates of a matrix are its base and the copies that only started elsewhere and have parted from it by t_burn.
+Replicates of a matrix are its base and the copies that differ in the start only and have parted from it by t_burn.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
-from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, level, settings, watch
-from stickslip.analysis.series.cascades import Law, Window, sizes
+from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, follow, level, settings
+from stickslip.analysis.series.cascades import EVENTS, Window, sizes
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
@@ -26,8 +26,9 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, SMOOTHED, panel
 
-PRIMARY = ("mean", "rate", "gamma")  # asked in this order, of small changes first
-#: A quantity stays if a change does less than so much of a fresh matrix's mean square difference: half in amplitude.
+PRIMARY = ("mean", "rate", "gamma")  # tested in this order, small changes first
+#: A quantity stays if a change has less than this share of a fresh matrix's mean square difference: half in
+#: amplitude.
 BOUND = 0.25
 STAYS, MOVES = "stays", "moves"
 NO_REPLICATES, NO_MOTION = "no replicates", "no motion"
@@ -48,7 +49,7 @@ _ENDS: Mapping[str, str] = {
 
 
 def answer(study: Study) -> Answer | None:
-    """What each change of constants or of stiffness ratios does, beside a fresh matrix."""
+    """Effect of each change of constants or of stiffness ratios relative to that of a fresh matrix."""
     asked = [one for one in settings(study.data.members) if _changes(one)]
     if not asked:
         return None
@@ -92,9 +93,10 @@ def answer(study: Study) -> Answer | None:
 
 
 def _ends(study: Study, setting: Setting) -> list[Row]:
-    """Of each change, copies of runs that ended: how many end otherwise, and by how much the last event shifts.
+    """How many copies of runs that ended end differently, and by how much the last event shifts, for each change.
 
-    A run that left every bound ends then. Whether it is certified that no block sticks again is no other end.
+    A run that left every bound ends at that time. A certificate makes no difference: a run ends alike with or
+    without.
     """
     bases = {base: end for base in setting.bases.values() if (end := _end(study, base))}
     if len(bases) < enough.LEAST_MATRICES:
@@ -106,7 +108,7 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
         pairs = [(pair, bases[pair.base]) for pair in change.pairs if pair.base in bases]
         both = [(pair.matrix, base, end) for pair, base in pairs if (end := _end(study, pair.changed))]
         alike = [(matrix, base, end) for matrix, base, end in both if base[0] == end[0]]
-        n_watched = sum(study.fate(pair.changed) != FAILED for pair, _ in pairs)
+        n_known = sum(study.fate(pair.changed) != FAILED for pair, _ in pairs)
         by_matrix: dict[int, list[float]] = {}
         for matrix, base, end in alike:
             by_matrix.setdefault(matrix, []).append(abs(end[2] - base[2]))
@@ -114,15 +116,15 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
         shift = median(*kaplan_meier(shifts, np.full(len(shifts), True), study.settings.confidence))
         rows.append({
             "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"],
-            "change": str(change.change), "of": change.change, "n_pairs": n_watched,
-            "n_otherwise": n_watched - len(alike), "n_untold": sum(base[1] != end[1] for _, base, end in alike),
+            "change": str(change.change), "of": change.change, "n_pairs": n_known,
+            "n_otherwise": n_known - len(alike), "n_untold": sum(base[1] != end[1] for _, base, end in alike),
             "n_matrices": len(shifts), **named("shift", shift), "redraw": redraw,
         })  # fmt: skip
     return rows
 
 
 def _end(study: Study, member: str) -> tuple[bool, str, float] | None:
-    """Whether a run ran away, its fate, and when it did or its last event was; None if it goes on or failed."""
+    """Whether a run ran away, its fate, and the time of that or of its last event; None if it goes on or failed."""
     how = study.fate(member)
     if how == DIVERGED:
         return True, how, study.ends[member][1]
@@ -134,7 +136,7 @@ def _changes(setting: Setting) -> list[Comparison]:
 
 
 class _Judged:
-    """One setting: its runs' values, and what they say about each change."""
+    """The values of the runs of one setting, and the verdict on each change."""
 
     def __init__(self, study: Study, setting: Setting) -> None:
         self.setting, self.level = setting, study.settings.confidence
@@ -155,7 +157,7 @@ class _Judged:
             self.sums[member] = found
             if member in bases:
                 halves.append(enough.halves(win))
-                n_cascades += len(sizes(win, Law("events")))
+                n_cascades += len(sizes(win, EVENTS))
         self.basis = enough.basis(np.array(halves), n_cascades, self.level)
         self.lack = self._lack()
         self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()
@@ -171,7 +173,7 @@ class _Judged:
         return "" if self.basis.code in enough.JUDGED else self.basis.code
 
     def _complete(self, change: Comparison | None = None) -> list[tuple[list[str], list[str]]]:
-        """Of each matrix whose runs all reached t_end in motion: base and replicates, and its changed runs."""
+        """Base with replicates, and changed runs, of each matrix whose runs all reached t_end in motion."""
         found = []
         for matrix, base in self.setting.bases.items():
             own = [base, *(member for one in self.replicates for member in _of(one, matrix))]
@@ -182,7 +184,7 @@ class _Judged:
         return [one for one in found if (len(one[0]), len(one[1])) == full and (change is None or one[1])]
 
     def _values(self, quantity: str, members: Sequence[Sequence[str]]) -> np.ndarray:
-        """Of runs, shape as `members`."""
+        """Values of a quantity, in the shape of `members`."""
         k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
         return np.array([of(np.array([self.sums[member][k] for member in some])) for some in members])
 
@@ -206,7 +208,7 @@ class _Judged:
         return rows
 
     def _row(self, quantity: str, comparison: Comparison) -> Row:
-        """A quantity under a change: the shift of its mean over matrices, and the change over a redraw."""
+        """A quantity under a change: the shift of its mean over matrices, and the effect relative to a redraw."""
         change, complete = comparison.change, self._complete(comparison)
         row: Row = dict.fromkeys(_CHANGES) | {
             "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
@@ -245,7 +247,7 @@ class _Judged:
         }  # fmt: skip
 
     def _matrix_rows(self) -> list[Row]:
-        """How much of the spread of each quantity is between matrices."""
+        """How much of the variance of each quantity is between matrices."""
         own = [one for one, _ in self._complete()]
         if not self.replicates or len(own) < enough.LEAST_MATRICES:
             return []
@@ -261,7 +263,7 @@ class _Judged:
         return rows
 
     def points(self) -> list[tuple[str, bool, np.ndarray]]:
-        """Of each replicate and change its name, whether it is a change, and the mean n_stick of base and copy."""
+        """Name of each replicate and change, whether it is a change, and the mean n_stick of base and copy."""
         found = []
         for comparison in (*self.replicates, *self.changes):
             pairs = [p for p in comparison.pairs if p.base in self.sums and p.changed in self.sums]
@@ -272,17 +274,18 @@ class _Judged:
 
 
 def _replicates(study: Study, setting: Setting) -> list[Comparison]:
-    """Displaced starts of which every run has parted from its base by t_burn."""
+    """The displaced starts for which every run has parted from its base by t_burn."""
     starts = [one for one in setting.comparisons if one.change.kind == START]
     apart = level(study, setting) if starts else None
     if apart is None:
         return []
     return [
-        one for one in starts if all(pair.t is not None for pair in watch(study, one, apart, study.settings.t_burn))
+        one for one in starts if all(pair.t is not None for pair in follow(study, one, apart, study.settings.t_burn))
     ]
 
 
 def _of(comparison: Comparison, matrix: int) -> list[str]:
+    """The changed members of a matrix."""
     return [pair.changed for pair in comparison.pairs if pair.matrix == matrix]
 
 

@@ -15,15 +15,16 @@ from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, nam
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import kaplan_meier, median
 from stickslip.analysis.models.growth import growth
-from stickslip.analysis.pairs import START, Comparison, Setting, Watched, level, settings, watch
+from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
+from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.style import CYCLE, GREY, panel
 
-GROWS, SHRINKS, UNKNOWN = "grow", "shrink", "cannot be told"
+GROWS, SHRINKS = "grow", "shrink"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
-CEILING = 3e-2  # of distances that grow still in proportion
-SMALL = 0.1  # a start is moved by little if by less than so much of the ceiling
-FLOOR, TOLERANCES = 1e-13, 10.0  # under the exact law; of a smoothed one so many times its relative tolerance
+CEILING = 3e-2  # of distances that still grow in proportion
+SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
+FLOOR, TOLERANCES = 1e-13, 10.0  # floor of the exact engine; that of the sigmoid is so many times its rtol
 CURVE_POINTS = 70
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
@@ -38,7 +39,7 @@ _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "
 
 
 def answer(study: Study) -> Answer | None:
-    """Growth rates of displaced starts, and when each change has parted the runs."""
+    """Growth rates of displaced starts, and when the copies with each change have parted from their base."""
     found = [one for one in settings(study.data.members) if one.comparisons]
     if not found:
         return None
@@ -51,10 +52,10 @@ def answer(study: Study) -> Answer | None:
         if apart is None:
             continue
         for comparison in setting.comparisons:
-            watched = watch(study, comparison, apart, float(setting.key["t_end"]))
-            if watched:
-                partings.append(_parting_row(study, setting, comparison, watched, apart))
-                curves += _curve_rows(setting, comparison, watched, apart)
+            followed = follow(study, comparison, apart, float(setting.key["t_end"]))
+            if followed:
+                partings.append(_parting_row(study, setting, comparison, followed, apart))
+                curves += _curve_rows(setting, comparison, followed, apart)
     growths.sort(key=lambda row: -row["n"])
     tables = {
         "growth": frame(_GROWTH, growths),
@@ -122,12 +123,12 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
 
 
 def _parting_row(
-    study: Study, setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float
+    study: Study, setting: Setting, comparison: Comparison, followed: Sequence[Followed], apart: float
 ) -> Row:
     """When half of the matrices' copies have parted."""
     change = comparison.change
-    by_matrix = {one.pair.matrix: one for one in reversed(watched)}
-    one_each = [*by_matrix.values()]  # of several draws the first: matrices are the independent units
+    by_matrix = {one.pair.matrix: one for one in reversed(followed)}
+    one_each = [*by_matrix.values()]  # the first of several draws, since matrices are the independent units
     times = np.array([one.t_stop if one.t is None else one.t for one in one_each])
     has_parted = np.array([one.t is not None for one in one_each])
     half = median(*kaplan_meier(times, has_parted, study.settings.confidence))
@@ -135,21 +136,21 @@ def _parting_row(
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
         "of": change, "t_end": float(setting.key["t_end"]),
         "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
-        "n_pairs": len(watched), "n_parted": sum(one.t is not None for one in watched), **named("median", half),
+        "n_pairs": len(followed), "n_parted": sum(one.t is not None for one in followed), **named("median", half),
     }  # fmt: skip
 
 
-def _curve_rows(setting: Setting, comparison: Comparison, watched: Sequence[Watched], apart: float) -> list[Row]:
-    """Mean gap over the pairs, in units of the level, over stretches of time that grow with it."""
-    longest = max((one.gaps for one in watched), key=len)
+def _curve_rows(setting: Setting, comparison: Comparison, followed: Sequence[Followed], apart: float) -> list[Row]:
+    """Mean gap over the pairs, in units of the level, in intervals of time whose length grows with time."""
+    longest = max((one.gaps for one in followed), key=len)
     if not len(longest):
         return []
     times = parting.gap_times(longest)
     edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
     rows = []
     for start, stop in pairwise(edges.tolist()):
-        still = [one.gaps[start:stop].mean() for one in watched if len(one.gaps) >= stop]
-        if 2 * len(still) < len(watched):
+        still = [one.gaps[start:stop].mean() for one in followed if len(one.gaps) >= stop]
+        if 2 * len(still) < len(followed):
             break
         rows.append(
             {
@@ -173,7 +174,7 @@ def _by_change(rows: Sequence[Row]) -> list[Line]:
 
 
 def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row]) -> list[Stretch]:
-    """Of the smallest size with a verdict in each setting, the median distance of the pairs, and its range."""
+    """Median distance of pairs and the range of its slope, at the smallest size with a verdict in each setting."""
     lines: list[Stretch] = []
     for setting in found:
         row = next((row for row in told if row["setting"] == setting.label), None)
@@ -192,7 +193,7 @@ def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row])
 
 @panel(3.4)
 def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
-    """Gap of n_stick between copy and base, over that of two matrices, against time."""
+    """Gap of n_stick between copy and base, over that between two matrices, against time."""
     colours = ("#08306b", "#2171b5", "#6baed6", "#f0a860", "#c4561a", "#8c2d04")
     for k, (name, t, gaps) in enumerate(lines):
         ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)

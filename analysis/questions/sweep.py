@@ -1,14 +1,13 @@
 """What changes along the keys that a scene sweeps: mean n_stick, gamma and the fates of runs, value by value.
 
-Every value of a key is set against its first, unit by unit and within every point of the other swept keys: the random
-draws are the same at all of them. A row of a comparison is a unit, its runs at all points of the grid together.
+Every value of a key is compared with its first, within each unit and each point of the other swept keys, since all
+share the random draws. A row of a comparison is a unit, with its runs at all points of the grid.
 """
 
 from __future__ import annotations
 
 from collections import ChainMap, Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, product
 from typing import Any
@@ -21,23 +20,32 @@ from matplotlib.ticker import MaxNLocator
 from stickslip.analysis import contrast
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
-from stickslip.analysis.ensemble import ENGINE_KEYS, SYSTEM_KEYS, Group, Study, label
-from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.grid import (
+    AT_MOST,
+    GAMMA,
+    IN_MOTION,
+    MEAN,
+    Axis,
+    Point,
+    Value,
+    as_text,
+    axes_of,
+    estimate,
+    point_of,
+    points_at,
+    settings,
+)
+from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import WITHIN, Words
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
 RISES, FALLS = "rises", "falls"
-IN_MOTION = "share in motion"
-AT_MOST = "share in motion or quiet"  # of a quiet run it cannot be told whether it is in motion
-MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
 MOST_LINES = 6  # in one figure
-#: What tells the runs of a sweep apart that is not swept.
-_FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
-_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
     "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*WATCHED, FAILED)},
@@ -45,52 +53,22 @@ _VALUES: Mapping[str, str] = {
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
 
-Value = float | str
-
-
-@dataclass(frozen=True)
-class Axis:
-    """Keys that change together, as a scene names them, and the values that they have, in ascending order."""
-
-    keys: tuple[str, ...]
-    values: tuple[tuple[Value, ...], ...]
-
-    @property
-    def name(self) -> str:
-        return " with ".join(self.keys)
-
-    @property
-    def x(self) -> list[float] | None:
-        """The values as numbers; None where one is a distribution."""
-        found = [value[0] for value in self.values]
-        return [one for one in found if isinstance(one, float)] if all(isinstance(v, float) for v in found) else None
-
-
-@dataclass
-class Point:
-    """A group at its place in the grid: a value of each axis, and what each unit gives, as a `Sample`."""
-
-    group: Group
-    at: dict[Axis, tuple[Value, ...]]
-    sample: Sample = field(default_factory=Sample)
-    fates: dict[str, int] = field(default_factory=dict)
-
 
 def answer(study: Study) -> Answer | None:
-    """How statistics change with each swept key; None where none is swept."""
+    """How statistics change with each swept key; None where no key is swept."""
     found = settings(study.groups)
-    axes = grid(found)
+    axes = axes_of(found)
     if not axes:
         return None
     level = study.settings.confidence
-    points = {name: sorted((_point(study, group, place(axes, group)) for group in some), key=_place_in_order)
+    points = {name: sorted((point_of(study, group, axes) for group in some), key=Point.rank)
               for name, some in found.items()}  # fmt: skip
     rows = [_value_row(point, name, axes, level) for name, some in points.items() for point in some]
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
-    for row in contrasts:  # a change is one from nothing too, which has no ratio
+    for row in contrasts:  # a change from zero is a change, although it has no ratio
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
-    keys = {key: _kind(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
+    keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
     own = [row for row in contrasts if row["setting"] == lead and row["p_different"] is not None]
@@ -98,7 +76,9 @@ def answer(study: Study) -> Answer | None:
         "setting": lead,
         "n_settings": len(points),
         "is_by_n": len({some[0].group.key["n"] for some in points.values()}) == len(points),
-        "axes": [{"name": axis.name, "keys": axis.keys, "values": [said(v) for v in axis.values]} for axis in axes],
+        "axes": [
+            {"name": axis.name, "keys": axis.keys, "values": [as_text(v) for v in axis.values]} for axis in axes
+        ],
         "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
         "n_tests": sum(row["p_different"] is not None for row in contrasts),
@@ -127,103 +107,13 @@ def answer(study: Study) -> Answer | None:
     return Answer(facts, tables=tables, figures=figures)
 
 
-# ---------------------------------------------------------------------------------------------- the grid
-
-
-def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """Groups that differ in keys that may be swept alone, by what they share."""
-    found: dict[tuple[Any, ...], list[Group]] = {}
-    for group in groups:
-        found.setdefault(tuple(group.key[name] for name in (*_FIXED, *ENGINE_KEYS)), []).append(group)
-    keys = [dict(zip((*_FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
-    return {label(key, keys): some for key, some in zip(keys, found.values(), strict=True)}
-
-
-def values(group: Group) -> dict[str, Value]:
-    """What a group has of each key that may be swept: a number, or the distribution that it is drawn from."""
-    drawn, given = (
-        dict(part.split(" = ", 1) for part in (group.key[name] or "").split("; ") if part)
-        for name in ("drawn", "parameters")
-    )
-    found: dict[str, Value] = {key: float(text) for key, text in given.items()}
-    for column in _SWEPT:
-        key, number = column.removesuffix("0"), group.key[column]
-        if column == "kappa" and group.key["file"] is not None:
-            continue  # the scale of the file's K, which nobody sweeps
-        if number is not None or key in drawn:
-            found[key] = drawn[key] if number is None else float(number)
-    return found
-
-
-def grid(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
-    """The axes of what is swept, the longest first; keys whose values go together are one."""
-    by_setting = [[values(group) for group in some] for some in found.values()]
-    points = [point for some in by_setting for point in some]
-    keys = [key for key in dict.fromkeys(key for point in points for key in point)
-            if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
-    keys = [key for key in keys if all(key in point for point in points)]
-    together: list[list[str]] = []
-    for key in keys:
-        n_values = len({point[key] for point in points})
-        for some in together:
-            pairs = {(point[some[0]], point[key]) for point in points}
-            if len(pairs) == n_values == len({first for first, _ in pairs}):
-                some.append(key)
-                break
-        else:
-            together.append([key])
-    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=_order)))
-            for some in together]  # fmt: skip
-    return sorted(axes, key=lambda axis: -len(axis.values))
-
-
-def place(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
-    """Where a group stands in the grid."""
-    own = values(group)
-    return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
-
-
-def said(value: Sequence[Value]) -> str:
-    """A value of an axis as text."""
-    return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
-
-
-def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
-    """Numbers before distributions."""
-    return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
-
-
-def _place_in_order(point: Point) -> list[list[tuple[bool, float, str]]]:
-    """Along the axes, as their values stand."""
-    return [_order(value) for value in point.at.values()]
-
-
-def _kind(axis: Axis, k: int) -> str:
-    return F if all(isinstance(value[k], float) for value in axis.values) else S
-
-
-# ---------------------------------------------------------------------------------------------- numbers
-
-
-def _point(study: Study, group: Group, at: dict[Axis, tuple[Value, ...]]) -> Point:
-    found = Point(group, at, fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
-    for unit, how in zip(group.members["unit"], group.fates, strict=True):
-        if how != FAILED:
-            found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])
-            found.sample.add(AT_MOST, int(unit), [how in (*MOVING, QUIET), 1.0])
-    found.sample.sums[MEAN] = dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True))
-    if group.basis(study.settings.confidence).code in enough.JUDGED:
-        found.sample.sums[GAMMA] = dict(zip(group.units, group.sums, strict=True))
-    return found
-
-
 def _statistics(study: Study) -> list[Statistic]:
     return [*contrast.statistics(study.margins, ("mean", "gamma")),
             Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
 
 
 def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], study: Study) -> Iterator[Row]:
-    """Each value of each axis against the first that has enough units, in each statistic, not judged yet."""
+    """Contrasts of each value of each axis with the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
     for axis, one in product(axes, _statistics(study)):
         known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
@@ -241,13 +131,13 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
             if one.is_share:
                 row |= _either_way(row, one, first, second, study.settings.confidence)
             yield row | {
-                "setting": setting, "key": axis.name, "first_value": said(base), "second_value": said(value),
+                "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
                 "is_last": value == others[-1],
             }  # fmt: skip
 
 
 def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
-    """What holds of a contrast of shares in motion whatever quiet runs do: the weaker tests, the wider interval."""
+    """What holds of a contrast of shares in motion whatever quiet runs do: weaker tests and a wider interval."""
     corners = [
         contrast.contrast(
             one, Sample({one.name: first.sums[a]}), Sample({one.name: second.sums[b]}), paired=True,
@@ -266,12 +156,12 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
 
 
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
-    """Of how many units a statistic is known at one value of an axis."""
+    """Number of units for which a statistic is known at one value of an axis."""
     return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
 
 
 def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:
-    """Add what two points have of the units that both have."""
+    """Add the sums of two points to two samples, for the units that both points have."""
     if a.group.unit != b.group.unit:
         return
     mine, theirs = a.sample.sums.get(name, {}), b.sample.sums.get(name, {})
@@ -281,18 +171,18 @@ def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) ->
 
 
 def _differ(first: Sample, second: Sample, name: str) -> bool:
-    """Whether not all runs of both met one end: else there is nothing to test."""
+    """Whether the runs of both met different ends; otherwise there is nothing to test."""
     rows = np.vstack([first.rows(name)[1], second.rows(name)[1]])
     return 0 < rows[:, 0].sum() < rows[:, 1].sum()
 
 
 def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:
-    """The last value of each axis against its first."""
+    """The contrasts of the last value of each axis with its first."""
     return [row for axis in axes for row in rows if row["key"] == axis.name and row["is_last"]]
 
 
 def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> list[Row]:
-    """What is said of each key, what changes most first: its ends, or what is shown where the ends show nothing."""
+    """One contrast a key, the largest change first: that of its ends or, if they show none, one that is shown."""
 
     def order(row: Row) -> tuple[Any, ...]:
         is_shown = row["verdict"] in (RISES, FALLS)
@@ -304,12 +194,12 @@ def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> 
 
 
 def _place(row: Row) -> tuple[Any, ...]:
-    """What a change is of, whatever the setting."""
+    """What identifies a change in every setting."""
     return tuple(row[name] for name in ("quantity", "key", "first_value", "second_value"))
 
 
 def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
-    """A change in several settings: the least and the largest, and the verdicts; None if one has none."""
+    """Least and largest relative change over several settings, and the verdicts; None if a setting has no value."""
     known = sorted((row for row in rows if row["relative"] is not None), key=lambda row: row["relative"])
     if not len(known) == n_settings > 1:
         return {"everywhere": None}
@@ -318,17 +208,17 @@ def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
 
 
 def _weight(row: Row) -> float:
-    """A change in units of its margin; from nothing it is without bound."""
+    """Size of a change in units of its margin; infinite for a change from zero."""
     return np.inf if row["relative"] is None else contrast.weight(row)
 
 
 def _known(*p: float | None) -> float | None:
-    """The first; where it alone is missing, one that shows nothing."""
+    """The first p-value; 1, which shows nothing, if it is missing but the second is known."""
     return p[0] if p[0] is not None or p[1] is None else 1.0
 
 
 def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The statistics as they are told: shares of runs first if one changes beyond the margin, else mean n_stick."""
+    """The statistics in order: shares of runs come first if one changes beyond its margin, else mean n_stick."""
     moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
     return (IN_MOTION, MEAN, GAMMA) if moved else (MEAN, GAMMA, IN_MOTION)
 
@@ -338,7 +228,7 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: flo
     keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
     return {
-        "setting": setting, "group": point.group.label, "at": ", ".join(map(said, point.at.values())), **keys,
+        "setting": setting, "group": point.group.label, "at": ", ".join(map(as_text, point.at.values())), **keys,
         "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
@@ -355,40 +245,24 @@ _OF = {
 }
 
 
-def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
-    """A statistic of some points of a grid together."""
-    both = Sample()
-    for point, name in product(points, (of.name, AT_MOST) if of.is_share else (of.name,)):
-        for unit, row in point.sample.sums.get(name, {}).items():
-            both.add(name, unit, list(row))
-    _, rows = both.rows(of.name)
-    if of.is_share and len(rows):
-        at_most = both.rows(AT_MOST)[1][:, 0]
-        return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
-    return over_matrices(of.of, rows, confidence)
-
-
-# ---------------------------------------------------------------------------------------------- figures
-
-
 def _figures(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str], level: float
 ) -> dict[str, Any]:
-    """A map of the first two axes, and what there is along the first; what leads comes first."""
+    """A map over the first two axes, and the statistics along the first, in the order of `leading`."""
     main = points[lead]
-    ticks = axes[0].x, [said(value) for value in axes[0].values]
+    ticks = axes[0].x, [as_text(value) for value in axes[0].values]
     found: dict[str, Any] = {}
     if len(axes) > 1:
         of = _OF["moving" if leading[0] == IN_MOTION else "mean"]
         cells = [
-            [estimate(of, _at(_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
+            [estimate(of, points_at(points_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
             for y in axes[1].values
         ]
-        across, up = ((axis.name, [said(value) for value in axis.values]) for axis in axes[:2])
+        across, up = ((axis.name, [as_text(value) for value in axis.values]) for axis in axes[:2])
         found["sweep_map"] = partial(heat_map, _AXIS[of.name], across, up, cells)
     for name in leading:
         if name == IN_MOTION:
-            at_value = [[point.fates for point in _at(main, axes[0], value)] for value in axes[0].values]
+            at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].values]
             counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in FATES}
             if any(any(some) for end, some in counts.items() if end not in MOVING):
                 found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
@@ -401,22 +275,20 @@ def _figures(
     return found
 
 
-def _at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:
-    return [point for point in points if point.at[axis] == value]
-
-
 def _lines(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
-    """Along the first axis: a line for each value of the next one, or for each setting."""
+    """Lines along the first axis, one for each value of the second, or for each setting."""
     kept = {lead, *list(points)[: MOST_LINES - 1]}
     parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
         along = axes[1]
-        parts = [(f"{along.name} = {said(value)}", _at(points[lead], along, value)) for value in along.values]
+        parts = [
+            (f"{along.name} = {as_text(value)}", points_at(points[lead], along, value)) for value in along.values
+        ]
     found = []
     for name, some in parts[:MOST_LINES]:
-        line = [estimate(of, _at(some, axes[0], value), level) for value in axes[0].values]
+        line = [estimate(of, points_at(some, axes[0], value), level) for value in axes[0].values]
         found.append((name, [one if one.value is not None else None for one in line]))
     return found
 
@@ -426,9 +298,9 @@ def curves(
     ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
     lines: Sequence[tuple[str, Sequence[Estimate | None]]],
 ) -> None:  # fmt: skip
-    """A statistic against a key, with intervals, a line a value of another key.
+    """A statistic against a key, with intervals, one line for each value of another key.
 
-    Where the key's values are no numbers, `x` is None and they stand evenly spaced.
+    `x` is None if the key's values are not numbers, and they are then evenly spaced.
     """
     at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
@@ -457,7 +329,7 @@ def heat_map(
     up: tuple[str, Sequence[str]],
     cells: Sequence[Sequence[float | None]],
 ) -> None:
-    """A statistic at each point of a grid of two keys, a row a value of `up`; grey where there is none."""
+    """A statistic at each point of a grid of two keys, one row for each value of `up`; grey where it has no value."""
     shown = np.array(cells, dtype=float)
     ax.set_facecolor("#d8d8d8")
     image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")

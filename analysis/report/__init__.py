@@ -1,3 +1,3 @@
-"""The page: sections, tables, figures, words."""
+"""The report: the page, its templates, and the comparison of two datasets."""
 
-PAGE = "report.html"  # among the files of a report
+PAGE = "report.html"  # name of the page among the files of a report

@@ -1,4 +1,4 @@
-"""Are two datasets the same? Their statistics side by side; one sentence if their runs are equal."""
+"""Whether two datasets are the same: their statistics side by side, or one sentence if their runs are equal."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
-from stickslip.analysis.ensemble import ENGINE_KEYS, START, SYSTEM_KEYS, Data, Group, Study
+from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 
-#: What two settings must share: statistics of groups of another size or ensemble are not the same quantity.
+#: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
 SHARED = ("n", "coupling")
 SAME = "same"
 _TABLE: Mapping[str, str] = {"setting": S, "other": S, "is_paired": B, **SCHEMA}
@@ -40,15 +42,15 @@ class Ensemble:
     Attributes
     ----------
     name : str
-        How the page calls it.
+        Its name on the page.
     data : Data
         Members need the column `seed`.
     t_burn : float
     margins : mapping of str to float
-        What its own scene declares.
+        The margins that its scene declares.
     provenance : mapping of str to str
     digest : str
-        Of all its data: equal digests are equal data.
+        Digest of all its data; equal digests mean equal data.
     """
 
     name: str
@@ -61,7 +63,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class Match:
-    """Two settings set side by side; `differs` maps each key in which they differ to both values."""
+    """Two settings to compare; `differs` maps each key in which they differ to both values."""
 
     first: Group
     second: Group
@@ -70,12 +72,12 @@ class Match:
 
 
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
-    """Set two ensembles side by side under the settings of the first.
+    """Report that compares two ensembles, under the settings of the first.
 
     Raises
     ------
     ValueError
-        If they have no setting to compare, or an ensemble contradicts itself or the settings.
+        If they have no settings to compare, or an ensemble contradicts itself or the settings.
     """
     facts: dict[str, Any] = {
         "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
@@ -133,7 +135,7 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:
-    """Whether both hold the same runs: by the digests of their data, else change by change."""
+    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick."""
     if first.digest and first.digest == second.digest:
         return True
     one, two = (each.data.members.set_index("member_id")["outcome"].to_dict() for each in (first, second))
@@ -153,27 +155,27 @@ def _study(one: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
 def matched(
     first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]
 ) -> tuple[list[Match], list[Group], list[Group]]:
-    """Each setting of one dataset with the one of the other that differs in the fewest keys.
+    """Pairs of settings of two datasets, each matched with the one that differs in the fewest keys.
 
-    They must share `SHARED`. Matrices are pairs where seed and start of the random numbers are one: the same `seed`,
-    coupling, n and matrix give the same random system up to the scales kappa and rho; starts are, of one system.
+    They must share `SHARED`. Units are paired if both datasets drew the same ones: the same `seed`, coupling, n and
+    matrix give the same random system up to the scales kappa and rho, and starts are the same for the same system.
 
     Parameters
     ----------
     first, second : str
         Names of the datasets.
     mine, theirs : sequence of Group
-        Of unchanged members.
+        Groups of unchanged members.
 
     Returns
     -------
     matches, left_first, left_second
-        The last two are the settings without counterpart.
+        The last two are the settings without a counterpart.
 
     Raises
     ------
     ValueError
-        If no setting of one can be set beside one of the other.
+        If no setting of one can be compared with one of the other.
     """
     keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
     near = sorted(
@@ -209,6 +211,6 @@ def _shared(group: Group) -> str:
 
 
 def _draws(group: Group) -> tuple[object, ...]:
-    """What the numbers of its units belong to: the seed, and of starts the system too."""
+    """What identifies the draws of a group's units: the seed and the kind of unit; for starts, the system too."""
     of = set(group.members["matrix"]) if group.unit == START else None
     return set(group.members["seed"]), group.unit, of

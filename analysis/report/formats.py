@@ -1,4 +1,4 @@
-"""How numbers, intervals and tables look on a page: the filters and functions that templates call."""
+"""Numbers, intervals and tables as a page shows them: the filters and functions that templates call."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
 
 MINUS, DASH = "\u2212", "\u2013"
-MOST_DIGITS = 8  # of an end of an interval, so that it shows as none
+MOST_DIGITS = 8  # of the ends of an interval, to show that they differ
 Row = Mapping[str, Any]
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits; a dash where there is none."""
+    """A number with a number of significant digits; a dash for None."""
     if value is None:
         return DASH
     text = f"{value:,.0f}" if round(abs(value)) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
@@ -30,48 +30,48 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def fixed(value: float | None, decimals: int) -> str:
-    """A number with so many decimals."""
+    """A number with a fixed number of decimals; a dash for None."""
     return DASH if value is None else f"{value:,.{decimals}f}".replace("-", MINUS)
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """A difference, with its sign."""
+    """A difference with its sign."""
     return ("+" if value >= 0 else "") + number(value, digits)
 
 
 def percent(value: float, digits: int = 2) -> str:
-    """A share of one."""
+    """A share in percent."""
     return f"{number(100 * value, digits)}%" if value else "0%"
 
 
 def signed_percent(value: float, digits: int = 2) -> str:
-    """A relative difference, with its sign."""
+    """A relative difference in percent with its sign."""
     return ("+" if value >= 0 else "") + percent(value, digits)
 
 
 def within(verdict: str | None, margin: float) -> str | None:
-    """A verdict, that of sameness with the margin that it holds for: "within 1%"."""
+    """A verdict; that of equivalence is followed by its margin: "within 1%"."""
     return f"{WITHIN} {100 * margin:g}%" if verdict == WITHIN else verdict
 
 
 def p_text(p: float) -> str:
-    """A p-value, with no more digits than it deserves."""
+    """A p-value with two digits, or "< 0.001"."""
     return "< 0.001" if p < 0.001 else f"{p:.2g}"
 
 
 def minus(text: str) -> str:
-    """Hyphens before numbers as minus signs, none before zero; what is markup stays it."""
+    """A text with hyphens before numbers as minus signs, and without sign before zero; markup stays markup."""
     text = type(text)(re.sub(r"(?<![\w])-(?=0(\.0*)?(?![\d.]))", "", text))
     return type(text)(re.sub(r"(?<![\w])-(?=[\d.])", MINUS, text))
 
 
 def count(n: int, noun: str) -> str:
-    """A number of things: "one run", "20 matrices"."""
+    """A number of things in words: "one run", "20 matrices"."""
     return f"{'one' if n == 1 else format(n, ',')} {noun if n == 1 else plural(noun)}"
 
 
 def plural(noun: str) -> str:
-    """Several: "runs", "matrices"."""
+    """The plural of a noun: "runs", "matrices"."""
     return {"matrix": "matrices"}.get(noun, noun + "s")
 
 
@@ -82,13 +82,13 @@ def listed(names: Sequence[Any], last: str = "and") -> str:
 
 
 def capital(text: str) -> str:
-    """The first letter large, unless it is a symbol: one letter by itself, or none of the alphabet."""
+    """A text with a capital first letter, unless it begins with a symbol: a single letter, or a Greek one."""
     is_symbol = re.match(r"[b-z](?![A-Za-z])|[^\x00-\x7f]", text)
     return text if is_symbol else text[:1].upper() + text[1:]
 
 
 def between(low: float | None, high: float | None, show: Callable[..., str] = number, *how: int) -> str:
-    """Two ends: "0.1 to 0.2", with as many digits more as show that they differ."""
+    """Two ends as text, "0.1 to 0.2", with extra digits if the ends would otherwise look equal."""
     if low is None or high is None:
         return DASH
     first = how[0] if how else int(signature(show).parameters["digits"].default)
@@ -97,7 +97,7 @@ def between(low: float | None, high: float | None, show: Callable[..., str] = nu
 
 
 def _apart(pairs: Iterable[Sequence[Any]], digits: int, show: Callable[[float, int], str]) -> int:
-    """So many digits, or as many more as it takes for two ends that differ to look different."""
+    """The least number of digits, from `digits` on, with which all ends that differ look different."""
     known = [(low, high) for low, high in (both for both in pairs if len(both) == 2) if None not in (low, high)]
     ends = [(low, high) for low, high in known if not np.isclose(low, high, rtol=1e-9, atol=0.0)]
     more = range(digits, MOST_DIGITS + 1)
@@ -105,14 +105,14 @@ def _apart(pairs: Iterable[Sequence[Any]], digits: int, show: Callable[[float, i
 
 
 def interval(estimate: Estimate, digits: int = 3) -> str:
-    """The interval of an estimate, its ends with the decimals of the value; "no interval" where there is none."""
+    """The interval of an estimate as text, with the decimals of the value; "no interval" if there is none."""
     if estimate.low is None or estimate.high is None:
         return "no interval"
     return between(estimate.low, estimate.high, fixed, _decimals([estimate.value or estimate.high], digits))
 
 
 def _decimals(values: Iterable[float | None], digits: int) -> int:
-    """Decimals that give the typical one of some numbers so many significant digits."""
+    """Number of decimals with which the median of some numbers has a number of significant digits."""
     sizes = [abs(value) for value in values if value]
     if not sizes:
         return 0
@@ -120,10 +120,10 @@ def _decimals(values: Iterable[float | None], digits: int) -> int:
 
 
 Show = Callable[[Any], str]
-#: How the values of a column are shown: a number of digits, which its typical number gets, one of `_SHOWN`, a format
-#: as "%.1e" or a function; None for words, which stand to the left.
+#: How the values of a column are shown: the number of significant digits of its median, a key of `_SHOWN`, a format
+#: such as "%.1e", or a function; None for words, which are aligned to the left.
 How = int | str | Show | None
-#: A column of a table: its heading; the key of the rows, or two for "low to high"; and how its values are shown.
+#: A column of a table: its heading; its key in the rows, or two keys for "low to high"; and how its values are shown.
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Show] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
@@ -141,7 +141,7 @@ def table(
     aside: Row | None = None,
     kind: str = "",
 ) -> Markup:
-    """Rows as a table; columns without any value are left out.
+    """HTML table of some rows; columns without any value are left out.
 
     Parameters
     ----------
@@ -150,11 +150,13 @@ def table(
     columns : sequence of Column
     caption : str
     most : int
-        Rows shown; the others are only counted, with `where` they are kept (the name of a Parquet file).
+        Most rows to show; a note below says how many more there are.
+    where : str
+        Name of the Parquet file with all rows, for that note.
     aside : mapping, optional
-        A last row in grey, of texts by key.
+        Texts of a last row in grey, by key.
     kind : str
-        "stack" for one that becomes cards on a narrow screen.
+        "stack" for a table that becomes cards on a narrow screen.
     """
     shown = rows[:most]
     kept = [column for column in columns if any(_known(row, column[1]) for row in shown)]
@@ -236,7 +238,7 @@ def _left(column: Column) -> str:
 
 
 class _Compiled(BytecodeCache):
-    """Templates that this process has compiled, which takes most of a second for all."""
+    """Cache of the templates that this process has compiled, since compiling all takes most of a second."""
 
     def __init__(self) -> None:
         self._code: dict[tuple[str, str], CodeType] = {}
@@ -253,9 +255,9 @@ _COMPILED = _Compiled()
 
 
 def environment(*packages: str) -> Environment:
-    """Where templates of some packages' pages are found, and how they are filled: escaped, nothing undefined.
+    """Jinja environment with the templates of some packages and of this one; escapes, and refuses undefined names.
 
-    All of them extend `page.html`, which lies here and holds the style.
+    Every page extends `page.html` of this package, which includes the style.
     """
     found = Environment(
         loader=ChoiceLoader(

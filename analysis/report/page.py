@@ -8,13 +8,17 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
+from jinja2 import Environment
+from jinja2.runtime import Macro
 from markupsafe import Markup
 
 from stickslip.analysis.answer import F, I, Recipe, S, frame, records
-from stickslip.analysis.ensemble import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES, Data, Study
+from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, question, refuse_unknown
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.formats import environment
@@ -24,9 +28,11 @@ from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 from stickslip.sim.systems.terms import TERMS
 
+#: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
+OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
-_ROWS = 10_000  # of a table that are Python's values at once
-MOST_ALERTS = 3  # by rank, what changes the answer first
+_ROWS = 10_000  # of a table that are turned into Python objects at a time
+MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
     "file": S, "parameters": S,
@@ -38,19 +44,19 @@ _GROUPS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure as the files that a report keeps of it."""
+    """A drawn figure: the contents of its two files in a report."""
 
     svg: str
     pdf: bytes
 
     def address(self) -> str:
-        """As the address of an image that is part of a page: inline, two SVGs would mix up their ids."""
+        """Data URL of the SVG, for an image inside the page; with inline SVGs, ids of two figures would clash."""
         return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
 
 
 @dataclass(frozen=True)
 class Answered:
-    """A question's answer with its figures drawn: plain values, which another process may have made."""
+    """A question's answer with its figures drawn; made of plain values, so that another process may make it."""
 
     key: str
     facts: Mapping[str, Any]
@@ -60,14 +66,14 @@ class Answered:
 
 
 def prepare() -> None:
-    """Compile the templates, as long as there is nothing else to do."""
+    """Compile the templates in advance, while a process is idle."""
     filled = environment()
     for name in ("report", *QUESTIONS):
         filled.get_template(f"{name}.html")
 
 
 def ask(study: Study, key: str) -> Answered | None:
-    """Put one of `QUESTIONS` to a study; None if it does not arise from such data: one block has no cascades."""
+    """Answer to one of `QUESTIONS`; None if such data do not raise it, as one block has no cascades."""
     asked = question(key)
     found = asked.answer(study) if asked.is_asked_of(study) else None
     if found is None:
@@ -77,7 +83,7 @@ def ask(study: Study, key: str) -> Answered | None:
 
 
 def draw(recipe: Recipe) -> Drawn:
-    """Draw a figure and keep its files."""
+    """A figure drawn as SVG and PDF."""
     figure = recipe()
     return Drawn(svg(figure), pdf(figure))
 
@@ -89,9 +95,9 @@ class Report:
     Attributes
     ----------
     html : str
-        The whole page, images inside.
+        The whole page, with its images inside.
     tables : dict of str to DataFrame
-        Every table, with nulls where a column does not apply or a number could not be computed.
+        All tables, with nulls where a column does not apply or a number could not be computed.
     headline : list of str
         The main statements, for a terminal.
     figures : dict of str to Drawn
@@ -103,7 +109,7 @@ class Report:
     figures: dict[str, Drawn] = field(default_factory=dict)
 
     def files(self) -> dict[str, bytes]:
-        """What the report consists of, by path. The page comes last: whoever finds it finds what it names."""
+        """Contents of the report's files by path. The page comes last: once it exists, all that it names exists."""
         found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
         found["report/tables.json"] = _json(self.tables)
         for name, drawn in self.figures.items():
@@ -112,7 +118,7 @@ class Report:
 
 
 def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:
-    """Tables as lists of rows, a row a line; a part at a time, since rows of Python's values are large."""
+    """Tables as JSON lists of rows, one row a line; encoded in parts, since rows as Python objects are large."""
     encode = json.JSONEncoder(allow_nan=False).encode
     listed = []
     for name, table in tables.items():
@@ -131,27 +137,26 @@ def build(
     answers: Callable[[Study], Iterable[Answered | None]] | None = None,
     made_from: str = "",
 ) -> Report:
-    """Analyse an ensemble and say what was found.
+    """Report on an ensemble.
 
     Parameters
     ----------
     data : Data
-        Members and what they recorded; the `series` of every member that did not fail.
+        The members and their records; `series` of every member that did not fail.
     settings : AnalysisSettings
     title, about : str
         Shown at the head of the page, escaped.
     provenance : mapping of str to str
-        What the data came from, shown as given, escaped.
+        Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Gives what `ask` says of each of `QUESTIONS`, in their order; by default they are asked one after the other.
-
+        Returns what `ask` returns for each of `QUESTIONS`, in their order; default: asks them one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
     Raises
     ------
     ValueError
-        If members, series or settings contradict each other, naming the column, member or setting.
+        If members, series or settings contradict each other; names the column, member or setting.
     """
     refuse_unknown(settings.question)
     study = Study(data, settings)
@@ -160,28 +165,22 @@ def build(
     groups = groups_table(study)
     filled = environment()
     filled.globals["unit"] = study.unit
-    shown = [_Shown(**vars(one), words=filled.get_template(f"{one.key}.html").module) for one in found]
-    answered, raised = [one for one in shown if not one.lack], {one.key for one in shown}
-    primary = settings.question or _primary(study, answered)
-    leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
-    others = [one for one in answered if one not in leading]
-    said = [one.says("answer") for one in leading[:MOST_SAID]]
-    ordered = [*leading, *others]
-    alarms = [text for one in ordered if (text := one.says("alarm"))]
-    heard = [*leading, *(one for one in others if getattr(one.words, "of_data", False))]
-    warned = [item for one in heard for item in re.findall(r"<li.*?</li>", one.says("alerts"), re.DOTALL)]
-    alerts = sorted(warned, key=_rank)[:MOST_ALERTS]
+    shown = [_Shown(**vars(one), words=_words(filled, one.key)) for one in found]
+    leading, others = _in_order(study, [one for one in shown if not one.lack])
+    said = [one.says(one.words.answer) for one in leading[:MOST_SAID]]
+    alarms = [text for one in (*leading, *others) if (text := one.says(one.words.alarm))]
+    raised = {one.key for one in shown}
     page = filled.get_template("report.html").render(
         title=title,
         about=about,
         leading=leading,
         leading_answers=_safe(said),
-        answered=ordered,
+        answered=[*leading, *others],
         lacking=[one for one in shown if one.lack],
         asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
-        not_raised=[filled.get_template(f"{key}.html").module for key in settings.question if key not in raised],
+        not_raised=[_words(filled, key) for key in settings.question if key not in raised],
         alarms=_safe(alarms),
-        alerts=_safe(alerts),
+        alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),
         primary=[one.words.name for one in leading],
         settings=settings,
         members=len(data.members),
@@ -195,22 +194,42 @@ def build(
     return Report(page, tables, [*(plain(text) for text in alarms), title, *(plain(text) for text in said)], figures)
 
 
+def _words(filled: Environment, key: str) -> SimpleNamespace:
+    """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{key}.html").module)))
+
+
 @dataclass(frozen=True)
 class _Shown(Answered):
-    """An answer beside its template."""
+    """An answer with the words of its template."""
 
-    words: Any = None
+    words: SimpleNamespace = field(default_factory=SimpleNamespace)
 
-    def says(self, name: str) -> str:
-        """What a macro of the template makes of the facts; nothing if there is none of that name."""
-        return str(getattr(self.words, name)(self.facts)).strip() if hasattr(self.words, name) else ""
+    def says(self, macro: Macro | None) -> str:
+        """Text of a macro of the template on the facts; empty if the template lacks the macro."""
+        return "" if macro is None else str(macro(self.facts)).strip()
 
     def figure(self, name: str, alt: str) -> Markup:
+        """A figure as an image that is part of the page."""
         return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
 
 
+def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
+    """The answers that lead the page, in their order, and the others in the order of the page."""
+    primary = study.settings.question or _primary(study, answered)
+    leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
+    return leading, [one for one in answered if one not in leading]
+
+
+def _alerts(heard: Sequence[_Shown]) -> list[str]:
+    """The most important alerts of some answers, as list items."""
+    warned = [item for one in heard
+              for item in re.findall(r"<li.*?</li>", one.says(one.words.alerts), re.DOTALL)]  # fmt: skip
+    return sorted(warned, key=_rank)[:MOST_ALERTS]
+
+
 def _rank(alert: str) -> int:
-    """Of an alert, as its template gives it; a tick has none and comes last."""
+    """Rank of an alert, as its template gives it; a tick has no rank and comes last."""
     given = re.match(r'<li data-rank="(\d)"', alert)
     return int(given[1]) if given else 9
 
@@ -220,12 +239,12 @@ def _safe(texts: Sequence[str]) -> list[Markup]:
 
 
 def plain(text: str) -> str:
-    """What a template made, without tags: for a terminal."""
+    """Text of a template's result without tags, for a terminal."""
     return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text.replace("<sub>", "_")))).strip()
 
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
-    """What leads where the scene does not say: the question of the lowest rank that may, and those beside it."""
+    """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
     asked = {one.key: question(one.key) for one in answered}
     ranked = [(one.rank, key) for key, one in asked.items() if one.rank is not None and one.leads(study)]
     if not ranked:
@@ -235,7 +254,7 @@ def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
 
 
 def group_columns() -> list[tuple[str, str, str | None]]:
-    """Of the table of groups: heading, column and how its numbers are shown; those that all groups are without go."""
+    """Columns of the table of groups: heading, key, and how values are shown; the page leaves out empty ones."""
     titles = {term.name: term.title for term in TERMS}
     of_system = [name for name in SYSTEM_KEYS if name in titles]
     return [
@@ -250,7 +269,7 @@ def group_columns() -> list[tuple[str, str, str | None]]:
 
 
 def groups_table(study: Study) -> pd.DataFrame:
-    """What each group is: its system, its engine's settings, and how many members and matrices it has."""
+    """Table of the groups: system, settings of the engine, and numbers of members and matrices."""
     texts = {column for column, dtype in _GROUPS.items() if dtype == S}
     rows = []
     for group in study.groups:

@@ -1,1 +1,1 @@
-"""What is read off the series of one run: windows, cascades, cycles, when two runs part, and surrogates of blocks."""
+"""Series of single runs: windows, cascades, cycles, surrogates, and when two runs part."""

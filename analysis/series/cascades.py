@@ -1,7 +1,7 @@
 """Cascade sizes by named definition, from the change points of n_stick.
 
-`n_stick[k]` holds on `[t[k], t[k+1])`, the last value to the end of the run. Every definition counts maximal
-runs of falling steps of n_stick and differs from the others in what a step is and what is added up:
+`n_stick[k]` holds on `[t[k], t[k+1])`, the last value to the end of the run. Every definition looks for maximal runs
+of falling steps of n_stick. They differ in what a step is and in what is added up:
 
 ===========  =============================================  ==================================
 definition   steps                                          size of a run
@@ -13,14 +13,14 @@ descent      samples every dt, steps without change erased  blocks let go
 decreases    samples every dt, steps without change erased  number of falling steps
 ===========  =============================================  ==================================
 
-On samples, `drop` and `length` end at a plateau (a step without change); `descent` and `decreases` are the same two
-with plateaus allowed inside a fall. `events` has none: a change point without change is no step.
+On samples, a cascade by `drop` or `length` ends at a plateau (a step without change); `descent` and `decreases` are
+the same two with plateaus allowed inside a fall. `events` has no plateaus: a change point without change is no step.
 
-What happens at one instant is one change of n_stick: k exits are a step by -k, and an exit and an entry of two blocks
-at one instant cancel, so that no definition sees either. (Exact runs of random systems have no two events at one
-instant: none of 220,000 in 20 runs of n = 200.)
+All events at one instant are one change of n_stick: k exits are a step by -k, and an exit and an entry at the same
+instant cancel, so that no definition sees them. (Exact runs of random systems have no two events at one instant:
+none among 220,000 in 20 runs of n = 200.)
 
-A run that touches the first or the last step of the window is cut, since what lies beyond is not seen; it is dropped.
+A cascade that touches the first or the last step of the window is incomplete and is dropped.
 """
 
 from __future__ import annotations
@@ -33,11 +33,14 @@ import numpy as np
 
 SAMPLED = ("drop", "length", "descent", "decreases")
 DEFINITIONS = ("events", *SAMPLED)
+#: Change points of n_stick of a run: t and n_stick, each shape (m,); n_stick[k] holds on [t[k], t[k+1]), the last for
+#: ever.
+ChangePoints = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, order=True)
 class Law:
-    """A definition of size together with its sampling step (`SAMPLED` alone)."""
+    """Names a law of sizes: the definition of size and, for those of `SAMPLED`, the sampling step."""
 
     definition: str
     dt: float | None = None
@@ -46,9 +49,12 @@ class Law:
         return self.definition if self.dt is None else f"{self.definition}, dt = {self.dt:g}"
 
 
+EVENTS = Law("events")
+
+
 def laws(dts: Iterable[float]) -> list[Law]:
-    """Every definition, the sampled ones at each step of `dts`."""
-    return [Law("events"), *(Law(name, dt) for name in SAMPLED for dt in dts)]
+    """The laws of every definition, for the sampled ones at each step of `dts`."""
+    return [EVENTS, *(Law(name, dt) for name in SAMPLED for dt in dts)]
 
 
 @dataclass(frozen=True)
@@ -62,9 +68,9 @@ class Window:
     level : int
         n_stick at t_start.
     t : ndarray, shape (m,), float64
-        Times of change in (t_start, t_stop], not decreasing.
+        Times of the changes in (t_start, t_stop], not decreasing.
     step : ndarray, shape (m,), int64
-        The changes, none of them zero.
+        The changes of n_stick, none of them zero.
     """
 
     t_start: float
@@ -89,12 +95,12 @@ class Window:
         return found
 
     def n_steps(self, dt: float) -> int:
-        """Steps of dt in the window: samples are taken at t_start + k dt, k = 0, ..., n_steps."""
-        # The relative slack keeps a last sample that rounding of (t_stop - t_start) / dt would lose.
+        """Number of steps of dt in the window: samples are taken at t_start + k dt, k = 0, ..., n_steps."""
+        # without the relative slack, rounding of (t_stop - t_start) / dt could lose the last sample
         return int(np.floor((self.t_stop - self.t_start) / dt * (1 + 1e-12)))
 
     def places(self, dt: float) -> np.ndarray:
-        """The first sample, by its number, at or after each change; it may lie beyond the last."""
+        """Number of the first sample at or after each change; it may lie beyond the last sample."""
         if dt not in self._placed:
             self._placed[dt] = self._places(dt)
         return self._placed[dt]
@@ -105,17 +111,17 @@ class Window:
 
     def _places(self, dt: float) -> np.ndarray:
         found = np.ceil((self.t - self.t_start) / dt)
-        found -= self.t_start + dt * (found - 1) >= self.t  # what rounding of the quotient has moved
+        found -= self.t_start + dt * (found - 1) >= self.t  # corrects the rounding of the quotient
         found += self.t_start + dt * found < self.t
         return found.astype(np.int64)
 
     def grid_index(self, dt: float) -> np.ndarray:
-        """For each sample time, the number of changes up to and at that time: an index into `path()`."""
+        """Number of changes up to and at each sample time: an index into `path()`."""
         n_samples = self.n_steps(dt) + 1
         return np.cumsum(np.bincount(self.places(dt), minlength=n_samples)[:n_samples])
 
     def sampled(self, dt: float, weights: np.ndarray | None = None) -> np.ndarray:
-        """Change of n_stick in each step of dt, or what other weights of the changes add up to."""
+        """Change of n_stick in each step of dt, or the sum of other weights of the changes in it."""
         n_samples = self.n_steps(dt) + 1
         return np.bincount(self.places(dt), self.step if weights is None else weights, n_samples)[1:n_samples]
 
@@ -128,14 +134,14 @@ class Window:
         return self._moments[1]
 
     def means(self, count: int) -> np.ndarray:
-        """Exact time means of n_stick over so many equal parts of the window."""
+        """Exact time means of n_stick over `count` equal parts of the window."""
         length = (self.t_stop - self.t_start) / count
         area = np.interp(self.t_start + length * np.arange(count + 1), self._edges, self._area)
         return (area[1:] - area[:-1]) / length
 
     @cached_property
     def _edges(self) -> np.ndarray:
-        """The ends of the stretches on which `path()` holds, shape (m + 2,)."""
+        """Ends of the intervals on which n_stick is constant, shape (m + 2,)."""
         return np.concatenate(([self.t_start], self.t, [self.t_stop]))
 
     @cached_property
@@ -153,7 +159,7 @@ class Window:
 
 
 def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> Window:
-    """Restrict a series of change points to [t_start, t_stop].
+    """A series of change points restricted to [t_start, t_stop].
 
     Parameters
     ----------
@@ -167,8 +173,7 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     Raises
     ------
     ValueError
-        If shapes differ, values are not whole numbers, times fall, or the window is empty or starts too
-        early.
+        If shapes differ, values are not integers, times decrease, or the window is empty or starts before the series.
     """
     times = np.asarray(t, dtype=np.float64)
     values = np.asarray(n_stick)
@@ -192,7 +197,7 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
 
 
 def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """n_stick at each time of `grid`, right-continuous: at a change the new value.
+    """n_stick at each time of `grid`; at a change, the new value.
 
     Raises
     ------
@@ -206,7 +211,7 @@ def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def falls(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last index of each maximal falling stretch that a rise or a plateau bounds on both sides.
+    """First and last index of each maximal fall that has a rise or a plateau on both sides.
 
     Parameters
     ----------
@@ -215,7 +220,7 @@ def falls(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     start, stop : ndarray of int
-        path[start] - path[stop] is what fell, stop - start the number of steps it took.
+        path[start] - path[stop] is the depth of a fall, stop - start its number of steps.
     """
     falling = np.diff(path) < 0
     turns = np.diff(falling.astype(np.int8))
@@ -229,12 +234,12 @@ def falls(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sizes(win: Window, law: Law) -> np.ndarray:
-    """Sizes of the complete cascades of a window, in order of time, by one definition.
+    """Sizes of the complete cascades of a window by one definition, in order of time.
 
     Raises
     ------
     ValueError
-        If the definition is not one of `DEFINITIONS`, or its dt is missing or unwanted.
+        If the definition is not one of `DEFINITIONS`, or lacks its dt, or has one that it does not use.
     """
     if law.definition not in DEFINITIONS:
         raise ValueError(f"definition: expected one of {', '.join(DEFINITIONS)}, got {law.definition!r}")
@@ -251,7 +256,7 @@ def sizes(win: Window, law: Law) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Spans:
-    """Complete cascades by `events` in order of time, each (m,): size, first exit, last exit."""
+    """Complete cascades by `events`, in order of time: size, time of the first exit and of the last, each (m,)."""
 
     size: np.ndarray
     start: np.ndarray
@@ -259,29 +264,29 @@ class Spans:
 
 
 def spans(win: Window) -> Spans:
-    """When the complete cascades by `events` begin and end."""
+    """Sizes, beginnings and ends of the complete cascades by `events`."""
     path = win.path()
     start, stop = falls(path)
     return Spans(path[start] - path[stop], win.t[start], win.t[stop - 1])
 
 
 def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
-    """Total size and number of the complete cascades, the two columns of `estimates.gamma`, from changes of n_stick.
+    """Total size and number of the complete cascades by law: the two columns that `estimates.gamma` takes.
 
-    What `sizes` gives, added up, without a list of the sizes.
+    The same as adding up what `sizes` returns, but without making a list of the sizes.
 
     Parameters
     ----------
     steps : ndarray of int, shape (m,)
-        Change of n_stick in each step of dt; without dt each change, and the one law is `events`.
+        Change of n_stick in each step of dt. Without dt, each change, and the only law is `events`.
     dt : float, optional
     """
-    at = np.flatnonzero(steps != 0)  # of truth values, which is faster than of numbers
+    at = np.flatnonzero(steps != 0)  # faster on truth values than on numbers
     moved = steps[at]
     rises = np.flatnonzero(moved > 0)
     pausing = _sums(moved[rises[0] : rises[-1] + 1]) if len(rises) else np.zeros(3)
     if dt is None:
-        return {Law("events"): pausing[[0, 2]]}
+        return {EVENTS: pausing[[0, 2]]}
     falling, fall = steps < 0, np.zeros(3)
     if not falling.all():
         first, last = np.searchsorted(at, (np.argmin(falling), len(steps) - np.argmin(falling[::-1])))
@@ -293,9 +298,9 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
 
 
 def _sums(moved: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
-    """Of the falls in a series of changes: their depths and their numbers of steps, added up, and how many there are.
+    """Total depth, total number of steps and number of the falls in a series of changes, shape (3,).
 
-    They pause where `at`, the number of each change's step, is not the one before plus one.
+    With `at`, the number of the step of each change, a fall ends where steps without change lie between two changes.
     """
     falling = moved < 0
     goes_on = falling[1:] & falling[:-1]

@@ -7,19 +7,19 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: A cycle is seen once it has come round so often.
+#: How often a cycle must come round to be accepted.
 _ROUNDS = 3
 
 
 def period(points: ArrayLike, tolerance: float, most: int) -> int | None:
-    """Length of the cycle that an orbit ends in; None if it is in none, of at most so many points.
+    """Length of the cycle in which an orbit ends; None if it is in no cycle of at most `most` points.
 
     Parameters
     ----------
     points : array_like, shape (m,) or (m, k)
         The orbit, in order.
     tolerance : float
-        Points that differ by less, in every coordinate, are one.
+        Points that differ by less in every coordinate count as the same.
     most : int
     """
     orbit = np.asarray(points, dtype=np.float64)
@@ -31,5 +31,5 @@ def period(points: ArrayLike, tolerance: float, most: int) -> int | None:
 
 
 def slope(step: Callable[[float], float], at: float, width: float) -> float:
-    """Derivative of a map of a number by central differences; of a cycle, their product is its multiplier."""
+    """Derivative of a scalar map by central differences; the product along a cycle is the cycle's multiplier."""
     return (step(at + width) - step(at - width)) / (2 * width)

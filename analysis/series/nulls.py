@@ -1,16 +1,16 @@
-"""What chance gives: null models for cascades, each with one thing kept and one thing broken.
+"""Null models for cascades: what chance gives if one thing is kept and another broken.
 
 =================  =======================================  =============================================
 model              kept                                     broken
 =================  =======================================  =============================================
-fair order         nothing                                  all: exits and entries by the toss of a coin
+fair order         nothing                                  all: each event is an exit or an entry by a fair coin
 finite pool        number of blocks, mean n_stick           all else: blocks with constant rates (`models.pool`)
 rotation           each block's own series of events        the blocks' timing relative to each other
 =================  =======================================  =============================================
 
-Fair order gives `events` P(k) = 2^-k, gamma = ln 2 (`stats.estimates.LN2`). The finite pool has gamma by `events` in
-closed form too. Rotation is simulated. It is the null of "no coupling": it keeps that a block cannot let go twice
-without having stuck in between, and the block's own rhythm. `models.pool` says which null answers which question.
+With fair order, `events` has P(k) = 2^-k and gamma = ln 2 (`stats.estimates.LN2`). For the finite pool, gamma by
+`events` has a closed form too. Rotation is simulated. It is the null of "no coupling": a block still cannot let go
+twice without sticking in between, and keeps its own rhythm. `models.pool` says which null answers which question.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ import numpy as np
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import Law, Window
 
-#: Rotations of each run at most. They scatter as the run does, so d of them add a share of 1 / d to the variance of a
-#: difference from chance: 10 widen intervals by 5%. The intervals contain it, each matrix being set against its own.
+#: Largest number of rotations of a run. They scatter as the run does, so d of them add a share of 1 / d to the
+#: variance of a difference from chance: 10 widen intervals by 5%. The intervals include this, as each matrix is
+#: compared with its own rotations.
 DRAWS = 10
-Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` reads
+Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` takes
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class BlockSteps:
         return self.t[is_exit], self.block[is_exit]
 
     def window(self) -> Window:
-        """The changes as a window of n_stick; its level is not known and stands as zero."""
+        """The changes as a window of n_stick, whose level is not known and set to zero."""
         return Window(self.t_start, self.t_stop, 0, self.t, self.step)
 
 
@@ -70,14 +71,14 @@ def block_steps(
     Parameters
     ----------
     t, block, mode : ndarray, shape (m,)
-        Events in order of time: the block's mode (-1, 0, +1) from t on; it sticks where that is 0.
+        Events in order of time: the block's mode (-1, 0, +1) from t on, 0 where it sticks.
     initial_mode : ndarray, shape (n,)
     t_start, t_stop : float
 
     Raises
     ------
     ValueError
-        If the times fall or are not one with the blocks and modes.
+        If the times decrease, or lengths differ.
     """
     if not len(t) == len(block) == len(mode):
         raise ValueError(f"t, block, mode: expected one length, got {len(t)}, {len(block)} and {len(mode)}")
@@ -96,19 +97,19 @@ def block_steps(
 
 
 def in_order(block: np.ndarray) -> np.ndarray:
-    """What sorts blocks, and leaves the order of those that are the same."""
-    is_small = len(block) == 0 or block.max() < 2**16  # of such numbers it takes a tenth of the time
+    """Indices that sort by block and keep the order within a block."""
+    is_small = len(block) == 0 or block.max() < 2**16  # sorting small integers takes a tenth of the time
     return np.argsort(block.astype(np.uint16) if is_small else block, kind="stable")
 
 
 def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A surrogate without coupling: each block's series turned in the window by a random amount of its own.
+    """A surrogate without coupling: each block's series rotated in the window by a random amount of its own.
 
-    Taken as periodic, a block's rhythm, its numbers and the order of its events stay; how the blocks stand to
-    each other is drawn anew. Where a block does not end the window as it began it, the seam would add one exit
-    or entry that nobody saw: it is dropped, so that the surrogate has exactly the observed exits and entries
-    (its path may then leave 0..n, where only falls are counted). In 20 runs of n = 200 over 400 units the seams
-    would have added 1.3% of changes; kept or dropped, gamma by `events` came out the same to 0.0001.
+    The window counts as periodic. A block keeps its rhythm and the number and order of its events; the phases of the
+    blocks relative to each other are drawn anew. Where a block does not end the window as it began it, the seam would
+    add one exit or entry that never happened. It is dropped, so that the surrogate has exactly the observed exits and
+    entries; its path may then leave 0..n, which does not matter as only falls are counted. In 20 runs of n = 200 over
+    400 units the seams would have added 1.3% of changes; with and without them gamma by `events` agreed to 0.0001.
 
     Returns
     -------
@@ -117,7 +118,7 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
     """
     n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
     shift = rng.uniform(0, steps.span, n_blocks)
-    # numbers above zero sort as their bits do: the last bit of a time says what the step is, and is sorted with it
+    # positive floats sort as their bits do, so the last bit of a time can carry the sign of the step through the sort
     bits = ((steps.t - steps.t_start + shift[steps.block]) % steps.span).view(np.int64)
     bits &= -2
     bits |= steps.step < 0
@@ -126,7 +127,7 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
 
 
 def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> Sums:
-    """Cascades if the blocks did not act on each other: all those of `draws` surrogates by `rotated`."""
+    """Sums over the cascades of `draws` surrogates of `rotated`: what blocks that ignore each other would do."""
     found: Sums = {law: np.zeros(2) for law in cascades.laws(dts)}
     steps_of = {dt: int(steps.span / dt * (1 + 1e-12)) for dt in dts}
     for _ in range(draws):
@@ -146,6 +147,6 @@ def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.rando
 
 
 def _divisor(dt: float, finer: Iterable[float]) -> tuple[float, int]:
-    """The longest of some shorter steps that dt is a multiple of, and which; 0 if there is none."""
+    """The longest of some shorter steps that divides dt, and dt as a multiple of it; dt and 0 if none does."""
     multiples = ((one, round(dt / one)) for one in finer)
     return max(((one, k) for one, k in multiples if abs(k * one - dt) < 1e-12 * dt), default=(dt, 0))

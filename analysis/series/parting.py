@@ -1,8 +1,8 @@
-"""When a changed run is apart from its base, in one meaning.
+"""When a changed run has parted from its base.
 
 The gap of two runs is |difference of n_stick|, averaged over the last `SPAN` units of time. A run has parted when the
-gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two different matrices. The level is of a
-steady state: where runs settle it falls to nothing.
+gap first reaches `SHARE` of the level, the mean |difference of n_stick| of two different matrices. The level belongs
+to a steady state: where runs settle, it vanishes.
 """
 
 from __future__ import annotations
@@ -11,18 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import sample
+from stickslip.analysis.series.cascades import ChangePoints, sample
 
 SPAN = 20.0
 SHARE = 0.5
-STEP = 1.0  # of the times at which gaps are known
-
-#: Change points of n_stick of a run: t and n_stick, each (m,); the last value holds for ever.
-ChangePoints = tuple[np.ndarray, np.ndarray]
+STEP = 1.0  # between the times at which gaps are known
 
 
 def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
-    """Mean over each window [edges[k], edges[k+1]) of |n_stick difference|, exact.
+    """Exact mean of |n_stick difference| over each window [edges[k], edges[k+1]).
 
     Parameters
     ----------
@@ -43,7 +40,7 @@ def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray
 
 
 def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
-    """The gap at `SPAN`, `SPAN` + `STEP` ... up to t_stop, see `gap_times`; empty if t_stop is less than `SPAN`."""
+    """The gap at `SPAN`, `SPAN` + `STEP`, ... up to t_stop (`gap_times`); empty if t_stop is less than `SPAN`."""
     edges = STEP * np.arange(int(t_stop / STEP) + 1)
     width = round(SPAN / STEP)
     if len(edges) <= width:
@@ -53,30 +50,31 @@ def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
 
 
 def gap_times(gaps: np.ndarray) -> np.ndarray:
-    """Times at which the values of `gap` are known, shape (len(gaps),)."""
+    """Times of the values of `gap`, shape (len(gaps),)."""
     return SPAN + STEP * np.arange(len(gaps))
 
 
 def parted_at(gaps: np.ndarray, level: float) -> float | None:
-    """When a run has parted; None if it has not by the end of its gaps."""
+    """When a run parted; None if it has not by the end of its gaps."""
     over = np.flatnonzero(gaps >= SHARE * level)
     return float(gap_times(gaps)[over[0]]) if len(over) else None
 
 
-def level(bases: Sequence[ChangePoints], watched: Sequence[float], t_from: float, t_stop: float) -> float:
+def level(bases: Sequence[ChangePoints], until: Sequence[float], t_from: float, t_stop: float) -> float:
     """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices.
 
-    Of each time the pairs are those of runs watched until then; 0 where there is none.
+    At each time the pairs are those of runs still known then; times without a pair are left out. 0 if there are none.
 
     Parameters
     ----------
     bases : sequence of ChangePoints
-    watched : sequence of float
+    until : sequence of float
         Until when each run is known.
     """
     times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
     values = np.sort(
-        [np.where(times < t, sample(*base, times), np.inf) for base, t in zip(bases, watched, strict=True)], axis=0
+        [np.where(times < t, sample(*base, times), np.inf) for base, t in zip(bases, until, strict=True)],
+        axis=0,
     )
     g = np.isfinite(values).sum(axis=0)
     has_pairs = g > 1

@@ -1,1 +1,1 @@
-"""Arrays in, estimates out: no English, no figures, no frames."""
+"""Estimates, tests and verdicts from arrays: no sentences, no figures, no data frames."""

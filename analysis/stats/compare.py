@@ -1,14 +1,14 @@
-"""Are two quantities the same, to within a margin declared beforehand? Two one-sided tests, one rule for verdicts.
+"""Whether two quantities agree within a margin declared beforehand: two one-sided tests, and one rule for verdicts.
 
-Failing to see a difference is no evidence of sameness: sameness has to be shown, as a difference has to be
-(Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With t = (difference +- margin) / error:
+Not seeing a difference is no evidence of equivalence: equivalence has to be shown, just as a difference has to be
+(Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With d the difference, m the margin and e the error:
 
     p_equivalent = max(P(T > (d + m) / e), P(T < (d - m) / e)),    p_different = 2 P(T > |d| / e).
 
 p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
 
-Every verdict on a difference is made by `verdict`, be it from chance, between engines, or of a changed system: what
-is within the margin reads the same everywhere, whether it is zero or not. Only the words differ (`Words`).
+`verdict` makes every verdict on a difference, whether from chance, between engines or of a changed system, so that
+the margin means the same everywhere. Only the words differ (`Words`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
 
 AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
-WITHIN = "within"  # the margin, which pages give with it: "within 1%"
+WITHIN = "within"  # pages add the margin: "within 1%"
 
 
 @dataclass(frozen=True)
 class Words:
-    """A closed set of verdicts, beside `UNKNOWN`.
+    """The words of the three verdicts other than `UNKNOWN`.
 
     Attributes
     ----------
     same : str
-        A difference beyond the margin is excluded, be there one within it or none.
+        A difference beyond the margin is excluded; a smaller one may exist.
     more, less : str
         There is a difference, of this sign, and the estimate is beyond the margin.
     """
@@ -54,7 +54,7 @@ class Compared:
     difference, error, margin : float
         In one unit; the margins are -margin and +margin.
     p_equivalent, p_different : float
-        Of the two one-sided tests (the larger of them), and of the two-sided test of no difference.
+        The larger p-value of the two one-sided tests, and that of the two-sided test of no difference.
     """
 
     difference: float
@@ -65,17 +65,20 @@ class Compared:
     p_different: float
 
     def interval(self, level: float) -> tuple[float, float]:
-        """difference +- t error at a level of confidence."""
+        """Ends of the interval difference +- t error at a level of confidence."""
         half = student.half_width(level, self.dof) * self.error
         return self.difference - half, self.difference + half
 
     def verdict(self, level: float, words: Words = ALIKE) -> str:
-        """The rule of this module for one comparison by itself."""
+        """Verdict on this comparison alone, by the rule of this module."""
         return verdict(self.p_equivalent, self.p_different, 1 - level, self.difference, self.margin, words)
 
 
 def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
-    """Test a difference with a t-distributed error >= 0 against zero and the margins; none is within 0."""
+    """Tests of a difference with a t-distributed error >= 0: against zero, and against the margins.
+
+    With a margin of 0 nothing is equivalent.
+    """
     size = abs(difference)
     if error == 0:
         return Compared(difference, error, dof, margin, float(size >= margin), float(size == 0))
@@ -86,19 +89,18 @@ def equivalence_test(difference: float, error: float, dof: float, margin: float)
 def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[float, float, float]:
     """A statistic of `second` minus that of `first`, its standard error and degrees of freedom.
 
-    Paired: jackknife over the rows, which belong together. Independent: each jackknife by itself, Welch's degrees of
-    freedom.
+    Paired: jackknife over pairs of rows. Independent: a jackknife of each, with Welch's degrees of freedom.
 
     Parameters
     ----------
     of : callable
     first, second : ndarray, shape (G, 2) and (H, 2)
-        Sums, a row a matrix; G = H where paired.
+        Sums, one row a matrix; G = H where paired.
 
     Raises
     ------
     Undefined
-        If the statistic has no value on these, or with one row left out.
+        If the statistic has no value on all rows, or with one row left out.
     """
     if paired:
         value, error = jackknife(paired_difference(of), np.hstack([second, first]))
@@ -110,7 +112,10 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
 def relative_difference(
     of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool
 ) -> tuple[float, float, float]:
-    """The same of second / first - 1; independent errors are carried over to the quotient to first order."""
+    """second / first - 1 of a statistic, its standard error and degrees of freedom, as `mean_difference`.
+
+    Independent errors are propagated to the quotient to first order.
+    """
 
     def quotient(after: np.ndarray, before: np.ndarray) -> np.ndarray:
         if (before == 0).any():
@@ -126,7 +131,7 @@ def relative_difference(
 
 
 def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, float]:
-    """Standard error of a sum, and its degrees of freedom."""
+    """Standard error of a sum of two independent terms, and its degrees of freedom."""
     parts = np.array([error_a**2, error_b**2])
     if not parts.sum():
         return 0.0, n_a + n_b - 2.0
@@ -134,11 +139,10 @@ def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, f
 
 
 def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[float, float, float]:
-    """Share of ones in `second` minus that in `first`, its adjusted Wald error, infinite degrees of freedom.
+    """Share of ones in `second` minus that in `first`, its adjusted Wald error, and infinite degrees of freedom.
 
-    As if each had two runs more, one with that end and one without: Agresti and Min (2005, Stat. Med. 24, 729),
-    paired; Agresti and Caffo (2000, Am. Stat. 54, 280), independent. Paired, an entry may be the share of several
-    runs.
+    Each group is given two more runs, one of each outcome: Agresti and Min (2005, Stat. Med. 24, 729) if paired,
+    Agresti and Caffo (2000, Am. Stat. 54, 280) if independent. If paired, an entry may be the share of several runs.
 
     Parameters
     ----------
@@ -156,11 +160,13 @@ def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tup
 def verdict(
     p_equivalent: float, p_different: float, alpha: float, difference: float, margin: float, words: Words = ALIKE
 ) -> str:
-    """The rule: `words.same` if p_equivalent < alpha; `words.more` or `words.less`, by the sign of the difference, if
+    """Verdict on a difference: one of `words` or `UNKNOWN`.
+
+    It is `words.same` if p_equivalent < alpha; `words.more` or `words.less`, by the sign of the difference, if
     p_different < alpha and the estimate is beyond the margin; else `UNKNOWN`. The p-values may be adjusted ones.
 
-    What is within the margin by its estimate, and may lie beyond, cannot be told, however surely it is not zero: more
-    data may yet show that it agrees.
+    If the estimate is within the margin but its interval is not, the verdict is `UNKNOWN` however surely the
+    difference is not zero, since more data may still show equivalence.
     """
     if p_equivalent < alpha:
         return words.same
@@ -170,12 +176,12 @@ def verdict(
 
 
 def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:
-    """Test a difference that is a statistic of summed rows, a row a matrix; jackknife-t as in `over_matrices`.
+    """Tests of a difference that is itself a statistic of sums, one row a matrix; jackknife-t as in `over_matrices`.
 
     Raises
     ------
     Undefined
-        If it has no value on these, or with one row left out, or there is one row alone.
+        If it has no value on all rows, or with one row left out, or if there is only one row.
     """
     if len(rows) < 2:
         raise Undefined("fewer than two matrices")
@@ -189,7 +195,7 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     Raises
     ------
     ValueError
-        If there are no trials or the successes are not within them.
+        If there are no trials, or the successes are not between 0 and the trials.
     """
     if not (trials > 0 and 0 <= successes <= trials):
         raise ValueError(f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}")
@@ -197,17 +203,17 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     share, z2 = successes / trials, z * z / trials
     centre = (share + z2 / 2) / (1 + z2)
     half = z / (1 + z2) * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials))
-    # exact at the ends, where rounding would leave some 1e-17
+    # exact at the ends, where rounding would leave about 1e-17
     low = float(centre - half) if successes > 0 else 0.0
     high = float(centre + half) if successes < trials else 1.0
     return max(low, 0.0), min(high, 1.0)
 
 
 def share_over_matrices(counts: np.ndarray, confidence: float) -> tuple[float, float, float, float]:
-    """Share of runs with a property, and Wilson's interval for the number of runs that the matrices are worth.
+    """Share of runs with a property, with Wilson's interval for an effective number of trials.
 
-    Runs of one matrix are not independent: the trials are p (1 - p) / (variance of p over matrices), no fewer than
-    the matrices, no more than the runs.
+    Runs of one matrix are not independent. The trials are p (1 - p) / (variance of p over matrices), but at least the
+    number of matrices and at most the number of runs.
 
     Parameters
     ----------

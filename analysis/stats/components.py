@@ -1,8 +1,8 @@
-"""What a change does to a matrix, beside what another matrix would do: variance components with replicates.
+"""The effect of a change relative to that of another matrix: variance components with replicates.
 
-Of matrix i a quantity is known from its base run and from replicates: runs of the same matrix from other starts,
-whose paths have parted. With y_ij = mu + b_i + e_ij, replicates tell the variance of b_i (between matrices) from that
-of e_ij (what a window of this length leaves open), and
+A quantity of matrix i is known from its base run and from replicates: runs of the same matrix from other starts that
+have parted from the base. With y_ij = mu + b_i + e_ij, replicates separate the variance of b_i (between matrices)
+from that of e_ij (due to the finite window), and
 
     intraclass correlation = var b / (var b + var e).
 
@@ -12,9 +12,9 @@ A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic. Squared diff
     B  replicates  (y_ij - y_ik)^2           2 var e
     C  redraw      (y_ij - y_kl)^2   2 var b + 2 var e
 
-and the change against a redraw is theta = (A - B) / (C - B): 0 for no effect, 1 for that of a fresh matrix. It may
-come out negative. Its interval is Fieller's, {theta : |(A - B) - theta (C - B)| <= t error}, the error by the
-jackknife over matrices. It is unbounded where the matrices cannot be told apart.
+The effect of the change relative to a redraw is theta = (A - B) / (C - B): 0 for no effect, 1 for that of a fresh
+matrix. The estimate may be negative. Its interval is Fieller's, {theta : |(A - B) - theta (C - B)| <= t error}, with
+the jackknife error over matrices. It is unbounded where matrices cannot be told apart from replicates.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ BOUNDED, UNBOUNDED = "bounded", "unbounded"
 
 
 def intraclass(values: np.ndarray, confidence: float) -> Estimate:
-    """Intraclass correlation of replicates, with the exact interval for normal values.
+    """Intraclass correlation of replicates, with an interval that is exact for normal values.
 
-    (F - 1) / (F + k - 1), F the mean square between matrices over that within (Fisher 1925; interval of Shrout and
-    Fleiss 1979, Psychol. Bull. 86, 420). It may be negative, down to -1 / (k - 1).
+    It is (F - 1) / (F + k - 1), with F the mean square between matrices over that within (Fisher 1925; interval of
+    Shrout and Fleiss 1979, Psychol. Bull. 86, 420). It may be negative, down to -1 / (k - 1).
 
     Parameters
     ----------
     values : ndarray, shape (G, k)
-        k replicates of each of G matrices, two or more of each.
+        k >= 2 replicates of each of G matrices.
     confidence : float
     """
     y = np.asarray(values, dtype=np.float64)
@@ -60,12 +60,12 @@ def _correlation(f: float, k: int) -> float:
 
 @dataclass(frozen=True)
 class Against:
-    """What a change does, in units of what a redraw of the matrix does.
+    """Effect of a change, in units of that of a redraw of the matrix.
 
     Attributes
     ----------
     theta : Estimate
-        (A - B) / (C - B); None for an end of the interval that is unbounded.
+        (A - B) / (C - B); an unbounded end of the interval is None.
     kind : str
         `UNBOUNDED` if the matrices cannot be told apart from replicates.
     change, replicate, redraw : float
@@ -85,14 +85,14 @@ class Against:
     dof: int
 
     def p_below(self, bound: float) -> float:
-        """p-value of "the change does less than so much of a redraw"; 1 if the matrices cannot be told apart.
+        """p-value for the claim that theta lies below a bound; 1 if matrices cannot be told apart.
 
-        One-sided and doubled: it is below alpha just when the 1 - alpha interval lies below the bound.
+        The one-sided value, doubled: it is below alpha just when the 1 - alpha interval lies below the bound.
         """
         return 1.0 if self.kind == UNBOUNDED else self._p(bound, 1.0)
 
     def p_above(self, bound: float) -> float:
-        """p-value of "the change does more than so much of a redraw", in the same way."""
+        """p-value for the claim that theta lies above a bound, likewise."""
         return self._p(bound, -1.0)
 
     def _p(self, bound: float, side: float) -> float:
@@ -105,7 +105,7 @@ class Against:
 
 
 def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -> Against:
-    """Compare a change with a redraw of the matrix.
+    """Effect of a change of the matrix relative to a redraw of the matrix.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
 
 
 def _fieller(top: float, bottom: float, v: np.ndarray) -> tuple[float, float] | None:
-    """Roots of (top - x bottom)^2 = v00 - 2 x v01 + x^2 v11, if what lies between them is the interval."""
+    """Roots of (top - x bottom)^2 = v00 - 2 x v01 + x^2 v11, the ends of the interval; None if it is unbounded."""
     a, b, c = bottom**2 - v[1, 1], top * bottom - v[0, 1], top**2 - v[0, 0]
     if a <= 0 or bottom <= 0:
         return None

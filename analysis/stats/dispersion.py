@@ -1,4 +1,4 @@
-"""Is the law of cascade sizes exponential? A test with one parameter.
+"""The dispersion of cascade sizes: a one-parameter test of whether their law is exponential.
 
 P(k) = (1 - q) q^(k-1) has mean m = 1 / (1 - q) and variance m (m - 1). So
 
@@ -16,17 +16,17 @@ from stickslip.analysis.stats.estimates import Undefined
 
 
 def moments(counts: np.ndarray) -> np.ndarray:
-    """Number of cascades, sum of their sizes, and sum of squares, of histograms: (..., K) to (..., 3).
+    """Number of cascades, sum of their sizes and sum of squares, shape (..., 3), of histograms of shape (..., K).
 
-    counts[..., k] is the number of size k + 1. Counted from a least size on instead of from 1, an exponential is the
-    same exponential: cut off what is below.
+    counts[..., k] is the number of cascades of size k + 1. An exponential counted from a least size on is the same
+    exponential, so smaller sizes may simply be cut off.
     """
     sizes = np.arange(1.0, counts.shape[-1] + 1)
     return np.asarray(counts, dtype=np.float64) @ np.column_stack([sizes**0, sizes, sizes**2])
 
 
 def excess(sums: np.ndarray) -> np.ndarray:
-    """Variance over m (m - 1), minus one, of the summed `moments`.
+    """Variance over m (m - 1), minus one, from summed `moments`.
 
     Parameters
     ----------
@@ -43,6 +43,6 @@ def excess(sums: np.ndarray) -> np.ndarray:
     if (total <= count).any():
         raise Undefined("one size only")
     mean = total / count
-    # (N + 1) / (N - 1) in the place of 1 makes the expectation exactly zero for N independent geometric sizes.
+    # The factor (N + 1) / (N - 1) makes the expectation exactly zero for N independent geometric sizes.
     unbiased = (squares / count - mean**2) * (count + 1) / (count - 1)
     return unbiased / (mean * (mean - 1)) - 1

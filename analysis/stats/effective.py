@@ -1,15 +1,15 @@
-"""How long n_stick of a window remembers: tau = T var(mean) / (2 var), so that a window holds T / (2 tau) samples.
+"""Correlation time of n_stick, tau = T var(mean) / (2 var): a window of length T holds T / (2 tau) effective samples.
 
-Two estimates, each pooled over runs; the larger one is used.
+There are two estimates, each pooled over runs; the larger one is used.
 
-- Means of 10 batches, 2 L var(L) - (L/2) var(L/2) with L the length of a batch, which takes off the error of order
-  1 / L (Vats and Flegal 2022, Biometrika 109, 735). It sees motion as slow as the batches are long.
+- Means of 10 batches: 2 L var(L) - (L/2) var(L/2), with L the length of a batch, in which the error of order 1 / L
+  cancels (Vats and Flegal 2022, Biometrika 109, 735). It sees motion as slow as a batch is long.
 - Sokal's: the autocorrelation summed up to the first lag of five tau (`estimates.correlation_time`). It is sharper
-  where one time rules, and stops short of a slow motion of small amplitude under a fast one.
+  where one time scale dominates, and misses a slow motion of small amplitude under a fast one.
 
-Neither is too small under a slow oscillation; both are too large there, up to three times, since the mean of many
-periods is better known than their power says. Both are too small where motion is slower than the batches and does not
-oscillate.
+Under a slow oscillation neither is too small. Both are too large, by up to a factor of three, since the mean of many
+periods is known better than their power suggests. Both are too small where motion is slower than the batches and does
+not oscillate.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ BATCHES = 10
 
 
 def row(win: Window, tau: float) -> np.ndarray:
-    """What one run adds, shape (4,), `tau` its correlation time, 0 if it has none.
+    """The sums of one run, shape (4,), from its window and its correlation time `tau` (0 if it has none).
 
-    The variance in time; length times variance of the means of 10 and 20 batches; Sokal's 2 tau times the variance.
+    They are the variance in time; length times variance of the means of 10 and of 20 batches; and Sokal's 2 tau times
+    the variance.
     """
     span, variance, finest = win.t_stop - win.t_start, win.time_variance(), win.means(2 * BATCHES)
     spread = []
@@ -36,6 +37,6 @@ def row(win: Window, tau: float) -> np.ndarray:
 
 
 def tau(rows: np.ndarray) -> float | None:
-    """Of runs of equal length, `row` of each, shape (G, 4); None if n_stick does not change."""
+    """Correlation time from the rows of runs of equal length, shape (G, 4); None if n_stick does not change."""
     variance, tens, twenties, sokal = np.sum(rows, axis=0)
     return float(max(2 * tens - twenties, sokal) / (2 * variance)) if variance > 0 else None

@@ -1,4 +1,4 @@
-"""A quantity over what a null model gives: the ratio with its interval, for several comparisons at once."""
+"""Ratio of a quantity to its value under a null model, with its interval, for several comparisons at once."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ MANY = Words(WITHIN, MORE, LESS)
 
 @dataclass(frozen=True)
 class Effect:
-    """Observed over null.
+    """Ratio of the observed value to that of the null.
 
     Attributes
     ----------
     ratio : Estimate
     p, p_adjusted : float or None
-        That it is 1, by itself and among the comparisons that are made together (`together`).
+        p-value of a ratio of 1, alone and adjusted for the comparisons made together (`together`).
     p_equivalent, p_equivalent_adjusted : float or None
-        That it lies beyond the margin.
+        p-value of a ratio beyond the margin, alone and adjusted.
     margin : float
-        Of its logarithm.
+        Margin of the logarithm of the ratio.
     """
 
     ratio: Estimate
@@ -38,7 +38,7 @@ class Effect:
     margin: float = 0.0
 
     def verdict(self, level: float, words: Words = MANY) -> str:
-        """By the rule of `stats.compare`."""
+        """Verdict by the rule of `stats.compare`, from the adjusted p-values."""
         if self.p_adjusted is None or self.p_equivalent_adjusted is None or self.ratio.value is None:
             return UNKNOWN
         difference = float(np.log(self.ratio.value))
@@ -46,7 +46,7 @@ class Effect:
 
     @property
     def shown(self) -> float:
-        """The size that the interval shows at least, |log ratio|; 0 if it contains 1 or there is none."""
+        """Least |log ratio| in the interval; 0 if it contains 1 or there is no interval."""
         if self.ratio.low is None or self.ratio.high is None:
             return 0.0
         return float(max(np.log(self.ratio.low), -np.log(self.ratio.high), 0.0))
@@ -55,17 +55,17 @@ class Effect:
 def over_null(
     of: Statistic, observed: np.ndarray, null: np.ndarray, confidence: float, margin: float = 0.0
 ) -> Effect:
-    """A statistic of what is observed over that of the null; jackknife-t of its logarithm over matrices.
+    """Ratio of a statistic to that of the null, by the jackknife-t of its logarithm over matrices.
 
     Parameters
     ----------
     of : callable
         Positive; raises `Undefined` with a reason.
     observed, null : ndarray, shape (G, c)
-        Sums, a row a matrix; a matrix is set against its own null.
+        Sums, one row a matrix; a matrix is compared with its own null.
     confidence : float
     margin : float
-        By what share it may differ from the null and count as equal to it; 0 if none is declared.
+        Relative difference from the null that still counts as equal; 0 if none is declared.
     """
     columns = observed.shape[1]
 
@@ -84,7 +84,7 @@ def over_null(
 
 
 def together(found: Sequence[Effect], n_primary: int = 0) -> list[Effect]:
-    """The same with p-values adjusted for each other: the first in their order, the others by Holm's rule."""
+    """The effects with adjusted p-values: the first `n_primary` as tested in order, the others by Holm's rule."""
     known = [k for k, one in enumerate(found) if one.p is not None]
     n_first = sum(k < n_primary for k in known)
     each = ([found[k].p or 0.0 for k in known], [found[k].p_equivalent or 0.0 for k in known])

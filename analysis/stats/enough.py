@@ -1,4 +1,4 @@
-"""May a statistic that assumes a stationary law be judged on these runs? A code of a closed set, with its numbers."""
+"""Whether runs suffice to judge a statistic that assumes a steady state: one of a closed set of codes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
 )  # fmt: skip
 CODES = (ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN)
 JUDGED = (ENOUGH, DRIFT_UNKNOWN)
-LEAST_MATRICES = 4  # below, a jackknife-t interval rests on two degrees of freedom or fewer; from 4 on it covers
-LEAST_CASCADES = 200  # in all: gamma is then known to about a tenth
-#: Drift of the mean from half to half that does no harm, in standard deviations of n_stick in time: steady, one of d
-#: adds d^2 / 3 to the variance, 2% at 0.25. That is below the error of a variance from 1,000 independent samples, 4%.
+LEAST_MATRICES = 4  # with fewer, a jackknife-t interval has two degrees of freedom or less; from 4 on it covers
+LEAST_CASCADES = 200  # in all runs: gamma is then known to about a tenth
+#: Harmless drift of the mean from half to half, in standard deviations of n_stick in time: a steady drift of d adds
+#: d^2 / 3 to the variance, 2% at 0.25. That is below the error of a variance from 1,000 independent samples, 4%.
 MARGIN = 0.25
 
 
 @dataclass(frozen=True)
 class Basis:
-    """What the data allow.
+    """Whether the data suffice.
 
     Attributes
     ----------
@@ -32,8 +32,8 @@ class Basis:
         The first of `CODES` after `ENOUGH` that applies, else `ENOUGH`.
     n_matrices, n_cascades : int
     drift : Estimate
-        Mean n_stick of the second half of the window less that of the first, in standard deviations of n_stick in
-        time; jackknife-t interval over matrices.
+        Mean n_stick of the second half of the window minus that of the first, in standard deviations of n_stick in
+        time, with a jackknife-t interval over matrices.
     """
 
     code: str
@@ -43,32 +43,32 @@ class Basis:
 
 
 def halves(win: Window) -> np.ndarray:
-    """Time mean of n_stick in the first and in the second half, and its variance in time: shape (3,)."""
+    """Time means of n_stick in the first and the second half, and its variance in time, shape (3,)."""
     return np.array([*win.means(2), win.time_variance()])
 
 
 def _drift(sums: np.ndarray) -> np.ndarray:
     if (sums[:, 2] <= 0).any():
         raise Undefined("n_stick does not change")
-    # the sums of G rows: of the means G times the mean, of the variances too
+    # summed over G rows, the difference and the variance are each G times their mean
     return (sums[:, 1] - sums[:, 0]) / np.sqrt(sums[:, 2] * sums[:, 3])
 
 
 def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = _drift) -> Basis:
-    """Whether there are enough matrices and cascades and no drift.
+    """Whether there are enough matrices and cascades, and no drift.
 
-    Drift is excluded where an equivalence test excludes one beyond `MARGIN`, shown where there is one and the
-    estimate is beyond, else unknown.
+    Drift is excluded where an equivalence test excludes one beyond `MARGIN`, shown where there is a drift and the
+    estimate is beyond `MARGIN`, and unknown otherwise.
 
     Parameters
     ----------
     rows : ndarray, shape (G, c)
-        `halves`, one row a matrix, or what `of` takes.
+        `halves`, or the columns that `of` takes; one row a matrix.
     n_cascades : int
         Complete cascades of all runs.
     confidence : float
     of : callable
-        The drift from the sums of rows, and their number in a last column.
+        Computes the drift from summed rows, whose last column is their number.
     """
     g = len(rows)
     if g < 2:

@@ -20,12 +20,12 @@ LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally like
 
 
 class Undefined(ArithmeticError):
-    """A statistic has no value on these data; the message is the reason, in words for a reader."""
+    """Raised where a statistic has no value on some data; the message is the reason, in words for a reader."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval, or the reason why either is missing (then None, never NaN)."""
+    """A number with its interval. What is missing is None, never NaN, and `reason` says why."""
 
     value: float | None = None
     low: float | None = None
@@ -42,7 +42,7 @@ Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, 
 
 
 def ratio(sums: np.ndarray) -> np.ndarray:
-    """First column over the second: a mean where the second counts."""
+    """First column over the second, which is a mean if the second is a count."""
     if (sums[:, 1] == 0).any():
         raise Undefined("nothing was counted")
     return sums[:, 0] / sums[:, 1]
@@ -61,7 +61,7 @@ def gamma(sums: np.ndarray) -> np.ndarray:
     Raises
     ------
     Undefined
-        If there are no cascades, or all sizes are 1 (the likelihood then grows without end with gamma).
+        If there are no cascades, or all sizes are 1 (the likelihood then increases with gamma without bound).
     """
     total, count = sums[:, 0], sums[:, 1]
     if (count == 0).any():
@@ -72,7 +72,7 @@ def gamma(sums: np.ndarray) -> np.ndarray:
 
 
 def paired_difference(of: Statistic) -> Statistic:
-    """A statistic of the first half of the columns minus that of the second, paired matrix by matrix."""
+    """The statistic that is `of` the first half of the columns minus `of` the second half, paired by matrix."""
 
     def difference(sums: np.ndarray) -> np.ndarray:
         half = sums.shape[1] // 2
@@ -95,7 +95,7 @@ def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
 
 
 def jackknife_error(left_out: np.ndarray) -> float:
-    """Standard error from the values with one of G matrices left out, shape (G,): sqrt((G-1)/G sum (x - mean)^2)."""
+    """Standard error, sqrt((G-1)/G sum (x - mean)^2), from the values with one of G matrices left out, shape (G,)."""
     n_rows = len(left_out)
     return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
 
@@ -103,21 +103,20 @@ def jackknife_error(left_out: np.ndarray) -> float:
 def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:
     """A statistic of the whole ensemble with a jackknife-t interval over matrices.
 
-    value +- t(G - 1) * jackknife standard error, G the number of rows. For a mean this is the t interval
-    itself.
+    value +- t(G - 1) * jackknife standard error, with G the number of rows. For a mean this is the t interval.
 
     Parameters
     ----------
     statistic : callable
         Maps sums, shape (m, c), to values, shape (m,); raises `Undefined` with a reason.
     sums : ndarray, shape (G, c)
-        One row a matrix; rows add.
+        One row a matrix; the statistic is that of their sum.
     confidence : float
 
     Returns
     -------
     Estimate
-        Without interval, but with a reason, for a single matrix.
+        With a reason instead of an interval for a single matrix.
     """
     if len(sums) == 0:
         return Estimate(reason="no matrix has data")
@@ -136,21 +135,21 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
 
 
 def add_histograms(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum of two counts by size, the shorter padded with zeros."""
+    """Sum of two histograms, the shorter padded with zeros."""
     out = np.zeros(max(len(a), len(b)), dtype=np.int64)
     out[: len(a)] += a
     out[: len(b)] += b
     return out
 
 
-CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, cheap by FFT
-SAMPLES_A_CHANGE = 16  # of a window with few changes, which needs no more
+CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, and cheap by FFT
+SAMPLES_A_CHANGE = 16  # enough for a window with few changes
 SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
-SHORT_WINDOW = 20.0  # below so many correlation times in a window, tau itself is estimated too low
+SHORT_WINDOW = 20.0  # in a window of fewer correlation times, the estimate of tau itself is too low
 
 
 def is_short(win: Window, tau: float) -> bool:
-    """Whether a window holds too few correlation times tau for tau itself."""
+    """Whether a window holds too few correlation times tau to estimate tau."""
     return win.t_stop - win.t_start < SHORT_WINDOW * tau
 
 
@@ -162,8 +161,8 @@ def correlation_time(win: Window) -> Estimate:
     Returns
     -------
     Estimate
-        tau (dimensionless); without a value if n_stick does not change; with a reason beside the value if the
-        window is too short for it.
+        tau (dimensionless). It has no value if n_stick does not change, and a reason beside the value if the window
+        is too short.
     """
     span = win.t_stop - win.t_start
     enough = 1 << int(SAMPLES_A_CHANGE * len(win.t)).bit_length()
@@ -178,7 +177,7 @@ def correlation_time(win: Window) -> Estimate:
     rho = products / products[0]
     taus = np.cumsum(rho) - 0.5  # in samples; the trapezoidal rule halves the first
     wide_enough = np.flatnonzero(np.arange(n) >= SOKAL_WINDOW * taus)
-    # An oscillating series can sum to less than nothing; it never holds more than its own samples.
+    # The sum over an oscillating series can be negative; a window never holds more than its own samples.
     tau = max(float(taus[wide_enough[0]]), 0.5) * dt
     if is_short(win, tau):
         return Estimate(tau, reason="short window")

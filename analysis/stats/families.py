@@ -1,7 +1,7 @@
-"""Laws of a whole size: exponential, power law and both in one; their maximum of likelihood from a histogram.
+"""Families of laws of a discrete size: exponential, power law, and both combined; fitted by maximum likelihood.
 
-Every law is conditional on k_min <= size <= k_max: the sizes below the cut-off are left out, and no size can pass
-k_max, the number of blocks. All are exponential families, so that the likelihood has one maximum:
+Every law is conditional on k_min <= size <= k_max: smaller sizes are left out, and no size can exceed k_max, the
+number of blocks. All are exponential families, so that the likelihood has one maximum:
 
     ln P(k) = base(k) - theta . T(k) - ln Z(theta),    score E T - T(k),    information cov T.
 
@@ -13,7 +13,7 @@ power law           k^-alpha                    ln k
 cut-off power law   k^-alpha exp(-lambda k)     ln k, k; lambda >= 0
 ==================  ==========================  ====================================
 
-The last holds the two others. Why likelihood is to be used: Clauset, Shalizi and Newman (2009), SIAM Review 51, 661.
+The last contains the two others. On maximum likelihood: Clauset, Shalizi and Newman (2009), SIAM Review 51, 661.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error
 
-MOST_STEPS, EPS = 100, 1e-13  # of Newton's method, which takes some ten; nats a cascade
+MOST_STEPS, EPS = 100, 1e-13  # steps of Newton's method, which takes about ten; its tolerance in nats a cascade
 
 
 def _none(k: np.ndarray) -> np.ndarray:
@@ -41,13 +41,13 @@ class Family:
     ----------
     name : str
     terms : callable
-        T: sizes, shape (K,), to shape (K, p).
+        T, from sizes of shape (K,) to shape (K, p).
     natural : callable
-        theta, shape (p,), to named parameters.
+        From theta, shape (p,), to named parameters.
     bounded : tuple of int
-        Which of theta are not below zero.
+        The components of theta that must not be negative.
     base : callable
-        Sizes, shape (K,), to shape (K,).
+        From sizes of shape (K,) to shape (K,).
     """
 
     name: str
@@ -78,7 +78,7 @@ class Fit:
     log_likelihood : float
         Of the whole histogram.
     free : list of int
-        Which of theta do not lie on their bound.
+        The components of theta that do not lie on their bound.
     """
 
     family: Family
@@ -101,12 +101,12 @@ class Fit:
         return np.exp(log_shares(self.family, self.sizes, self.theta))
 
     def scores(self) -> np.ndarray:
-        """d ln P(k) / d theta of the free ones, for each size: shape (K, f)."""
+        """d ln P(k) / d theta of the free components, for each size, shape (K, f)."""
         terms = self.family.terms(self.sizes)[:, self.free]
         return self.shares() @ terms - terms
 
     def information(self) -> np.ndarray:
-        """Of one cascade, of whatever size, in the free ones: shape (f, f)."""
+        """Fisher information of one cascade on the free components, shape (f, f)."""
         scores = self.scores()
         return (self.shares() * scores.T) @ scores
 
@@ -146,7 +146,7 @@ def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray,
 
 
 def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
-    """Maximum of the likelihood of a family; what would fall below its bound is held there.
+    """The law of a family at the maximum of its likelihood; a parameter beyond its bound is held there.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     Raises
     ------
     Undefined
-        If there are no more different sizes than parameters: the likelihood then grows without end.
+        If there are no more different sizes than parameters, so that the likelihood has no maximum.
     """
     total, n_different = counts.sum(), np.count_nonzero(counts)
     n_parameters = family.terms(sizes).shape[1]
@@ -172,7 +172,7 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
 
 
 def _climb(family: Family, sizes: np.ndarray, shares: np.ndarray, free: list[int]) -> Fit:
-    """Newton's method on the free parameters, the others zero; the likelihood, of one cascade, is concave."""
+    """Maximise the mean log likelihood, which is concave, by Newton's method; the other parameters are zero."""
 
     def at(theta: np.ndarray) -> Fit:
         return Fit(family, theta, sizes, float(shares @ log_shares(family, sizes, theta)), free)
@@ -192,9 +192,9 @@ def _climb(family: Family, sizes: np.ndarray, shares: np.ndarray, free: list[int
 
 
 def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Estimate:
-    """A parameter with its jackknife-t interval over matrices, each left out by one Newton step from the fit.
+    """A parameter with its jackknife-t interval over matrices, leaving out each by one Newton step from the fit.
 
-    Without interval if it lies on its bound, or there is one matrix.
+    It has no interval if it lies on its bound, or if there is one matrix.
     """
     value, n = float(fit.theta[which]), len(counts)
     if which not in fit.free or n < 2:

@@ -1,7 +1,7 @@
-"""How well a law, as a rule the exponential, fits the sizes of cascades: the largest gap, and size by size.
+"""Goodness of fit of a law of sizes, usually the exponential: the largest gap, and the ratio at each size.
 
-Everything here works on histograms, one row a matrix, [g, k] cascades of size k: the matrices are the independent
-units, the cascades within one are not.
+Everything here takes histograms, one row a matrix, [g, k] cascades of size k. The matrices are the independent units;
+the cascades of one matrix are not independent.
 """
 
 from __future__ import annotations
@@ -12,22 +12,23 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.stats import student
+from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
 
 FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
-#: A size is judged if so many cascades are expected above it. Nothing in the data says where to cut the tail, so the
-#: test is made at each of these; p_value is that of the second.
+#: A size is judged if so many cascades are expected above it. The data do not say where to cut the tail, so the test
+#: is repeated at each of these; p_value is that of the second.
 CUTS = (200, 60, 20)
-FEWEST_SHOWN = 10  # cascades expected of a size for it to be drawn
-REJECTED, NOT_REJECTED, UNDECIDED, UNKNOWN = "rejected", "not rejected", "undecided", "cannot be told"
+FEWEST_SHOWN = 10  # expected cascades of a size for it to be drawn
+REJECTED, NOT_REJECTED, UNDECIDED = "rejected", "not rejected", "undecided"
 
 
 def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:
-    """What each matrix adds to sum (f(k) - E f) over its cascades, freed of what estimating the law adds.
+    """Contribution of each matrix to sum (f(k) - E f) over all cascades, without the effect of estimating the law.
 
-    f is projected off the law's own scores (the exponential's: k - E k) under the fit: the sum over matrices is
-    unchanged, since the fit makes the sums of scores zero, and the rows are independent to first order.
+    f is made orthogonal to the law's scores (the exponential's: k - E k) under the fit. The sum over matrices does
+    not change, since the fit makes the sums of the scores zero, and rows become independent to first order.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How far the sizes lie from the fitted law, and whether that is more than the spread of matrices gives.
+    """How far the sizes lie from the fitted law, and whether by more than the spread over matrices explains.
 
     Attributes
     ----------
@@ -56,9 +57,9 @@ class Goodness:
     at : int or None
         The size where it is.
     p_values : tuple of float
-        With the tail cut at each of `CUTS`; empty if there are none.
+        p-values with the tail cut at each of `CUTS`; empty if there are none.
     reason : str
-        Why.
+        Why something is missing.
     """
 
     gap: float | None = None
@@ -68,11 +69,11 @@ class Goodness:
 
     @property
     def p_value(self) -> float | None:
-        """At the usual cut of the tail."""
+        """The p-value at the usual cut of the tail."""
         return self.p_values[1] if self.p_values else None
 
     def verdict(self, level: float) -> str:
-        """`REJECTED` or `NOT_REJECTED` if that holds wherever the tail is cut, `UNDECIDED` if it does not."""
+        """`REJECTED` or `NOT_REJECTED` if that holds at every cut of the tail, else `UNDECIDED`; or `UNKNOWN`."""
         if not self.p_values:
             return UNKNOWN
         if max(self.p_values) <= level:
@@ -87,19 +88,19 @@ def goodness(
     rng: np.random.Generator,
     family: Family = EXPONENTIAL,
 ) -> Goodness:
-    """Kolmogorov-Smirnov test of a law, its null distribution from the matrices themselves.
+    """Kolmogorov-Smirnov test of a law, with a null distribution from the matrices themselves.
 
-    The statistic is the largest gap of observed and fitted distribution function, each in units of its own standard
-    error over matrices. Its null distribution comes from turning the sign of each matrix's part of the gaps at
-    random: if the law holds, these parts scatter about zero, however the cascades within a matrix depend on each
-    other and however much matrices differ in spread (sign-flipped effective scores: Hemerik, Goeman and Finos 2020,
-    J. R. Stat. Soc. B 82, 841). A bootstrap of single cascades would take them as independent.
+    The statistic is the largest gap between observed and fitted distribution function, with the gap at each size in
+    units of its standard error over matrices. Its null distribution comes from flipping the sign of each matrix's
+    contribution to the gaps at random: if the law holds, these contributions scatter about zero, however the cascades
+    of a matrix depend on each other and however much matrices differ in spread (sign-flipped effective scores:
+    Hemerik, Goeman and Finos 2020, J. R. Stat. Soc. B 82, 841). A bootstrap would treat cascades as independent.
 
     Parameters
     ----------
     sizes : ndarray, shape (K,)
     counts : ndarray, shape (G, K)
-        As `families.truncate` gives them; matrices without a cascade are left out.
+        Results of `families.truncate`; matrices without a cascade are left out.
     confidence : float
     rng : numpy.random.Generator
         For the signs.
@@ -120,7 +121,7 @@ def goodness(
     gaps = parts.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
     gap, at = float(abs(gaps[worst])), int(sizes[judged[worst]])
-    # All n parts have one sign, up to a common one, in 2 of 2^n patterns: the least p-value there can be.
+    # 2 of the 2^n patterns of signs give a gap as large as n parts of the same sign: the least possible p-value
     if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
         return Goodness(gap, at, reason="few matrices")
     signs = rng.choice([-1.0, 1.0], (FLIPS + 1, n))
@@ -136,8 +137,8 @@ def goodness(
 def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[dict[str, Any]]:
     """Observed over fitted share for each size of which at least `FEWEST_SHOWN` cascades are expected.
 
-    By name: `size`, `n_cascades`, `share`, `fit`, `value`, and `low` and `high`, an interval over matrices that
-    counts what estimating gamma takes from the scatter; None for one matrix.
+    The columns are `size`, `n_cascades`, `share`, `fit`, `value`, and `low` and `high`, an interval over matrices
+    that allows for the estimation of gamma; None for one matrix.
 
     Raises
     ------

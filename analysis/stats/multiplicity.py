@@ -1,9 +1,9 @@
-"""One rule for many comparisons.
+"""The rule for multiple comparisons.
 
-Primary questions are declared beforehand, in order, and tested in that order, each at the full level, until one is
-not rejected: the family-wise error is at most alpha (Maurer, Hothorn and Lehmacher 1995). What else is looked at is a
-second family, under Holm's rule, with its own error of at most alpha. A finding there is a hint, whatever the first
-family says.
+Primary questions are declared beforehand and tested in the declared order, each at the full level, until one is not
+rejected: the family-wise error is at most alpha (Maurer, Hothorn and Lehmacher 1995). All other comparisons are a
+second family, under Holm's rule, with an error of at most alpha of its own. A finding there is only a hint, whatever
+the first family says.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 
 def adjusted(primary: Sequence[float], others: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """p-values that may be held against alpha as they are.
+    """Adjusted p-values of the primary comparisons and of the others, to be compared with alpha directly.
 
-    Of the primary ones, in the declared order, the largest so far; of the others Holm's.
+    A primary one becomes the largest up to it in the declared order; the others are adjusted by Holm's rule.
     """
     return np.maximum.accumulate(np.asarray(primary, dtype=np.float64)), holm(others)
 

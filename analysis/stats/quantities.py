@@ -1,4 +1,4 @@
-"""What a run's window gives, by quantity: two sums, which add over runs and matrices, and the statistic of them."""
+"""The quantities of a run's window: each has two sums, which add over runs and matrices, and a statistic of them."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import Law, Window, sums
+from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.stats.estimates import Statistic, correlation_time, gamma, ratio
 
 
 def exit_rate(win: Window) -> float:
-    """Exits a unit of time."""
+    """Exits per unit of time."""
     return float(np.maximum(-win.step, 0).sum()) / (win.t_stop - win.t_start)
 
 
 def _cascades(win: Window) -> tuple[float, float]:
-    total, count = sums(win.step)[Law("events")]
+    total, count = sums(win.step)[EVENTS]
     return float(total), float(count)
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity by its name for readers: the sums of a window, and what they come to."""
+    """A quantity: its name for readers, its two sums over a window, and the statistic of the sums."""
 
     label: str
     sums: Callable[[Window], tuple[float, float]]
     of: Statistic = ratio
 
 
-#: By the name that a scene declares a margin for.
+#: By the name under which a scene declares a margin.
 QUANTITIES: Mapping[str, Quantity] = {
     "mean": Quantity("mean n_stick", lambda win: (win.time_mean(), 1.0)),
     "variance": Quantity("variance of n_stick in time", lambda win: (win.time_variance(), 1.0)),
     "rate": Quantity("exit rate", lambda win: (exit_rate(win), 1.0)),
     "gamma": Quantity("gamma", _cascades, gamma),
-    # nothing is counted where n_stick does not change
+    # a window in which n_stick does not change has no correlation time and is not counted
     "correlation_time": Quantity(
         "correlation time", lambda win: (0.0, 0.0) if (tau := correlation_time(win).value) is None else (tau, 1.0)
     ),

@@ -1,7 +1,7 @@
-"""Student's t: half-widths of intervals, and tails.
+"""Student's t distribution: half-widths of intervals, quantiles and tails.
 
-By the functions that `scipy.stats.t` is made of: a report asks thousands of times, and each time costs a hundredth.
-`dof`, the degrees of freedom, is a number > 0, else a ValueError is raised; infinity gives the normal distribution.
+They call the functions beneath `scipy.stats.t` at a hundredth of its cost: a report needs thousands of values.
+`dof`, the degrees of freedom, must be > 0, else a ValueError is raised; infinity gives the normal distribution.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from scipy import special
 
 
 def half_width(confidence: float, dof: float) -> float:
-    """Of the two-sided interval, in standard errors."""
+    """Half-width of the two-sided interval, in standard errors."""
     return quantile(0.5 + confidence / 2, dof)
 
 
 def quantile(share: float, dof: float) -> float:
-    """The t that a share of the distribution lies below."""
+    """The t below which a given share of the distribution lies."""
     return float(special.stdtrit(_valid(dof), share))
 
 
@@ -25,7 +25,7 @@ def below(t: float, dof: float) -> float:
 
 
 def two_sided(t: float, dof: float) -> float:
-    """The share that lies as far from 0 as t, or farther: a p-value."""
+    """The share that lies at least as far from 0 as t: a two-sided p-value."""
     return 2 * below(-abs(t), dof)
 
 

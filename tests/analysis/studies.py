@@ -14,7 +14,7 @@ import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm
-from stickslip.analysis.models.episodes import DRIVE, OCCUPANCY, Catalogue
+from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.questions.robustness import BOUND
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
@@ -841,7 +841,7 @@ def methods_study(rng, ensembles):
 
 def occupancy_study(rng, ensembles):
     """Share of time in episodes, gamma durations and exponential rests of 20 systems, each its own mean rest."""
-    quantity, spread = DRIVE[OCCUPANCY], 0.2
+    quantity, spread = SLOW_DRIVE[OCCUPANCY], 0.2
     for rest in (15.0, 80.0):
         x = np.linspace(-6, 6, 2001)
         answer = np.average(1 / (1 + rest * np.exp(spread * x) / 4), weights=np.exp(-(x**2) / 2))

@@ -57,7 +57,7 @@ def test_a_planted_gamma_is_found_and_named(planted):
         assert row["relative_low"] < -0.14 / LN2 < row["relative_high"]
         assert row["is_paired"] == (seed == 0)
         assert report.headline[0].startswith("No: from first to second ")
-        assert ("each matrix is set against itself" in text_of(report)) == (seed == 0)
+        assert ("each matrix is compared with itself" in text_of(report)) == (seed == 0)
 
 
 def test_equal_laws_are_seldom_called_different_and_few_matrices_not_the_same(planted):
@@ -84,7 +84,7 @@ def test_settings_that_differ_are_matched_by_what_they_share(planted):
     assert differs == {"coulomb": {"kappa": (0.2, 0.3)}, "sigmoid": {"kappa": (0.2, 0.3), "eps": (0.03, 0.01)}}
     assert not left_first
     assert not left_second
-    assert "set beside another setting: kappa = 0.2 against 0.3, eps = 0.03 against 0.01" in text_of(
+    assert "another setting: kappa = 0.2 against 0.3, eps = 0.03 against 0.01" in text_of(
         compare(first, second, SETTINGS)
     )
     report = compare(ensemble(planted, "alone", n_matrices=4), second, SETTINGS)
@@ -98,7 +98,7 @@ def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):
     other = replace(second, t_burn=50.0, margins=MARGINS | {"gamma": 0.01})
     plain, changed = (compare(first, one, SETTINGS) for one in (second, other))
     pd.testing.assert_frame_equal(changed.tables["compared"], plain.tables["compared"])
-    assert "Margins are those of first; second declares others of gamma." in text_of(changed)
+    assert "Margins are those of first; second declares others for gamma." in text_of(changed)
     assert "t_burn = 100 is that of first; second declares 50." in text_of(changed)
     assert "declares others" not in text_of(plain)
 

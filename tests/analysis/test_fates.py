@@ -223,7 +223,7 @@ def test_what_all_runs_do_has_a_bound(planted):
     none = asked(data_of(planted, [DIVERGED] * 20))
     assert "No run of 20 sticks and slips at t = 1000 (at most 16% of such systems do)" in WORDS.answer(none.facts)
     failed = asked(data_of(planted, ["failed"] * 2))
-    assert "all 2 failed" in WORDS.answer(failed.facts)
+    assert "all 2 runs failed" in WORDS.answer(failed.facts)
 
 
 @pytest.mark.parametrize("n_held", [20, 5, 1])

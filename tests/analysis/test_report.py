@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from stickslip import analysis
-from stickslip.analysis import AnalysisSettings, Data, Study, build, ensemble
+from stickslip.analysis import AnalysisSettings, Data, Study, build, members
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.cascades import STEEP, verdict_on
 from stickslip.analysis.report import formats
@@ -62,7 +62,7 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
     said = (
-        "not told from what the toss of a coin gives"
+        "not distinguishable from what the toss of a coin gives"
         if verdict == "cannot be told"
         else f"{verdict} than the toss of a coin gives"
     )
@@ -374,5 +374,5 @@ def test_settings_out_of_range_are_refused_by_name(changes, named):
 
 def test_the_table_of_groups_has_what_a_scene_may_change():
     shown = {column for _, column, _ in group_columns()} | {"n"}
-    missing = [name for name in ensemble.SYSTEM_KEYS if name not in shown]
+    missing = [name for name in members.SYSTEM_KEYS if name not in shown]
     assert missing == ["z0", "w0", "perturbation_size"]  # what is swept stands in the name of the group

@@ -146,7 +146,7 @@ def point(keys, period, rng, error=0.03):
     """A group whose periods without one matrix each have an error of that size."""
     off = error / np.sqrt(19) * rng.standard_normal(20)
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
-    numbers = {name: np.exp(logs) for name in question.LAWS}
+    numbers = {name: np.exp(logs) for name in question.SCALED}
     found = rhythm.Rhythm(rhythm.SWINGS, 0.001, values=numbers)
     keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
     label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
@@ -155,7 +155,7 @@ def point(keys, period, rng, error=0.03):
 
 def power(points):
     """What `answer` makes of a law by itself: the law of the period with n, and whether it is said as a power."""
-    law = question._law("period", "n", points, 0.95)
+    law = question._power_law("period", "n", points, 0.95)
     return law, question._is_power(law | {"p_adjusted": law["p_value"]}, 0.05)
 
 
@@ -163,11 +163,11 @@ def test_a_law_is_the_exponent_that_was_planted(rng):
     held = 0
     for _ in range(100):
         points = [point({"belt_speed": -v}, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
-        law = question._law("period", "belt_speed", points, 0.95)
+        law = question._power_law("period", "belt_speed", points, 0.95)
         held += law["low"] <= 0.4 <= law["high"]
     assert agrees(held, 100, 0.85, 0.99)
     assert (law["first_value"], law["last_value"], law["n_points"]) == (0.05, 0.2, 3)
-    assert question._law("period", "kappa", points, 0.95) is None
+    assert question._power_law("period", "kappa", points, 0.95) is None
 
 
 def test_a_power_is_said_over_a_wide_range_and_where_it_is_one(rng):

@@ -122,7 +122,7 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
     assert (
         "Changing every constant by up to 1% shifts the last event by <b>1.0</b> (1.0 to 1.0) units of time" in said
     )
-    assert "5 of 20 copies end otherwise than the base. Another matrix shifts it by" in said
+    assert "5 of 20 copies end differently from the base. Another matrix shifts it by" in said
 
 
 @pytest.mark.parametrize("spread", [0.0, 2.0])

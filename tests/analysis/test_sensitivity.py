@@ -37,7 +37,7 @@ def test_the_level_is_the_mean_over_all_pairs(rng):
 
 
 def test_the_level_is_of_all_matrices_however_they_end(rng, planted, settings):
-    """A certificate changes no path; where most settle there is no lasting difference to hold copies against."""
+    """A certificate changes no path; where most runs settle, two matrices show no lasting difference."""
     data = ensemble(rng, planted, 0.01)
     (setting,) = sorted_settings(data.members)
     known = level(Study(data, settings), setting)

@@ -136,14 +136,14 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
     pairs = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
     data = swept({"kappa": [0.1, 0.2, 0.3]}, lambda at, matrix: 0)
     together = data.members.assign(rho=data.members["kappa"].map(dict(pairs)))
-    (axis,) = sweep.grid(sweep.settings(Study(Data(together, data.series), settings).groups))
+    (axis,) = sweep.axes_of(sweep.settings(Study(Data(together, data.series), settings).groups))
     assert axis == sweep.Axis(("kappa", "rho"), tuple(pairs))
     drawn = data.members.assign(
         kappa=0.2,
         friction=data.members["kappa"].map({0.1: 1.0}),
         drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
     )
-    (axis,) = sweep.grid(sweep.settings(Study(Data(drawn, data.series), settings).groups))
+    (axis,) = sweep.axes_of(sweep.settings(Study(Data(drawn, data.series), settings).groups))
     assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.8, 1.2)",), ("uniform(0.9, 1.1)",)))
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
-from stickslip.analysis.ensemble import FILE, MATRIX, START
+from stickslip.analysis.members import FILE, MATRIX, START
 from stickslip.analysis.report.page import plain
 from stickslip.analysis.stats import student
 

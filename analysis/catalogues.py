@@ -1,0 +1,168 @@
+"""The catalogues of episodes of an ensemble, by group, and their statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip.analysis.answer import Row, named
+from stickslip.analysis.contrast import Sample
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import SYSTEM_KEYS, TOLERANCES
+from stickslip.analysis.models.episodes import QUANTITIES, QUIET, SLOW_DRIVE, Catalogue, completeness, drift
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import UNKNOWN, Words, against
+from stickslip.analysis.stats.estimates import Undefined, over_matrices
+
+MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
+REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
+_ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first: the others are compared with it
+
+
+@dataclass
+class Catalogues:
+    """A group with the catalogues of its runs that reached t_end, by unit, and their statistics.
+
+    Attributes
+    ----------
+    group : Group
+    runs : dict of int to list of Catalogue
+        By unit.
+    sample : Sample
+        Sums of each quantity by unit, for contrasts; filled by `summarise`.
+    row : dict
+        The statistics as columns and, under `of`, as estimates; filled by `summarise`.
+    """
+
+    group: Group
+    runs: dict[int, list[Catalogue]]
+    sample: Sample = field(default_factory=Sample)
+    row: Row = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        return self.group.label
+
+    @property
+    def is_judged(self) -> bool:
+        return self.row["basis"] in enough.JUDGED
+
+    def each(self) -> Iterator[Catalogue]:
+        """The catalogues of all runs."""
+        for some in self.runs.values():
+            yield from some
+
+    def magnitudes(self) -> np.ndarray:
+        """Magnitudes of all episodes, run by run."""
+        return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
+
+    def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
+        """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
+        return {
+            unit: np.array([
+                sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
+                sum(run.t_stop - run.t_start for run in runs),
+            ], dtype=np.float64)
+            for unit, runs in self.runs.items()
+        }  # fmt: skip
+
+
+def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
+    """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
+    of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
+    groups = sorted(study.groups, key=fineness)
+    found = [Catalogues(group, _by_unit(group, of_member, study.settings.t_burn)) for group in groups]
+    return [one for one in found if one.runs]
+
+
+def fineness(group: Group) -> tuple[Any, ...]:
+    """Sorts groups: exact events first, then by engine, from the finest setting to the coarsest."""
+    steps = [float(group.key[name] or 0.0) for name in ("eps", "step", *TOLERANCES)]
+    return (_ENGINES.index(group.key["engine"]), *steps)
+
+
+def _by_unit(group: Group, of_member: Mapping[str, pd.DataFrame], t_start: float) -> dict[int, list[Catalogue]]:
+    """The catalogues of a group's finished runs by unit; that of a run without episodes is empty."""
+    found: dict[int, list[Catalogue]] = {}
+    n, v = int(group.key["n"]), group.key["belt_speed"]
+    table = (group.finished[name] for name in ("unit", "member_id", "t_end"))
+    for unit, member_id, t_end in zip(*table, strict=True):
+        columns = np.zeros((5, 0))
+        if member_id in of_member:
+            columns = of_member[member_id][["start", "end", "size", "moment", "first_block"]].to_numpy(np.float64).T
+            columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
+        start, end, size, moment, first_block = columns
+        slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
+        whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
+        one = Catalogue(t_start, float(t_end), start, end - start, *whole)
+        found.setdefault(int(unit), []).append(one)
+    return found
+
+
+def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
+    """Groups of the same systems together, in their order: the others are compared with the first."""
+    by_key: dict[tuple[Any, ...], list[Catalogues]] = {}
+    for one in found:
+        by_key.setdefault(tuple(one.group.key[name] for name in SYSTEM_KEYS), []).append(one)
+    return list(by_key.values())
+
+
+def summarise(some: Sequence[Catalogues], level: float) -> None:
+    """Fill in the statistics of groups of the same systems, all from one least magnitude, so that they compare.
+
+    It is the completeness of the first group that has episodes.
+    """
+    magnitudes = (one.magnitudes() for one in some)
+    least = next((completeness(known) for known in magnitudes if len(known)), 0.0)
+    for one in some:
+        _fill(one, least, level)
+
+
+def _fill(one: Catalogues, least: float, level: float) -> None:
+    """Fill in the statistics of a group, each with its interval over units."""
+    quantities = {**QUANTITIES, **SLOW_DRIVE}
+    for unit, runs in one.runs.items():
+        for run in runs:
+            for name, quantity in quantities.items():
+                sums = quantity.sums(run, least)
+                if np.isfinite(sums).all():
+                    one.sample.add(name, unit, sums)
+    halves = np.array([sum(run.halves() for run in runs) for runs in one.runs.values()])
+    n_episodes = int(halves.sum())
+    basis = enough.basis(halves, n_episodes, level, drift)
+    sizes = np.concatenate([run.size for run in one.each()])
+    one.row = {
+        "group": one.label, "least": least, "stuck_below": _stuck_below(one.group),
+        "n_systems": len(one.runs), "n_episodes": n_episodes,
+        "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
+        "largest": float(one.magnitudes().max()) if n_episodes else None,
+        "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
+    }  # fmt: skip
+    one.row["of"] = {
+        name: over_matrices(quantity.of, one.sample.rows(name)[1], level) for name, quantity in quantities.items()
+    }
+    for name, estimate in one.row["of"].items():
+        one.row |= named(name, estimate)
+    one.row["regularity"] = _regularity(one.sample.rows(QUIET)[1], level) if one.is_judged else UNKNOWN
+
+
+def _stuck_below(group: Group) -> float | None:
+    """Speed on the belt below which a smoothed block may count as stuck, in units of the belt's; None if none may."""
+    key = group.key
+    if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
+        return None
+    return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
+
+
+def _regularity(sums: np.ndarray, level: float) -> str:
+    """Whether quiet times are as regular as those of a Poisson process, whose coefficient of variation is 1."""
+    try:
+        test = against(lambda of: QUANTITIES[QUIET].of(of) - 1.0, sums, MARGIN)
+    except Undefined:
+        return UNKNOWN
+    return test.verdict(level, Words(AS_POISSON, CLUSTERED, REGULAR))

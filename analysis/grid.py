@@ -1,0 +1,158 @@
+"""The grid of a sweep: its axes, the point of each group, and statistics over some of the points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from stickslip.analysis.answer import F, S
+from stickslip.analysis.contrast import Sample, Statistic
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group, label
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.estimates import Estimate, over_matrices
+from stickslip.analysis.stats.quantities import QUANTITIES
+
+IN_MOTION = "share in motion"
+AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
+MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
+#: Keys that separate settings and are not swept.
+_FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
+_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that change together, as a scene names them, and their values in ascending order."""
+
+    keys: tuple[str, ...]
+    values: tuple[tuple[Value, ...], ...]
+
+    @property
+    def name(self) -> str:
+        return " with ".join(self.keys)
+
+    @property
+    def x(self) -> list[float] | None:
+        """The values as numbers; None where one is a distribution."""
+        found = [value[0] for value in self.values]
+        return [one for one in found if isinstance(one, float)] if all(isinstance(v, float) for v in found) else None
+
+    def dtype(self, k: int) -> str:
+        """Type of a column of the values of its k-th key: numbers, or texts where one is a distribution."""
+        return F if all(isinstance(value[k], float) for value in self.values) else S
+
+
+@dataclass
+class Point:
+    """A group on the grid: its value on each axis, the sums of its units, and its runs by fate."""
+
+    group: Group
+    at: dict[Axis, tuple[Value, ...]]
+    sample: Sample = field(default_factory=Sample)
+    fates: dict[str, int] = field(default_factory=dict)
+
+    def rank(self) -> list[list[tuple[bool, float, str]]]:
+        """Sorts points along the axes, in the order of their values."""
+        return [_order(value) for value in self.at.values()]
+
+
+def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
+    """Groups that differ only in keys that may be swept, by the name of what they share."""
+    found: dict[tuple[Any, ...], list[Group]] = {}
+    for group in groups:
+        found.setdefault(tuple(group.key[name] for name in (*_FIXED, *ENGINE_KEYS)), []).append(group)
+    keys = [dict(zip((*_FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
+    return {label(key, keys): some for key, some in zip(keys, found.values(), strict=True)}
+
+
+def values(group: Group) -> dict[str, Value]:
+    """Value of each key that may be swept: a number, or the distribution from which it is drawn."""
+    drawn, given = (
+        dict(part.split(" = ", 1) for part in (group.key[name] or "").split("; ") if part)
+        for name in ("drawn", "parameters")
+    )
+    found: dict[str, Value] = {key: float(text) for key, text in given.items()}
+    for column in _SWEPT:
+        key, number = column.removesuffix("0"), group.key[column]
+        if column == "kappa" and group.key["file"] is not None:
+            continue  # it is the scale of the file's K, which is not swept
+        if number is not None or key in drawn:
+            found[key] = drawn[key] if number is None else float(number)
+    return found
+
+
+def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
+    """The axes of a sweep, the longest first; keys whose values change together share an axis."""
+    by_setting = [[values(group) for group in some] for some in found.values()]
+    points = [point for some in by_setting for point in some]
+    keys = [key for key in dict.fromkeys(key for point in points for key in point)
+            if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
+    keys = [key for key in keys if all(key in point for point in points)]
+    together: list[list[str]] = []
+    for key in keys:
+        n_values = len({point[key] for point in points})
+        for some in together:
+            pairs = {(point[some[0]], point[key]) for point in points}
+            if len(pairs) == n_values == len({first for first, _ in pairs}):
+                some.append(key)
+                break
+        else:
+            together.append([key])
+    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=_order)))
+            for some in together]  # fmt: skip
+    return sorted(axes, key=lambda axis: -len(axis.values))
+
+
+def _place(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
+    """The value of a group on each axis."""
+    own = values(group)
+    return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
+
+
+def as_text(value: Sequence[Value]) -> str:
+    """A value of an axis as text."""
+    return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
+
+
+def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
+    """Sorts values: numbers before distributions."""
+    return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
+
+
+def point_of(study: Study, group: Group, axes: Sequence[Axis]) -> Point:
+    """The point of a group, with what its runs give."""
+    found = Point(group, _place(axes, group), fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
+    for unit, how in zip(group.members["unit"], group.fates, strict=True):
+        if how != FAILED:
+            found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])
+            found.sample.add(AT_MOST, int(unit), [how in (*MOVING, QUIET), 1.0])
+    found.sample.sums[MEAN] = dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True))
+    if group.basis(study.settings.confidence).code in enough.JUDGED:
+        found.sample.sums[GAMMA] = dict(zip(group.units, group.sums, strict=True))
+    return found
+
+
+def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
+    """A statistic over some points of a grid, taken together."""
+    both = Sample()
+    for point, name in product(points, (of.name, AT_MOST) if of.is_share else (of.name,)):
+        for unit, row in point.sample.sums.get(name, {}).items():
+            both.add(name, unit, list(row))
+    _, rows = both.rows(of.name)
+    if of.is_share and len(rows):
+        at_most = both.rows(AT_MOST)[1][:, 0]
+        return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
+    return over_matrices(of.of, rows, confidence)
+
+
+def points_at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:
+    """The points at one value of an axis."""
+    return [point for point in points if point.at[axis] == value]

@@ -1,0 +1,223 @@
+"""Groups of like members, with the sums of their runs in motion, one row a unit.
+
+A group holds members that differ only in what is drawn: the matrix, the start, the stiffness ratios of a sigmoid.
+Only members in motion at t_end enter a statistic, including those in a lull (`models.fates`): leaving these out would
+select runs by how they ended. The other members are counted, with outcome and reason.
+
+The runs of a group are not independent of each other, but its units are (`members.with_units`). The units are the
+matrices. Where one matrix has several starts, the units are the starts, and inference holds over starts of this
+system. A K from a file is a system by itself, apart from other files; but files with one draw and one start each are
+units, as matrices are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
+from stickslip.analysis.models.counting import lulls
+from stickslip.analysis.models.fates import MOVING, QUIET, fate
+from stickslip.analysis.series.cascades import EVENTS, ChangePoints, Window, sizes, window
+from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.stats import effective, enough
+from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
+from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.sim.engines import ENGINES, SETTINGS
+
+Series = Mapping[str, ChangePoints]
+
+
+@dataclass
+class Group:
+    """Members that differ only in what is drawn, with the sums of their runs in motion, one row a unit.
+
+    A run is in motion if it finished and a block sticks in its last quarter, or if it is in a lull there
+    (`models.fates`). A run at rest has no steady state, and whether a quiet run is at rest is not known.
+
+    Attributes
+    ----------
+    label : str
+        n, engine and whatever distinguishes it from the others.
+    key : dict
+        The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
+    members : DataFrame
+    units : list of int
+        Units of the members in motion, ascending: the rows of all arrays.
+    means : ndarray, shape (G, 5)
+        Sums over runs of: time mean of n_stick, its means in the two halves of the window, variance in time, 1.
+    quantities : dict of str to ndarray, shape (G, 2)
+        Sums over runs of `QUANTITIES`, by name.
+    stuck : ndarray, shape (G, 2)
+        Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`). Their quotient is
+        the mean n_stick of the pool with which the runs are compared.
+    histograms : list of ndarray
+        Of each unit: histogram[k] cascades of size k, by the definition `events`.
+    effective : ndarray, shape (G, 4)
+        Mean of `effective.row` over the runs of each unit.
+    fates : list of str
+        Fate of each member, from `models.fates.fate`.
+    last : ndarray, shape (len(members), 2)
+        Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
+    moving : DataFrame
+        The members in motion.
+    n_quiet : int
+        Members that finished, but are quiet.
+    n_short : int
+        Members in motion whose window is too short for a correlation time.
+    """
+
+    label: str
+    key: dict[str, Any]
+    members: pd.DataFrame
+    units: list[int] = field(default_factory=list)
+    means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    quantities: dict[str, np.ndarray] = field(default_factory=dict)
+    stuck: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    histograms: list[np.ndarray] = field(default_factory=list)
+    effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    fates: list[str] = field(default_factory=list)
+    last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    moving: pd.DataFrame = field(default_factory=pd.DataFrame)
+    n_quiet: int = 0
+    n_short: int = 0
+
+    @property
+    def unit(self) -> str:
+        """What the units are: `MATRIX`, `START` or `FILE`."""
+        return str(self.members["unit_is"].iloc[0])
+
+    @property
+    def finished(self) -> pd.DataFrame:
+        return self.members[self.members["outcome"] == "finished"]
+
+    @property
+    def n_runs(self) -> int:
+        return int(self.means[:, 4].sum())
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Total size and number of cascades by `events`, shape (G, 2)."""
+        return self.quantities["gamma"]
+
+    @property
+    def pool_mean(self) -> float | None:
+        """Mean n_stick without lulls, which the pool shares; None if no block ever sticks."""
+        stuck, time = self.stuck.sum(axis=0)
+        return float(stuck / time) if stuck else None
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Number of cascades of each size from 1 on, shape (G, K)."""
+        longest = max((len(h) for h in self.histograms), default=1)
+        found = np.zeros((len(self.histograms), longest), dtype=np.int64)
+        for row, one in zip(found, self.histograms, strict=True):
+            row[: len(one)] = one
+        return found[:, 1:]
+
+    def by_unit(self) -> np.ndarray:
+        """`means` averaged over the runs of each unit, so that every unit has the same weight."""
+        return self.means / self.means[:, 4:] if len(self.means) else self.means
+
+    def mean(self, confidence: float) -> Estimate:
+        """Mean n_stick."""
+        return over_matrices(ratio, self.by_unit()[:, [0, 4]], confidence)
+
+    def drift(self, confidence: float) -> Estimate:
+        """Mean n_stick in the second half of the window minus that in the first, paired over units."""
+        rows = self.by_unit()
+        return over_matrices(ratio, np.column_stack([rows[:, 2] - rows[:, 1], rows[:, 4]]), confidence)
+
+    def basis(self, confidence: float) -> enough.Basis:
+        """Whether a statistic that assumes a stationary law may be judged."""
+        return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
+
+
+def groups(members: pd.DataFrame) -> list[Group]:
+    """Members as groups: unperturbed ones first, then by n and engine."""
+
+    def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
+        key = part[0]
+        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in key.values()])
+
+    parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
+    keys = [key for key, _ in parts]
+    return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
+
+
+def engine_name(engine: str) -> str:
+    """The name of an engine on pages."""
+    return "exact" if engine == "coulomb" else engine
+
+
+def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
+    """Name of a group: n, engine, its rule of sticking, and whatever distinguishes it from the other groups."""
+    parts = [f"n = {key['n']}", engine_name(key["engine"])]
+    defaults = ENGINES[key["engine"]].defaults()
+    for name in key:
+        if name in ("n", "engine", "perturbation_size") or key[name] is None:
+            continue
+        values = {rival[name] for rival in rivals if rival["engine"] == key["engine"]}
+        rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
+        is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
+        if is_said or len(values) > 1:
+            parts.append(_plain(key[name]) if name in ("drawn", "parameters") else f"{name} = {_plain(key[name])}")
+    if key["perturbation_size"] > 0:
+        parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
+    return ", ".join(parts)
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
+    """Fill in a group's sums: read each run once and add those in motion."""
+    group.units = [int(unit) for unit in group.finished["unit"].unique()]
+    n_rows = len(group.units)
+    group.means, group.effective, group.stuck = (np.zeros((n_rows, k)) for k in (5, 4, 2))
+    group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
+    group.histograms = [np.zeros(1, np.int64)] * n_rows
+    group.last = np.full((len(group.members), 2), np.nan)
+    row_of = {unit: row for row, unit in enumerate(group.units)}
+    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end", "growth_rate"))
+    for k, (unit, member_id, outcome, t_end, rate) in enumerate(zip(*columns, strict=True)):
+        points = None if outcome == "failed" else series[member_id]
+        group.fates.append(fate(outcome, points, float(t_end), rate))
+        if points is None:
+            continue
+        group.last[k] = points[0][-1], points[1][-1]
+        if group.fates[k] not in MOVING:
+            continue
+        row, win = row_of[int(unit)], window_of(points, str(member_id), settings.t_burn, float(t_end))
+        given = {name: quantity.sums(win) for name, quantity in QUANTITIES.items()}
+        for name, two in given.items():
+            group.quantities[name][row] += two
+        first, second, variance = enough.halves(win)
+        group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
+        span = win.t_stop - win.t_start
+        group.stuck[row] += [0.5 * (first + second) * span, span - lulls(win).sum()]
+        tau, is_known = given["correlation_time"]
+        group.effective[row] += effective.row(win, tau)
+        group.n_short += not is_known or is_short(win, tau)
+        found = sizes(win, EVENTS)
+        group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
+    group.n_quiet = group.fates.count(QUIET)
+    group.moving = group.members[[how in MOVING for how in group.fates]]
+    kept = np.flatnonzero(group.means[:, 4])
+    group.units, group.histograms = [group.units[k] for k in kept], [group.histograms[k] for k in kept]
+    group.means, group.quantities = group.means[kept], {name: of[kept] for name, of in group.quantities.items()}
+    group.stuck = group.stuck[kept]
+    group.effective = group.effective[kept] / group.means[:, 4:]
+
+
+def window_of(points: ChangePoints, member_id: str, t_burn: float, t_end: float) -> Window:
+    """n_stick of a run on [t_burn, t_end]; ValueError naming the member if its series is not one."""
+    try:
+        return window(*points, t_burn, t_end)
+    except ValueError as error:
+        raise ValueError(f"series of member {member_id!r}: {error}") from error
