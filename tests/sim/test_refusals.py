@@ -9,7 +9,7 @@ import scipy.sparse
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.episodes import episodes
-from stickslip.sim.systems.friction import Weakening
+from stickslip.sim.systems.weakening import Weakening
 from stickslip.sim.theory import blowup, folds, slow_time, strata
 from stickslip.sim.theory.laws import Coulomb, Modified, StaticAboveKinetic
 
@@ -37,14 +37,16 @@ class Root(Weakening):
     def ends(self, friction, static):
         return friction, 0 * friction
 
-    def shape(self, x):
+    @staticmethod
+    def shape(x):
         return 1 / np.sqrt(1 + x)
 
 
 class Steeper(Rational):
     """A law that is known, with another shape."""
 
-    def shape(self, x):
+    @staticmethod
+    def shape(x):
         return 1 / (1 + x) ** 2
 
 
