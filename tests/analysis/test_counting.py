@@ -18,6 +18,7 @@ from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import LN2
 from tests.analysis import studies
+from tests.chance import agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -120,8 +121,9 @@ def said(answer, macro="answer"):
 
 
 def test_independent_blocks_are_counting_alone(planted, rng):
-    lead = question.answer(study_of(planted, (40,), 0.0, rng)).facts["lead"]
-    assert lead["verdict"] in ("within", "cannot be told")
+    leads = [question.answer(study_of(planted, (40,), 0.0, rng)).facts["lead"] for _ in range(8)]
+    assert agrees(sum(lead["verdict"] in ("within", "cannot be told") for lead in leads), len(leads), 0.95, 1.0)
+    lead = leads[0]
     assert lead["counting"] == pytest.approx(pool.gamma(40, lead["mean"]) / LN2 - 1)
     assert lead["slope_of_pool"] == pytest.approx(0.03, rel=0.1)
 
