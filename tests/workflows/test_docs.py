@@ -32,8 +32,8 @@ from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
-from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import CHARTS
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
 
@@ -319,7 +319,7 @@ def test_a_question_is_a_file_and_a_template(first):
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
-    named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
+    named = re.search(r'`"width": "stickslip.workflows.gallery.charts.(width:\w+)"`', page("extending"))[1]
     (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[4])
     (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
     (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])
