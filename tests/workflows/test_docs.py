@@ -264,12 +264,11 @@ def test_a_term_is_a_row(tree):
 from stickslip.analysis.ensemble import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, load_scene
-from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.systems import BY_BLOCK
 
 members = expand(load_scene("mine.toml"))
 known = SYSTEM_KEYS, BY_BLOCK, {one for _, one, _ in group_columns()}, {one.term("drag") for one in members}
-columns = {one.name: one.words for one in Recording.of(load_scene("mine.toml")).columns}
+columns = {one.name: one.words for one in load_scene("mine.toml").recording.columns}
 print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"], members[0].member_id)
 """
     said = python("-c", show)
