@@ -196,7 +196,7 @@ def _check_no_ensemble(out: Place) -> None:
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.places.directory import Directory
-    from stickslip.workflows.charts import load_chart
+    from stickslip.workflows.gallery.charts import load_chart
 
     scene = load_chart(file)
     if arguments.dry_run:
@@ -207,7 +207,7 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
         if isinstance(out, Directory):
             out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
         measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
-        from stickslip.workflows.charts.runner import report
+        from stickslip.workflows.gallery.charts.runner import report
 
         _publish(report(scene, measured), out)
     except Interrupted as interrupt:
@@ -347,7 +347,7 @@ def _schema(arguments: argparse.Namespace) -> int:
     from stickslip.workflows.scaffold import key_lines, schema_text
 
     if arguments.chart is not None:
-        from stickslip.workflows.charts import CHARTS
+        from stickslip.workflows.gallery.charts import CHARTS
 
         if arguments.chart not in CHARTS:
             raise _Wrong(

@@ -25,7 +25,6 @@ from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest
 from stickslip.pipeline.places.place import DATA, MANIFEST, SCENE, Place, Where
 from stickslip.pipeline.records import TABLES
-from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.sim.numerics.arguments import did_you_mean
 
@@ -69,7 +68,7 @@ class Opened:
         with reading(self.place):
             return ds.dataset(
                 [self.place.key(f"{DATA}/{name}") for name in names],
-                schema=schema_of(Recording.of(self.scene)),
+                schema=schema_of(self.scene.recording),
                 filesystem=self.place.arrow,
                 format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
             )

@@ -88,7 +88,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
         new = added(stage, before)
         if sum(sizes) != len(new):
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
-        recording, first = Recording.of(stage), 0
+        recording, first = stage.recording, 0
         for size in sizes:
             planned.append((as_batch(len(planned), new[first : first + size], recording.scene_hash), recording))
             first += size
@@ -111,7 +111,7 @@ def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:
 
 def grows(stored: Scene, wanted: Scene) -> bool:
     """Whether the wanted scene has all members of the stored one, unchanged, and more."""
-    one, other = Recording.of(stored), Recording.of(wanted)
+    one, other = stored.recording, wanted.recording
     if one != replace(other, scene_hash=one.scene_hash) or wanted.n_members <= stored.n_members:
         return False
     members = expand(wanted)

@@ -37,7 +37,6 @@ from stickslip.pipeline.running.worker import (
     row,
 )
 from stickslip.pipeline.scene import systems
-from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -204,7 +203,7 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
         raise ValueError(
             f"member_id: expected a member of the scene, such as {next(members.ids())!r}, got {member_id!r}"
         )
-    return row(members[place], Recording.of(scene))
+    return row(members[place], scene.recording)
 
 
 def _results(

@@ -45,7 +45,7 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         is_coupled = member.change.reading == "damping matrix"
         kinds.setdefault((member.n, member.engine, member.settings, is_coupled), []).append(member)
     # what is shared between members is known by its formula; the pilot runs them alone
-    recording = replace(Recording.of(scene), records=tuple(one for one in scene.records if not one.is_shared))
+    recording = replace(scene.recording, records=tuple(one for one in scene.records if not one.is_shared))
     core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
     for members in kinds.values():

@@ -10,7 +10,7 @@ import keyword
 import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from stickslip.pipeline.records import ALWAYS, RECORDS
 from stickslip.pipeline.records.column import Column
@@ -18,9 +18,6 @@ from stickslip.pipeline.records.record import Record
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Number, Ratios
 from stickslip.sim.systems.terms import TERMS
-
-if TYPE_CHECKING:
-    from stickslip.pipeline.scene.scene import Scene
 
 
 class Part(NamedTuple):
@@ -165,11 +162,6 @@ class Recording:
     parts: tuple[str, ...] = ()
     records: tuple[Record, ...] = ()
     parameters: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, scene: Scene) -> Recording:
-        """That of a scene."""
-        return cls(scene.hash, scene.parts, scene.records, tuple(scene.system.parameters or ()))
 
     @property
     def columns(self) -> tuple[Column, ...]:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field, PrivateAttr, model_validator
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.record import Facts, Record
-from stickslip.pipeline.scene.columns import PARTS, misnamed
+from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
 from stickslip.pipeline.scene.quantity import (
@@ -169,6 +169,11 @@ class Scene(StrictTable):
         keys = self.record.model_dump()
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
+
+    @property
+    def recording(self) -> Recording:
+        """What its datasets keep."""
+        return Recording(self.hash, self.parts, self.records, tuple(self.system.parameters or ()))
 
     def keeps(self, record: type[Record]) -> bool:
         """Whether a record is asked for."""

@@ -14,7 +14,7 @@ from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.query.database import quoted, views
 from stickslip.pipeline.running.worker import columns, run_members
-from stickslip.pipeline.scene.columns import COLUMNS, Recording, misnamed
+from stickslip.pipeline.scene.columns import COLUMNS, misnamed
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.pipeline.test_functions import SCENE, written
@@ -62,7 +62,7 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(how_many, t
         words = sorted({*rng.choice(words, how_many).tolist()} | _KNOWN | _BARRED)
     scene = load_scene(written(tmp_path, with_names("gap"), ANY))
     members = expand(scene)
-    found = run_members(members, Recording.of(scene))
+    found = run_members(members, scene.recording)
     ran, refused = set(), set()
     connection = duckdb.connect(":memory:", config={"threads": 1})
     for name in words:
@@ -78,7 +78,7 @@ def test_every_word_is_a_column_with_its_values_or_refused_in_a_line(how_many, t
             refused.add(name)
             continue
         ran.add(name)
-        recording, of_name = Recording.of(other), expand(other)
+        recording, of_name = other.recording, expand(other)
         assert [dict(member.source.parameters) for member in of_name] == [{name: 0.5}, {name: 1.0}]
         rows = pq.read_table(pa.BufferReader(encode(columns(of_name, found, recording), schema_of(recording))))
         assert rows[name].to_pylist() == [0.5, 1.0], name

@@ -18,7 +18,6 @@ from stickslip.pipeline.ensemble.pack import as_batch
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
 from stickslip.pipeline.running.worker import compute, compute_alone
-from stickslip.pipeline.scene.columns import Recording
 from tests.processes import is_running, until
 
 
@@ -28,7 +27,7 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
     batch = as_batch(0, expand(scene)[:2], scene.hash)
-    here, there = compute(batch, Recording.of(scene)), compute_alone(batch, Recording.of(scene))
+    here, there = compute(batch, scene.recording), compute_alone(batch, scene.recording)
     assert there.shard == here.shard
 
 

@@ -9,7 +9,6 @@ from stickslip.pipeline import SceneError, StoreError, expand, parse_scene, run_
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.query import all_events, by_threshold, events, members, separations, series
 from stickslip.pipeline.running import worker
-from stickslip.pipeline.scene.columns import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 SOURCE = ensemble(
@@ -149,7 +148,7 @@ def test_an_unchanged_run_is_made_once_for_all_its_copies(scene, monkeypatch):
         "stickslip.pipeline.ensemble.member.Member.task", lambda *args: made.append(args) or task(*args)
     )
     for member in expand(scene):
-        worker.row(member, Recording.of(scene))
+        worker.row(member, scene.recording)
     assert len(made) == scene.n_members + 2 * 3
 
 

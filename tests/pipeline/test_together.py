@@ -7,7 +7,6 @@ from stickslip.pipeline import parse_scene
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble import expand, member
 from stickslip.pipeline.running import worker
-from stickslip.pipeline.scene.columns import Recording
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 RECORD = "[record]\nevents = true\nend = true\nepisodes = true\n"
@@ -19,7 +18,7 @@ def bytes_of(members, found, recording):
 
 def members_of(source):
     scene = parse_scene(source.encode())
-    return expand.Members.of(*expand.expand(scene)), Recording.of(scene)
+    return expand.Members.of(*expand.expand(scene)), scene.recording
 
 
 @pytest.mark.parametrize("perturbation", ["", "[perturbation]\nsizes = [0.05]\nreadings = ['scale', 'relative']\n"])

@@ -35,7 +35,6 @@ from stickslip.pipeline.places import directory, object_store
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running.worker import compute
-from stickslip.pipeline.scene.columns import Recording
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -52,7 +51,7 @@ def tables(path):
 
 
 def test_one_row_a_member_in_order_with_the_written_schema(finished, scene):
-    schema = schema_of(Recording.of(scene))
+    schema = schema_of(scene.recording)
     found = []
     for table in tables(finished):
         assert table.schema.equals(schema, check_metadata=True)

@@ -7,7 +7,7 @@ import scipy.sparse
 from stickslip import System, draw_system, simulate
 from stickslip.sim.engines.moreau.step import BEYOND, whole_steps
 from stickslip.sim.episodes import episodes
-from stickslip.workflows.charts.peers import random_problem
+from stickslip.workflows.gallery.charts.peers import random_problem
 
 #: Closed forms of one block, as in tests/sim/test_closed_forms.py: rho, kappa, v, z0, w0, times, modes.
 ONE_BLOCK = [

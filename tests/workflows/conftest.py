@@ -5,8 +5,8 @@ import pytest
 
 from stickslip.analysis.report.page import Drawn
 from stickslip.pipeline import SceneError
-from stickslip.workflows.charts import load_chart, runner
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import load_chart, runner
 from stickslip.workflows.scenes import chart_of, shipped
 from tests.processes import computed_here
 from tests.scenes import ensemble

@@ -32,8 +32,8 @@ from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
-from stickslip.workflows.charts import CHARTS
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import CHARTS
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
 
@@ -264,12 +264,11 @@ def test_a_term_is_a_row(tree):
 from stickslip.analysis.ensemble import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, load_scene
-from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.systems import BY_BLOCK
 
 members = expand(load_scene("mine.toml"))
 known = SYSTEM_KEYS, BY_BLOCK, {one for _, one, _ in group_columns()}, {one.term("drag") for one in members}
-columns = {one.name: one.words for one in Recording.of(load_scene("mine.toml")).columns}
+columns = {one.name: one.words for one in load_scene("mine.toml").recording.columns}
 print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"], members[0].member_id)
 """
     said = python("-c", show)
@@ -319,7 +318,7 @@ def test_a_question_is_a_file_and_a_template(first):
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
-    named = re.search(r'`"width": "stickslip.workflows.charts.(width:\w+)"`', page("extending"))[1]
+    named = re.search(r'`"width": "stickslip.workflows.gallery.charts.(width:\w+)"`', page("extending"))[1]
     (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[4])
     (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
     (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])

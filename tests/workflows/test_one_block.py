@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import System, simulate
-from stickslip.workflows.charts import load_chart, runner
-from stickslip.workflows.field import one_block
-from stickslip.workflows.field.forced import Forced, State, most_friction, shape, sliding_cycle
-from stickslip.workflows.field.one_block import Basin, Measured, Period, Shifted, Sliding, Stability, Stops
+from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery.field import one_block
+from stickslip.workflows.gallery.field.forced import Forced, State, most_friction, shape, sliding_cycle
+from stickslip.workflows.gallery.field.one_block import Basin, Measured, Period, Shifted, Sliding, Stability, Stops
 from stickslip.workflows.scenes import shipped
 
 TINY = """

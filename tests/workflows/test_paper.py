@@ -11,13 +11,13 @@ import pytest
 
 from stickslip.analysis.report.page import Drawn
 from stickslip.sim import simulate
-from stickslip.workflows.charts import load_chart, runner
-from stickslip.workflows.charts.peers import W0, Z0, random_ratios
 from stickslip.workflows.commands import main
-from stickslip.workflows.paper import claims, figures_1_2, figures_3_to_5, runs
-from stickslip.workflows.paper.figures_3_to_5 import Cascades, Pairing, Row
-from stickslip.workflows.paper.runs import Ask
-from stickslip.workflows.paper.runs import Path as Run
+from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery.charts.peers import W0, Z0, random_ratios
+from stickslip.workflows.gallery.paper import claims, figures_1_2, figures_3_to_5, runs
+from stickslip.workflows.gallery.paper.figures_3_to_5 import Cascades, Pairing, Row
+from stickslip.workflows.gallery.paper.runs import Ask
+from stickslip.workflows.gallery.paper.runs import Path as Run
 from stickslip.workflows.scenes import shipped
 
 TINY = """

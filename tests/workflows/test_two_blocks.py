@@ -7,9 +7,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from stickslip.workflows.charts import load_chart, runner
-from stickslip.workflows.field import two_blocks
-from stickslip.workflows.field.two_blocks import End, Measured, Pair, Together, Unequal
+from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery.field import two_blocks
+from stickslip.workflows.gallery.field.two_blocks import End, Measured, Pair, Together, Unequal
 from stickslip.workflows.scenes import shipped
 from tests.independent import Case, follow
 

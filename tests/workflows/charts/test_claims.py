@@ -1,6 +1,6 @@
 """The rule by which claims are judged."""
 
-from stickslip.workflows.charts.claims import every, share, told
+from stickslip.workflows.gallery.charts.claims import every, share, told
 
 
 def test_a_claim_is_told_where_its_whole_interval_is():

@@ -14,9 +14,9 @@ from pydantic import Field
 
 from stickslip.analysis.report import formats
 from stickslip.pipeline.machine.processes import ONE_THREAD
-from stickslip.workflows import charts
-from stickslip.workflows.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery import charts
+from stickslip.workflows.gallery.charts import ChartScene, Several, Shown, cost, runner
 from stickslip.workflows.scenes import chart_of, shipped
 
 

@@ -11,9 +11,9 @@ import scipy.sparse
 
 from stickslip import sim
 from stickslip.pipeline import expand
-from stickslip.workflows.charts import runner, scaling
-from stickslip.workflows.charts.scaling import Cost, Measured, Throughput, cost_against_size
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import runner, scaling
+from stickslip.workflows.gallery.charts.scaling import Cost, Measured, Throughput, cost_against_size
 
 TINY = """
 chart = "scaling"

@@ -11,9 +11,18 @@ import pytest
 
 from stickslip import sim
 from stickslip.pipeline import expand, parse_scene
-from stickslip.workflows.charts import load_chart, peers, runner
-from stickslip.workflows.charts.peers import METHODS, Equations, GivenUp, Method, MethodError, Problem, Solution
-from stickslip.workflows.charts.speed_accuracy import (
+from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import load_chart, peers, runner
+from stickslip.workflows.gallery.charts.peers import (
+    METHODS,
+    Equations,
+    GivenUp,
+    Method,
+    MethodError,
+    Problem,
+    Solution,
+)
+from stickslip.workflows.gallery.charts.speed_accuracy import (
     Cost,
     Measured,
     Panel,
@@ -21,8 +30,7 @@ from stickslip.workflows.charts.speed_accuracy import (
     error_against_cost,
     products_at,
 )
-from stickslip.workflows.charts.trials import compared
-from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts.trials import compared
 from tests.scenes import SIGMOID, ensemble
 
 TINY = """
@@ -47,7 +55,7 @@ def without_extra(monkeypatch):
     """As if the extra `bench` were not installed."""
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "stickslip.workflows.charts.peers.find_spec",
+        "stickslip.workflows.gallery.charts.peers.find_spec",
         lambda name: None if name in ("CyRK", "sksundae", "diffrax") else find(name),
     )
 

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.workflows.charts import runner
-from stickslip.workflows.charts.peers import METHODS
-from stickslip.workflows.charts.stability import Cell, Column, Map, Measured, judged, maps_of
 from stickslip.workflows.commands import main
+from stickslip.workflows.gallery.charts import runner
+from stickslip.workflows.gallery.charts.peers import METHODS
+from stickslip.workflows.gallery.charts.stability import Cell, Column, Map, Measured, judged, maps_of
 
 TINY = """
 chart = "stability"

@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from stickslip import sim
-from stickslip.workflows.charts import Say
+from stickslip.workflows.gallery.charts import Say
 
 #: What pulls, of a friction of one; for how long; the width of the sigmoid.
 PULL, T_END, EPS = 0.5, 1e4, 0.03

@@ -22,7 +22,7 @@ from stickslip.analysis import Report
 from stickslip.analysis.report.formats import environment as page_environment
 from stickslip.analysis.report.formats import number
 from stickslip.analysis.report.page import Drawn, draw
-from stickslip.workflows.charts import ChartScene
+from stickslip.workflows.gallery.charts import ChartScene
 
 
 def versions(*libraries: str) -> dict[str, str]:
@@ -43,7 +43,7 @@ def _folder(scene: ChartScene) -> Path:
 def report(scene: ChartScene, measured: Any) -> Report:
     """The page of a scene, made of what its `measure` gave; its headline is the page's lead."""
     shown = scene.show(measured)
-    environment = page_environment("stickslip.workflows.charts")
+    environment = page_environment("stickslip.workflows.gallery.charts")
     assert environment.loader is not None
     environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
     figures = {name: draw(recipe) for name, recipe in shown.figures.items()}

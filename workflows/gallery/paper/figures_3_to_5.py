@@ -19,8 +19,8 @@ from stickslip.analysis.questions.cascades import PAPER_GAMMA
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis
-from stickslip.workflows.charts.claims import CONFIDENCE, Claim
-from stickslip.workflows.paper.runs import Exits, Path
+from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim
+from stickslip.workflows.gallery.paper.runs import Exits, Path
 
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
 #: matrices; sampled so often.

@@ -25,9 +25,9 @@ from stickslip.analysis.stats.estimates import over_matrices, ratio
 from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
 from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers
 from stickslip.sim.episodes import spans
-from stickslip.workflows.charts import ChartScene, Say, Shown
-from stickslip.workflows.charts.claims import CONFIDENCE, Claim, every, share, table, told
-from stickslip.workflows.charts.runner import frame
+from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
+from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim, every, share, table, told
+from stickslip.workflows.gallery.charts.runner import frame
 
 TOL = 1e-12
 #: Longer than any episode, from a unit of time before it.

@@ -12,8 +12,8 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from stickslip import sim
-from stickslip.workflows.charts.cost import Product, timed
-from stickslip.workflows.charts.peers import GivenUp, Method, MethodError, Problem, Solution, solved, warm
+from stickslip.workflows.gallery.charts.cost import Product, timed
+from stickslip.workflows.gallery.charts.peers import GivenUp, Method, MethodError, Problem, Solution, solved, warm
 
 Outcome = Literal["measured", "right", "rough", "wrong", "not judged", "failed", "too slow", "absent"]
 #: The name of a method and a tolerance.

@@ -33,12 +33,12 @@ Say = Callable[[str], None]
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
 CHARTS = {
-    "one_block": "stickslip.workflows.field.one_block:OneBlockScene",
-    "paper": "stickslip.workflows.paper.chart:PaperScene",
-    "scaling": "stickslip.workflows.charts.scaling:ScalingScene",
-    "speed_accuracy": "stickslip.workflows.charts.speed_accuracy:SpeedScene",
-    "stability": "stickslip.workflows.charts.stability:StabilityScene",
-    "two_blocks": "stickslip.workflows.field.two_blocks:TwoBlocksScene",
+    "one_block": "stickslip.workflows.gallery.field.one_block:OneBlockScene",
+    "paper": "stickslip.workflows.gallery.paper.chart:PaperScene",
+    "scaling": "stickslip.workflows.gallery.charts.scaling:ScalingScene",
+    "speed_accuracy": "stickslip.workflows.gallery.charts.speed_accuracy:SpeedScene",
+    "stability": "stickslip.workflows.gallery.charts.stability:StabilityScene",
+    "two_blocks": "stickslip.workflows.gallery.field.two_blocks:TwoBlocksScene",
 }
 
 

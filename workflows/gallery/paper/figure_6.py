@@ -15,8 +15,8 @@ from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, panel
 from stickslip.sim.theory.blowup import Blowup
 from stickslip.sim.theory.laws import Coulomb, Modified, SwitchingLaw
 from stickslip.sim.theory.slow_time import Segment, run_with_law
-from stickslip.workflows.charts.peers import Floats
-from stickslip.workflows.paper.figures_1_2 import V, pair
+from stickslip.workflows.gallery.charts.peers import Floats
+from stickslip.workflows.gallery.paper.figures_1_2 import V, pair
 
 #: Figure 6: F_1 = -F_2.
 FORCE = 0.5

@@ -1,31 +1,23 @@
-"""The chart `paper`: the paper's six figures, computed again, and its claims, judged.
-
-Exact law unless a law is named; dimensionless.
-"""
+"""What the chart `paper` asks for, and what is measured for it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from typing import Annotated, Any, Literal
 
-import pandas as pd
 from pydantic import Field, model_validator
 
 from stickslip import sim
-from stickslip.analysis.answer import Recipe
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
-from stickslip.workflows.charts import ChartScene, Say, Several, Shown
-from stickslip.workflows.charts.claims import table
-from stickslip.workflows.charts.runner import frame
-from stickslip.workflows.paper import claims, figure_6, figures_1_2, figures_3_to_5
-from stickslip.workflows.paper.claims import STRONGEST
-from stickslip.workflows.paper.figure_6 import BlowUp, SlowEvent, SlowRun
-from stickslip.workflows.paper.figures_1_2 import ONE, Corner, Parallelogram, Portrait, Uniqueness
-from stickslip.workflows.paper.figures_3_to_5 import Cascades, Pairing, Row, Trace
-from stickslip.workflows.paper.runs import SCALES, Ask, run_all
+from stickslip.workflows.gallery.charts import ChartScene, Several
+from stickslip.workflows.gallery.paper.figure_6 import BlowUp, SlowRun
+from stickslip.workflows.gallery.paper.figures_1_2 import Parallelogram, Portrait, Uniqueness
+from stickslip.workflows.gallery.paper.figures_3_to_5 import Cascades, Pairing, Row, Trace
+from stickslip.workflows.gallery.paper.runs import SCALES, Ask
+
+STRONGEST = 0.1  # change of the paper's figure 4 (iv)
 
 
 @dataclass(frozen=True)
@@ -44,10 +36,8 @@ class Measured:
     modes: list[tuple[float, float, bool]]
 
 
-class PaperScene(ChartScene):
-    """A scene with ``chart = "paper"``; dimensionless."""
-
-    libraries = ("scipy",)
+class Asked(ChartScene):
+    """The keys of a scene with ``chart = "paper"``, and the runs that they ask for; dimensionless."""
 
     chart: Literal["paper"] = Field(description="kind of the chart", examples=["paper"])
     title: str = Field(default="The paper, claim by claim", description="one line for the report's head")
@@ -79,7 +69,7 @@ class PaperScene(ChartScene):
     workers: Count = Field(default=2, description="number of local workers")
 
     @model_validator(mode="after")
-    def _in_order(self) -> PaperScene:
+    def _in_order(self) -> Asked:
         for early, late in (("t_shown", "t_few"), ("t_burn", "t_few"), ("t_burn", "t_end")):
             if getattr(self, early) >= getattr(self, late):
                 raise ValueError(
@@ -134,67 +124,3 @@ class PaperScene(ChartScene):
                 yield Ask("details", detail, n, matrix, self.t_few, detail=detail)
             for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, few):
                 yield Ask("readings", coupling, blocks, matrix, self.t_few, coupling=coupling)
-
-    def measure(self, say: Say) -> Measured:
-        """What the figures show and their claims are judged by."""
-        found = Measured(*([] for _ in Measured.__dataclass_fields__))
-        if 1 in self.figures:
-            found.portraits.extend(map(figures_1_2.portrait, (-ONE[3], ONE[3])))
-        if 2 in self.figures:
-            found.parallelograms.extend((figures_1_2.parallelogram(1), figures_1_2.parallelogram(-1)))
-            found.uniqueness.append(figures_1_2.uniqueness())
-        if 6 in self.figures:
-            found.blow_ups.extend(figure_6.blow_ups())
-            found.slow_runs.extend(figure_6.slow_run(side) for side in (1, -1))
-            found.modes.extend(figure_6.modes_in_time())
-        asks = list(dict.fromkeys(self.asks()))
-        paths = []
-        for k, path in enumerate(run_all(asks, self.seed, self.eps, self.workers), start=1):
-            paths.append(path)
-            found.traces.extend(figures_3_to_5.traces(path, self.t_shown, self.n))
-            if k % 20 == 0 or k == len(asks):
-                say(f"{k} of {len(asks)} runs")
-        found.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
-        found.pairings.extend(figures_3_to_5.pairings(paths, self.t_burn))
-        if 5 in self.figures:
-            found.cascades.extend(figures_3_to_5.cascade_laws(paths, self.n[-1], self.dt, self.t_burn))
-        return found
-
-    def show(self, measured: Measured) -> Shown:
-        """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `paths`, `hidden`."""
-        judged = claims.judge(self, measured)
-        corners = [corner for one in measured.parallelograms for corner in one.corners]
-        slow = [event for run in measured.slow_runs for event in run.events]
-        tables: dict[str, pd.DataFrame] = {"claims": table(judged)}
-        tables |= {
-            name: frame(rows, of)
-            for name, rows, of in (
-                ("corners", corners, Corner), ("runs", measured.runs, Row), ("cascades", measured.cascades, Cascades),
-                ("paths", measured.pairings, Pairing), ("hidden", slow, SlowEvent),
-            )
-            if rows
-        }  # fmt: skip
-        drawn: dict[int, list[Recipe]] = {
-            1: [partial(figures_1_2.phase_portrait, one) for one in measured.portraits],
-            2: [
-                *(partial(figures_1_2.region, one) for one in measured.parallelograms),
-                *(partial(figures_1_2.velocities, one) for one in measured.parallelograms[:1]),
-            ],
-            3: figures_3_to_5.panels(measured.traces, 3),
-            4: figures_3_to_5.panels(measured.traces, 4),
-            5: figures_3_to_5.panels(measured.traces, 5),
-            6: [partial(figure_6.fast_flow, one) for one in measured.blow_ups],
-        }
-        if 4 in self.figures:
-            drawn[4].append(partial(figures_3_to_5.escape_times, measured.runs, self.t_few))
-        if 5 in self.figures:
-            drawn[5].append(partial(figures_3_to_5.size_law, measured.cascades))
-        if 6 in self.figures:
-            drawn[6].append(partial(figure_6.slow_modes, measured.modes, measured.slow_runs))
-        figures = {
-            f"figure{number}_{k}": recipe
-            for number in self.figures
-            for k, recipe in enumerate(drawn[number], start=1)
-        }
-        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "figures": list(figures)}
-        return Shown(facts, tables, figures)

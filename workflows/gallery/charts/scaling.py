@@ -28,10 +28,10 @@ from stickslip.pipeline import Scene, run_ensemble
 from stickslip.pipeline.ensemble.member import MATRIX
 from stickslip.pipeline.running.cluster import local
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive
-from stickslip.workflows.charts import ChartScene, Say, Shown
-from stickslip.workflows.charts.cost import Product, timed
-from stickslip.workflows.charts.peers import W0, Z0, random_system, seed_of
-from stickslip.workflows.charts.runner import frame
+from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
+from stickslip.workflows.gallery.charts.cost import Product, timed
+from stickslip.workflows.gallery.charts.peers import W0, Z0, random_system, seed_of
+from stickslip.workflows.gallery.charts.runner import frame
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
 KAPPA_AT = 200

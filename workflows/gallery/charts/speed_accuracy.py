@@ -19,11 +19,11 @@ from pydantic import Field
 
 from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
 from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
-from stickslip.workflows.charts import ChartScene, Say, Several, Shown
-from stickslip.workflows.charts.cost import Product
-from stickslip.workflows.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
-from stickslip.workflows.charts.runner import frame, power
-from stickslip.workflows.charts.trials import Reference, Setting, Trial, referenced, trials
+from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
+from stickslip.workflows.gallery.charts.cost import Product
+from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
+from stickslip.workflows.gallery.charts.runner import frame, power
+from stickslip.workflows.gallery.charts.trials import Reference, Setting, Trial, referenced, trials
 
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
 PATIENCE = 5.0

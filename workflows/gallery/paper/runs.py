@@ -19,7 +19,7 @@ from stickslip.analysis.series.nulls import block_steps
 from stickslip.pipeline.ensemble.member import MATRIX, PERTURBATION
 from stickslip.pipeline.machine.processes import Child
 from stickslip.pipeline.scene.engine_table import TOLERANCES
-from stickslip.workflows.charts.peers import W0, Z0, Floats, random_ratios, seed_of
+from stickslip.workflows.gallery.charts.peers import W0, Z0, Floats, random_ratios, seed_of
 
 #: The ensemble that gives all of figure 3; the constants of section 4.
 ENSEMBLE = "antisymmetric"

@@ -21,10 +21,10 @@ from scipy import optimize
 from stickslip import sim
 from stickslip.analysis.style import CYCLE, GREY, STYLE, subplots
 from stickslip.pipeline.scene.toml import Count
-from stickslip.workflows.charts import ChartScene, Say, Shown
-from stickslip.workflows.charts.claims import Claim, every, share, table, told, verdict_of
-from stickslip.workflows.charts.runner import frame
-from stickslip.workflows.field.forced import Forced, State, most_friction, sliding_cycle
+from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
+from stickslip.workflows.gallery.charts.claims import Claim, every, share, table, told, verdict_of
+from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.field.forced import Forced, State, most_friction, sliding_cycle
 
 EXACT = 1e-12  # relative: the tolerance of the runs
 ALMOST_ALWAYS = 0.95

@@ -29,11 +29,11 @@ from pydantic import Field
 from stickslip import sim
 from stickslip.analysis.style import GREY, STYLE, subplots
 from stickslip.pipeline.scene.toml import Blocks, Positive
-from stickslip.workflows.charts import ChartScene, Say, Several, Shown, slope
-from stickslip.workflows.charts.peers import METHODS, Model, Problem, methods_of, random_problem
-from stickslip.workflows.charts.runner import frame
-from stickslip.workflows.charts.slope import Creep, creep
-from stickslip.workflows.charts.trials import Outcome, Reference, Setting, Trial, referenced, trials
+from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown, slope
+from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, methods_of, random_problem
+from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.slope import Creep, creep
+from stickslip.workflows.gallery.charts.trials import Outcome, Reference, Setting, Trial, referenced, trials
 
 Axis = Literal["layer", "bond", "damping"]
 

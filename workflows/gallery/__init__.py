@@ -1,0 +1,1 @@
+"""The charts, the paper and the field: scenes that are measured in one process, and what their pages say."""
