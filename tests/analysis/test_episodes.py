@@ -368,7 +368,7 @@ def test_dead_time_is_no_regularity_and_no_order(planted_episodes, settings, rng
     assert own.ngroups == 12
     lead = episodes.answer(Study(replace(data, episodes=stretched), settings)).facts["lead"]
     assert lead[OCCUPANCY] == pytest.approx(0.5, abs=0.05)
-    assert lead["regularity"] == catalogues.AS_POISSON
+    assert lead["regularity"] not in (catalogues.REGULAR, catalogues.CLUSTERED)  # 12 runs cannot always exclude 10%
     assert lead[FANO] == pytest.approx(1.0, abs=ERRORS * np.sqrt(2 / 19 / 12))
     sizes, starts_of = (stretched[name].to_numpy(float) for name in ("size", "start"))
     whole = Catalogue(0.0, 1e3, starts_of[:300], 0.1 * sizes[:300], sizes[:300], sizes[:300], 1e3, sizes[:300])
