@@ -12,7 +12,7 @@ from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.numerics.arguments import did_you_mean, flag, floats, number, per_block
 from stickslip.sim.runs.run import Run, Samples
-from stickslip.sim.systems.system import System, require_constant_friction, require_one_belt, require_one_friction
+from stickslip.sim.systems.system import System, require_within
 
 #: Keywords of `simulate` itself, to suggest where one is misspelt.
 _KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
@@ -92,12 +92,7 @@ def as_task(
     """The task for an engine; see `simulate`."""
     if not isinstance(system, System):
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
-    if not engine.takes_static:
-        require_one_friction(system, f"engine={engine.name!r}")
-    if not engine.takes_weakening:
-        require_constant_friction(system, f"engine={engine.name!r}")
-    if not engine.takes_drive:
-        require_one_belt(system.of_unit_mass, f"engine={engine.name!r}")
+    require_within(engine.taken(), system, f"engine={engine.name!r}")
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")

@@ -53,6 +53,7 @@ from stickslip.pipeline.scene.toml import (
 )
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.systems.couplings import Reading
+from stickslip.sim.systems.system import BEYOND
 from stickslip.sim.systems.terms import TERMS
 
 #: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
@@ -283,14 +284,15 @@ class Scene(StrictTable):
         belts = [one for one in values(known["belt_speed"]) if isinstance(one, Distribution | Course)]
         force, weakening = self.system.force, self.system.weakening
         asked = (
-            ("takes_drive", "force", force if any(size(one) for one in push if one is not None) else None, "none"),
-            ("takes_drive", "belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
-            ("takes_weakening", "weakening", weakening, "none"),
-            ("takes_weakening", "back_slip", None if system.back_slip else "false", "true"),
+            ("force", force if any(size(one) for one in push if one is not None) else None, "none"),
+            ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
+            ("weakening", weakening, "none"),
+            ("back_slip", None if system.back_slip else "false", "true"),
+            *((term.name, known[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
         for engine in self.engines:
-            for what, key, found, expected in asked:
-                if found is not None and not getattr(engine.engine, what):
+            for key, found, expected in asked:
+                if found is not None and key in BEYOND and key not in engine.engine.taken():
                     got = found.model_dump(exclude_none=True) if isinstance(found, BaseModel) else found
                     raise SceneError(
                         f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'
@@ -339,7 +341,7 @@ class Scene(StrictTable):
                     f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(known)}, got"
                     f" {unknown[0]!r}; add it there, or remove it here"
                 )
-            if "damping matrix" in self.readings_of(engine) and not engine.engine.takes_damping_matrix:
+            if "damping matrix" in self.readings_of(engine) and "damping matrix" not in engine.engine.takes:
                 others = [reading for reading in known if reading != "damping matrix"]
                 raise ValueError(
                     f'engine[{i}].readings: expected no "damping matrix" with the engine "{engine.name}", whose'

@@ -161,25 +161,16 @@ class Engine(ABC):
         The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
     is_exact : bool
         Whether it keeps the exact, set-valued friction law, whose energy balance `stickslip.sim.energy` knows.
-    takes_damping_matrix : bool
-        Whether it runs systems with a full damping matrix.
-    takes_static : bool
-        Whether it runs systems with static friction above the kinetic.
-    takes_drive : bool
-        Whether it runs systems with external forces, and belts of several or changing speeds. Masses are divided out
-        before.
-    takes_weakening : bool
-        Whether it runs systems whose friction weakens with the speed of slip, or without back slip.
+    takes : frozenset of str
+        What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything
+        else there are refused. Masses are divided out before.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
     is_exact: ClassVar[bool] = False
-    takes_damping_matrix: ClassVar[bool] = True
-    takes_static: ClassVar[bool] = False
-    takes_drive: ClassVar[bool] = False
-    takes_weakening: ClassVar[bool] = False
+    takes: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for name, about in self.settings().items():
@@ -195,6 +186,11 @@ class Engine(ABC):
         All systems are plain, see `System.is_plain`, with one number of blocks: an engine may set them up together.
         """
         return [partial(self.integrate, task) for task in tasks]
+
+    @classmethod
+    def taken(cls) -> frozenset[str]:
+        """What systems that it is given may have beyond eq. (10)."""
+        return cls.takes | {"mass"}
 
     @classmethod
     def settings(cls) -> dict[str, Setting]:

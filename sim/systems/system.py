@@ -11,7 +11,7 @@ of speed v_i(t). Everything is dimensionless.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -438,52 +438,75 @@ def work_out(systems: Sequence[System]) -> None:
             system.__dict__["rates"] = rates[k]
 
 
-def require_diagonal_damping(system: System, what: str) -> None:
-    """ValueError if the system has cross damping, naming what does not take it."""
-    if system.cross_damping is not None:
-        block, other = np.argwhere(system.cross_damping)[0]
-        raise ValueError(
-            f"system: expected a diagonal damping matrix, all that {what} takes, got"
-            f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
-            " diagonal, or use engine='sigmoid'"
-        )
+def _beyond_cross_damping(system: System, what: str) -> str:
+    if system.cross_damping is None:
+        return ""
+    block, other = np.argwhere(system.cross_damping)[0]
+    return (
+        f"damping: expected a diagonal matrix, all that {what} takes, got"
+        f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
+        " diagonal, or use engine='sigmoid'"
+    )
 
 
-def require_one_friction(system: System, what: str) -> None:
-    """ValueError if static friction is above the kinetic, naming what does not take it."""
-    if system.is_static_above:
-        block = int(np.argmax(system.static - system.friction))
-        raise ValueError(
-            f"static: expected the kinetic friction, the one friction that {what} takes, got"
-            f" {system.static[block]:g} above {system.friction[block]:g} at block {block}; leave it out"
-        )
+def _beyond_static(system: System, what: str) -> str:
+    if not system.is_static_above:
+        return ""
+    block = int(np.argmax(system.static - system.friction))
+    return (
+        f"static: expected the kinetic friction, the one friction that {what} takes, got"
+        f" {system.static[block]:g} above {system.friction[block]:g} at block {block}; leave it out"
+    )
 
 
-def require_one_belt(system: System, what: str) -> None:
-    """ValueError for masses, external forces, or belts of several speeds, naming what does not take them."""
-    for name, holds, expected, got in (
-        ("mass", not system.has_mass, "1", f"{show.span(system.mass)}"),
-        ("force", not system.force, "none", f"{len(system.force)} of them"),
-        ("belt_speed", system.has_one_belt, "one constant number", system._belts()),
-    ):
-        if not holds:
-            raise ValueError(f"{name}: expected {expected}, all that {what} takes, got {got}; leave it out")
+def _beyond_weakening(system: System, what: str) -> str:
+    none = system.weakening is None
+    return "" if none else f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out"
 
 
-def require_constant_friction(system: System, what: str) -> None:
-    """ValueError if kinetic friction falls with speed, or one side is closed, naming what does not take it."""
-    if system.weakening is not None:
-        raise ValueError(f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out")
-    if not system.back_slip:
-        raise ValueError(f"back_slip: expected True, all that {what} takes, got False; leave it out")
+def _beyond_back_slip(system: System, what: str) -> str:
+    return "" if system.back_slip else f"back_slip: expected True, all that {what} takes, got False; leave it out"
+
+
+def _beyond_mass(system: System, what: str) -> str:
+    got = show.span(system.mass)
+    return f"mass: expected 1, all that {what} takes, got {got}; leave it out" if system.has_mass else ""
+
+
+def _beyond_force(system: System, what: str) -> str:
+    got = f"{len(system.force)} of them"
+    return f"force: expected none, all that {what} takes, got {got}; leave it out" if system.force else ""
+
+
+def _beyond_belt_speed(system: System, what: str) -> str:
+    if system.has_one_belt:
+        return ""
+    return f"belt_speed: expected one constant number, all that {what} takes, got {system._belts()}; leave it out"
+
+
+#: What a system may have beyond eq. (10), by the name under which an engine says that it takes it: a function of the
+#: system, and of what does not take it, that gives the words of the refusal, or none if the system has no such thing.
+BEYOND: dict[str, Callable[[System, str], str]] = {
+    "static": _beyond_static,
+    "weakening": _beyond_weakening,
+    "back_slip": _beyond_back_slip,
+    "mass": _beyond_mass,
+    "force": _beyond_force,
+    "belt_speed": _beyond_belt_speed,
+    "damping matrix": _beyond_cross_damping,
+}
+
+
+def require_within(takes: Collection[str], system: System, what: str) -> None:
+    """ValueError if the system has something of `BEYOND` that is not in `takes`; `what` is who does not take it."""
+    for name, refusal in BEYOND.items():
+        if name not in takes and (words := refusal(system, what)):
+            raise ValueError(words)
 
 
 def require_plain(system: System, what: str) -> None:
     """ValueError if the system is not that of eq. (10), with a diagonal damping and one friction."""
-    require_diagonal_damping(system, what)
-    require_one_friction(system, what)
-    require_one_belt(system, what)
-    require_constant_friction(system, what)
+    require_within((), system, what)
 
 
 def _is_sparse(matrix: object) -> bool:

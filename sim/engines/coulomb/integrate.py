@@ -23,7 +23,6 @@ from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
-from stickslip.sim.systems.system import require_diagonal_damping
 
 #: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
 #: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
@@ -71,7 +70,6 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
 def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
     """Run a task. `rate` bounds |eigenvalues|; `expand` itself limits a step to where the series of a force holds."""
     system = task.system
-    require_diagonal_damping(system, "engine='coulomb'")
     drive = Drive(system, task.t_start, task.t_end, control.ORDER_MAX + 1)
     model, v = Model.of(system, pairs, drive), drive.belt_speed
     near, far = system.slip_friction

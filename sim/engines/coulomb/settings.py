@@ -33,10 +33,7 @@ class Coulomb(Engine):
     about = "exact, event-driven."
     kernels = "stickslip.sim.engines.coulomb"
     is_exact = True
-    takes_damping_matrix = False
-    takes_static = True
-    takes_drive = True
-    takes_weakening = True
+    takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed"})
 
     tol: float = setting(1e-10, TOL)
 

@@ -24,8 +24,6 @@ from stickslip.sim.runs.series import EventSeries, without_returns
 def integrate(task: Task, longest: float) -> Run:
     """Run a task in equal steps of at most that length."""
     system = task.system
-    if system.cross_damping is not None:
-        raise ValueError('damping: expected its diagonal, all that engine="moreau" takes, got a full matrix')
     n, span = system.n, task.t_end - task.t_start
     n_steps = whole_steps(span, longest)
     h = span / n_steps if n_steps else longest

@@ -33,8 +33,7 @@ class Moreau(Engine):
     name = "moreau"
     about = "time stepping of Moreau and Jean, to compare with: no event is located."
     kernels = "stickslip.sim.engines.moreau"
-    takes_damping_matrix = False
-    takes_static = True
+    takes = frozenset({"static"})
 
     step: float = setting(0.01, Number(words="longest step", in_id="h", in_label="always", above=0))
 

@@ -61,9 +61,7 @@ class Sigmoid(Engine):
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "stickslip.sim.engines.sigmoid"
-    takes_static = True
-    takes_drive = True
-    takes_weakening = True
+    takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed", "damping matrix"})
 
     eps: float = setting(
         0.03,
