@@ -27,15 +27,8 @@ from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
-from stickslip.pipeline.running.worker import (
-    compute,
-    compute_alone_packed,
-    compute_packed,
-    is_cold,
-    load_kernels,
-    one_an_engine,
-    row,
-)
+from stickslip.pipeline.running.isolation import compute_alone_packed
+from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, one_an_engine, row
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
 

@@ -23,7 +23,6 @@ from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import foreign
-from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made
 from stickslip.pipeline.running.ends import end_of
@@ -36,7 +35,6 @@ from stickslip.sim.systems.system import work_out
 
 #: Members that are set up at once, and entries of K that they have together, at most.
 _TOGETHER, _ENTRIES = 128, 2**16
-
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
 
@@ -187,43 +185,6 @@ def _times(member: Member, recording: Recording) -> np.ndarray:
     asked = [times for record in recording.records if len(times := record.times(member))]
     assert len(asked) <= 1
     return asked[0] if asked else np.empty(0)
-
-
-# ---------------------------------------------------------------------------------------------- in a process apart
-
-
-def compute_alone(batch: Batch, recording: Recording) -> Result:
-    """As `compute`, in a process of its own.
-
-    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
-    """
-    start = time.perf_counter()
-    found: list[dict[str, Any]] = []
-    process: Child | None = None
-    with contextlib.ExitStack() as started:
-        for member in batch.members:
-            for is_second in (False, True):
-                process = process or started.enter_context(Child(_run_members))
-                try:
-                    found += process(([member], recording))
-                    break
-                except ChildDied as death:
-                    process = None
-                    if is_second:
-                        found.append(failed(member, f"its worker died ({death})"))
-    return as_result(batch, recording, found, start)
-
-
-def compute_alone_packed(task: bytes) -> Result:
-    """As `compute_alone`, for a pickled task."""
-    return compute_alone(*pickle.loads(task))
-
-
-def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
-    return run_members(*task)
-
-
-# ---------------------------------------------------------------------------------------------- kernels
 
 
 def is_cold(engine: str) -> bool:

@@ -17,7 +17,8 @@ from stickslip.pipeline import expand
 from stickslip.pipeline.ensemble.pack import as_batch
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
-from stickslip.pipeline.running.worker import compute, compute_alone
+from stickslip.pipeline.running.isolation import compute_alone
+from stickslip.pipeline.running.worker import compute
 from tests.processes import is_running, until
 
 

@@ -1,0 +1,46 @@
+"""Members that killed their worker: each runs again in its own process; one that dies twice has a row that says so."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import time
+from typing import Any
+
+from stickslip.pipeline.dataset.result import Result
+from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.running.worker import as_result, failed, run_members
+from stickslip.pipeline.scene.columns import Recording
+
+
+def compute_alone(batch: Batch, recording: Recording) -> Result:
+    """As `compute`, in a process of its own.
+
+    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
+    """
+    start = time.perf_counter()
+    found: list[dict[str, Any]] = []
+    process: Child | None = None
+    with contextlib.ExitStack() as started:
+        for member in batch.members:
+            for is_second in (False, True):
+                process = process or started.enter_context(Child(_run_members))
+                try:
+                    found += process(([member], recording))
+                    break
+                except ChildDied as death:
+                    process = None
+                    if is_second:
+                        found.append(failed(member, f"its worker died ({death})"))
+    return as_result(batch, recording, found, start)
+
+
+def compute_alone_packed(task: bytes) -> Result:
+    """As `compute_alone`, for a pickled task."""
+    return compute_alone(*pickle.loads(task))
+
+
+def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
+    return run_members(*task)
