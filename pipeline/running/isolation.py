@@ -1,4 +1,4 @@
-"""Members that killed their worker: each runs again in its own process; one that dies twice has a row that says so."""
+"""Members that killed their worker: each runs again in its own process; one that dies twice gets a row saying so."""
 
 from __future__ import annotations
 
