@@ -295,8 +295,10 @@ def test_what_users_write_is_escaped(planted, settings):
 
 
 def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
-    with pytest.raises(ValueError, match=r"question: expected one of sweep, .*, got 'rythm'; did you mean 'rhythm'"):
-        report_of(scarce["two matrices"], replace(settings, question=("fates", "rythm")))
+    with pytest.raises(
+        ValueError, match=r"question: expected one of sweep, .*, got 'rhythms'; did you mean 'rhythm'"
+    ):
+        report_of(scarce["two matrices"], replace(settings, question=("fates", "rhythms")))
 
 
 @pytest.mark.parametrize("key", QUESTIONS)

@@ -369,7 +369,7 @@ def check_bad(content, words, folder, capsys):
         ("n = 12", "n = 0\ncolour = 1", ["bad.toml: system.n", "greater than or equal to 1"]),
         (
             "[analysis]",
-            '[analysis]\nquestion = "rythm"',
+            '[analysis]\nquestion = "rhythms"',
             ["bad.toml: analysis.question: expected one of", "'rhythm'"],
         ),
     ],
