@@ -35,6 +35,7 @@ smartquotes = False  # s'' is a derivative
 
 default_role = "py:obj"
 nitpick_ignore = [("py:obj", "Axes.step")]  # of matplotlib
+nitpick_ignore_regex = [("py:class", r"stickslip\.sim\.systems\.weakening\..*\.kind")]  # made for each law
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say what is taken, with shapes
 napoleon_google_docstring = False
