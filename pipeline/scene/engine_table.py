@@ -89,6 +89,13 @@ class EngineTable(StrictTable):
         keys = (key for key in TOLERANCES["paths"] if key in type(self).model_fields)
         return {key: value for key in keys if (value := getattr(self, key)) is not None}
 
+    @property
+    def named(self) -> tuple[Any, ...]:
+        """What the names of its members tell: the engine, and the settings that have a word there."""
+        known = self.engine.settings()
+        own = {name: value for name, value in self.settings.items() if known[name].in_id is not None}
+        return self.name, *own.items()
+
     def complete(self, purpose: Purpose) -> Self:
         """This table with no tolerance missing."""
         picked = {key: value for key, value in TOLERANCES[purpose].items() if key in type(self).model_fields}

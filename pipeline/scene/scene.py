@@ -211,6 +211,14 @@ class Scene(StrictTable):
                     f"engine[{i}]: expected settings that differ from engine[{settings.index(setting)}], "
                     f"got the same; remove it"
                 )
+        named = [engine.named for engine in self.engines]
+        for i, one in enumerate(named):
+            if one in named[:i]:
+                raise ValueError(
+                    f"engine[{i}]: expected settings that give its members other names than those of"
+                    f" engine[{named.index(one)}], got what no name tells apart; put both into one table, or change"
+                    " eps or a tolerance"
+                )
         if self.analysis.t_burn >= self.run.t_end:
             raise ValueError(
                 f"analysis.t_burn: expected less than run.t_end = {self.run.t_end}, "

@@ -81,6 +81,12 @@ BAD = {
         '[[engine]]\nname = "coulomb"\n[[engine]]\nname = "coulomb"\ntol = 1e-10',
         ["engine[1]", "engine[0]", "remove it"],
     ),
+    "engines that no name tells apart": (
+        '[[engine]]\nname = "coulomb"',
+        '[[engine]]\nname = "sigmoid"\neps = 0.07\n[[engine]]\nname = "sigmoid"\neps = 0.07\nthresholds = [0.5]\n'
+        '[[engine]]\nname = "coulomb"',
+        ["engine[1]", "other names than those of engine[0]", "one table"],
+    ),
     "unknown ratio": ('ratio = "uniform"', 'ratio = "random"', ["engine[1].ratio", "'one' or 'uniform'", "'random'"]),
     "draws of nothing": (
         'ratio = "uniform"',
