@@ -14,7 +14,6 @@ import pandas as pd
 
 from stickslip.analysis.groups import Group, Series, fill, groups, window_of
 from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, unchanged
-from stickslip.analysis.members import SYSTEM_KEYS as SYSTEM_KEYS  # other floors take it from here
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.series.cascades import ChangePoints, Window
 from stickslip.analysis.settings import AnalysisSettings

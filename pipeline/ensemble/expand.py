@@ -12,12 +12,10 @@ from typing import Any, overload
 
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.engine_table import EngineTable
 from stickslip.pipeline.scene.quantity import BELT, END, FILE, Value, short, word
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import QUANTITIES
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
-from stickslip.sim.engines.contract import Ratios
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
 
@@ -220,7 +218,7 @@ def _variants(scene: Scene) -> Iterator[_Variant]:
         sharing = Sharing(scene.n_changes(engine), len(engine.draws), len(scene.engines))
         for draw in engine.draws:
             method = Method(engine.name, tuple(engine.settings.items()), draw, engine.picked_for)
-            yield _Variant(change, method, sharing, (*_words_of(change), *_words(engine, draw)))
+            yield _Variant(change, method, sharing, (*_words_of(change), *engine.words(draw)))
 
 
 class _Point:
@@ -237,15 +235,3 @@ def _words_of(change: Change) -> list[str]:
     if change.reading is not None:
         return [f"{_READINGS[change.reading]}{short(change.size)}", f"d{change.draw}"]
     return [] if change.twin_size is None else [f"t{short(change.twin_size)}"]
-
-
-def _words(engine: EngineTable, ratio_draw: int | None) -> list[str]:
-    """An engine's words in a member's name."""
-    words: list[str] = [engine.name]
-    for name, value in engine.settings.items():
-        about = engine.engine.settings()[name]
-        if isinstance(about, Ratios):
-            words.append("one" if ratio_draw is None else f"u{ratio_draw}")
-        elif about.in_id is not None:
-            words.append(about.in_id + short(value))
-    return words

@@ -28,7 +28,7 @@ from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
-from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, one_an_engine, row
+from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, row
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
 
@@ -139,7 +139,8 @@ def run_ensemble(
                 systems.look_again(origin)  # as it was, or a word here and not a row for each member
         todo = {batch.name: batch.cost for batch, _ in store.todo}
         tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
-        cold = {engine: one for engine, one in one_an_engine(firsts).items() if scheduler is None and is_cold(engine)}
+        by_engine = {member.engine: member for member in reversed(firsts)}
+        cold = {engine: one for engine, one in by_engine.items() if scheduler is None and is_cold(engine)}
         link: str | None = None
 
         def connected(client: Client) -> None:

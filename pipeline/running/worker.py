@@ -193,15 +193,10 @@ def is_cold(engine: str) -> bool:
     return bool(kernels) and not has_kernel(kernels)
 
 
-def one_an_engine(members: Iterable[Member]) -> dict[str, Member]:
-    """A member of each engine."""
-    return {member.engine: member for member in reversed(list(members))}
-
-
 def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them."""
-    for engine, member in one_an_engine(members).items():
-        if engine not in _loaded:
+    for member in members:
+        if member.engine not in _loaded:
             tiny = replace(member, member_id="", source=member.source._replace(n=min(member.n, 3)), t_end=1e-6)
             if member.source.origin is not None:
                 numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
@@ -210,4 +205,4 @@ def load_kernels(members: Iterable[Member]) -> None:
                 begin = tiny.begin._replace(z0=0.0, w0=0.0, ends=None)
                 tiny = replace(tiny, source=source, terms=tuple(terms.items()), begin=begin)
             row(tiny, Recording(""))
-            _loaded.add(engine)
+            _loaded.add(member.engine)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
+from stickslip.pipeline.scene.quantity import short
 from stickslip.pipeline.scene.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
@@ -89,12 +90,16 @@ class EngineTable(StrictTable):
         keys = (key for key in TOLERANCES["paths"] if key in type(self).model_fields)
         return {key: value for key in keys if (value := getattr(self, key)) is not None}
 
-    @property
-    def named(self) -> tuple[Any, ...]:
-        """What the names of its members tell: the engine, and the settings that have a word there."""
-        known = self.engine.settings()
-        own = {name: value for name, value in self.settings.items() if known[name].in_id is not None}
-        return self.name, *own.items()
+    def words(self, ratio_draw: int | None) -> list[str]:
+        """Its words in a member's name, with a draw of `draws`."""
+        words = [self.name]
+        for name, value in self.settings.items():
+            about = self.engine.settings()[name]
+            if isinstance(about, Ratios):
+                words.append("one" if ratio_draw is None else f"u{ratio_draw}")
+            elif about.in_id is not None:
+                words.append(about.in_id + short(value))
+        return words
 
     def complete(self, purpose: Purpose) -> Self:
         """This table with no tolerance missing."""

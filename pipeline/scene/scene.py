@@ -204,20 +204,13 @@ class Scene(StrictTable):
     def _consistent(self) -> Scene:
         # frozen for everybody else: a scene that exists has all its tolerances
         object.__setattr__(self, "engines", tuple(engine.complete(self.purpose) for engine in self.engines))
-        settings = [engine.model_dump(exclude={"readings", "twins"}) for engine in self.engines]
-        for i, setting in enumerate(settings):
-            if setting in settings[:i]:
-                raise ValueError(
-                    f"engine[{i}]: expected settings that differ from engine[{settings.index(setting)}], "
-                    f"got the same; remove it"
-                )
-        named = [engine.named for engine in self.engines]
-        for i, one in enumerate(named):
-            if one in named[:i]:
+        named = [engine.words(engine.draws[0]) for engine in self.engines]
+        for i, words in enumerate(named):
+            if words in named[:i]:
                 raise ValueError(
                     f"engine[{i}]: expected settings that give its members other names than those of"
-                    f" engine[{named.index(one)}], got what no name tells apart; put both into one table, or change"
-                    " eps or a tolerance"
+                    f" engine[{named.index(words)}], got none; remove it, put both into one table, or change eps or a"
+                    " tolerance"
                 )
         if self.analysis.t_burn >= self.run.t_end:
             raise ValueError(

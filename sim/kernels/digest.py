@@ -14,11 +14,10 @@ _SOURCES = Path(__file__).parent.parent
 
 
 @cache
-def source_digest(*others: Path) -> str:
-    """Digest of the sources of ``sim`` and of some others, as loaded by this process; equal ones compute the same."""
+def source_digest() -> str:
+    """Digest of the sources of ``sim``, as loaded by this process; equal ones compute the same."""
     digest = hashlib.sha256()
-    own = sorted(source for source in _SOURCES.rglob("*.py") if source.parent.name != "theory")
-    for source in (*own, *others):
+    for source in sorted(source for source in _SOURCES.rglob("*.py") if source.parent.name != "theory"):
         digest.update(f"{source.parent.name}/{source.name}".encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -151,9 +151,7 @@ class System:
     @cached_property
     def is_plain(self) -> bool:
         """Whether it is that of eq. (10) with a dense K: such systems differ in their numbers alone."""
-        is_driven = bool(self.force) or not self.has_one_belt
-        is_plain = isinstance(self.stiffness, np.ndarray) and self.cross_damping is None and not is_driven
-        return is_plain and self.weakening is None and self.back_slip and not self.is_static_above
+        return isinstance(self.stiffness, np.ndarray) and not any(one.is_in(self) for one in BEYOND.values())
 
     @cached_property
     def is_static_above(self) -> bool:
@@ -438,70 +436,81 @@ def work_out(systems: Sequence[System]) -> None:
             system.__dict__["rates"] = rates[k]
 
 
-def _beyond_cross_damping(system: System, what: str) -> str:
-    if system.cross_damping is None:
-        return ""
-    block, other = np.argwhere(system.cross_damping)[0]
-    return (
-        f"damping: expected a diagonal matrix, all that {what} takes, got"
-        f" {system.cross_damping[block, other]:g} at row {block}, column {other}; leave out what is off the"
-        " diagonal, or use engine='sigmoid'"
-    )
-
-
-def _beyond_static(system: System, what: str) -> str:
-    if not system.is_static_above:
-        return ""
+def _highest_static(system: System) -> str:
     block = int(np.argmax(system.static - system.friction))
-    return (
-        f"static: expected the kinetic friction, the one friction that {what} takes, got"
-        f" {system.static[block]:g} above {system.friction[block]:g} at block {block}; leave it out"
-    )
+    return f"{system.static[block]:g} above {system.friction[block]:g} at block {block}"
 
 
-def _beyond_weakening(system: System, what: str) -> str:
-    none = system.weakening is None
-    return "" if none else f"weakening: expected none, as {what} needs, got {system.weakening}; leave it out"
+def _first_cross_damping(system: System) -> str:
+    cross = system.cross_damping
+    assert cross is not None
+    block, other = np.argwhere(cross)[0]
+    return f"{cross[block, other]:g} at row {block}, column {other}"
 
 
-def _beyond_back_slip(system: System, what: str) -> str:
-    return "" if system.back_slip else f"back_slip: expected True, all that {what} takes, got False; leave it out"
+class Beyond(NamedTuple):
+    """Something that eq. (10) does not have.
+
+    Attributes
+    ----------
+    is_in : callable
+        Whether a system has it.
+    argument : str
+        Of `System`, that gives it.
+    expected : str
+        What stands there without it; `{}` is who does not take it.
+    came : callable
+        What a system has there, in words.
+    remedy : str
+    """
+
+    is_in: Callable[[System], bool]
+    argument: str
+    expected: str
+    came: Callable[[System], str]
+    remedy: str = "leave it out"
 
 
-def _beyond_mass(system: System, what: str) -> str:
-    got = show.span(system.mass)
-    return f"mass: expected 1, all that {what} takes, got {got}; leave it out" if system.has_mass else ""
-
-
-def _beyond_force(system: System, what: str) -> str:
-    got = f"{len(system.force)} of them"
-    return f"force: expected none, all that {what} takes, got {got}; leave it out" if system.force else ""
-
-
-def _beyond_belt_speed(system: System, what: str) -> str:
-    if system.has_one_belt:
-        return ""
-    return f"belt_speed: expected one constant number, all that {what} takes, got {system._belts()}; leave it out"
-
-
-#: What a system may have beyond eq. (10), by the name under which an engine says that it takes it: a function of the
-#: system, and of what does not take it, that gives the words of the refusal, or none if the system has no such thing.
-BEYOND: dict[str, Callable[[System, str], str]] = {
-    "static": _beyond_static,
-    "weakening": _beyond_weakening,
-    "back_slip": _beyond_back_slip,
-    "mass": _beyond_mass,
-    "force": _beyond_force,
-    "belt_speed": _beyond_belt_speed,
-    "damping matrix": _beyond_cross_damping,
-}
+#: What a system may have beyond eq. (10), by the name under which an engine says that it takes it.
+BEYOND = {
+    "static": Beyond(
+        lambda system: system.is_static_above,
+        "static", "the kinetic friction, the one friction that {} takes", _highest_static,
+    ),
+    "weakening": Beyond(
+        lambda system: system.weakening is not None,
+        "weakening", "none, as {} needs", lambda system: str(system.weakening),
+    ),
+    "back_slip": Beyond(
+        lambda system: not system.back_slip,
+        "back_slip", "True, all that {} takes", lambda system: "False",
+    ),
+    "mass": Beyond(
+        lambda system: system.has_mass,
+        "mass", "1, all that {} takes", lambda system: show.span(system.mass),
+    ),
+    "force": Beyond(
+        lambda system: bool(system.force),
+        "force", "none, all that {} takes", lambda system: f"{len(system.force)} of them",
+    ),
+    "belt_speed": Beyond(
+        lambda system: not system.has_one_belt,
+        "belt_speed", "one constant number, all that {} takes", lambda system: system._belts(),
+    ),
+    "damping matrix": Beyond(
+        lambda system: system.cross_damping is not None,
+        "damping", "a diagonal matrix, all that {} takes", _first_cross_damping,
+        "leave out what is off the diagonal, or use engine='sigmoid'",
+    ),
+}  # fmt: skip
 
 
 def require_within(takes: Collection[str], system: System, what: str) -> None:
     """ValueError if the system has something of `BEYOND` that is not in `takes`; `what` is who does not take it."""
-    for name, refusal in BEYOND.items():
-        if name not in takes and (words := refusal(system, what)):
-            raise ValueError(words)
+    for name, one in BEYOND.items():
+        if name not in takes and one.is_in(system):
+            expected = one.expected.format(what)
+            raise ValueError(f"{one.argument}: expected {expected}, got {one.came(system)}; {one.remedy}")
 
 
 def require_plain(system: System, what: str) -> None:

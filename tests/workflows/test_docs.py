@@ -23,7 +23,7 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from stickslip.analysis.ensemble import OUTCOMES
+from stickslip.analysis.members import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
@@ -261,7 +261,7 @@ def test_a_term_is_a_row(tree):
     swept = (root / "workflows" / "scenes" / "quick.toml").read_text().replace("friction = 1.0", "drag = [0.1, 0.2]")
     (root / "mine.toml").write_text(swept)
     show = """
-from stickslip.analysis.ensemble import SYSTEM_KEYS
+from stickslip.analysis.members import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, load_scene
 from stickslip.pipeline.scene.systems import BY_BLOCK

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stickslip.analysis.ensemble import SYSTEM_KEYS
+from stickslip.analysis.members import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, parse_scene, query, run_ensemble
 from stickslip.sim.systems.terms import TERMS
