@@ -151,7 +151,8 @@ def test_a_run_goes_on_from_its_end(rng):
     whole = simulate(system, z, w, 20.0, t_eval=np.linspace(9.0, 11.0, 201), eps=0.01, **FINE)
     # a block on its way out of the layer, past where friction is most, still sticks in a run, but not at a start
     x = np.abs(whole.samples.w - system.belt_speed) / 0.01
-    middle = float(whole.samples.t[~((x > 1.0) & (x < np.log(100.0))).any(axis=1)][0])
+    peak = np.arctanh(turning_point(hidden_term(1.4)))
+    middle = float(whole.samples.t[~((x > peak) & (x < np.log(100.0))).any(axis=1)][0])
     first = simulate(system, z, w, middle, eps=0.01, **FINE)
     second = simulate(system, first.z, first.w, 20.0, t_start=middle, eps=0.01, **FINE)
     assert np.abs(second.z - whole.z).max() < 1e-5
