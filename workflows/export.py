@@ -19,7 +19,7 @@ from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory, remove_left, replacing
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.workflows.parser import NO_FOLDER
+from stickslip.workflows import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
 

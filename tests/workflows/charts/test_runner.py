@@ -97,16 +97,17 @@ def test_the_page_its_headline_and_its_tables(planted, capsys):
 
 ONE_THREADED = """
 import os, sys
-from stickslip.workflows import commands
+from stickslip.workflows.commands import main
+from stickslip.workflows.commands.run import Run
 
-def count(arguments):
+def count(self, arguments):
     import numba
     import numpy as np
     np.ones((500, 500)) @ np.ones((500, 500))
     return numba.config.NUMBA_NUM_THREADS - 1 or len(os.listdir("/proc/self/task")) - 1
 
-commands._COMMANDS["run"] = count
-sys.exit(commands.main(["run", "speed_accuracy"]))
+Run.__call__ = count
+sys.exit(main(["run", "speed_accuracy"]))
 """
 
 
