@@ -94,7 +94,7 @@ def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from stickslip.pipeline import Scene
     from stickslip.pipeline.scene.toml import json_schema
-    from stickslip.workflows.gallery.charts import chart as scene_of
+    from stickslip.workflows.gallery import chart as scene_of
 
     if chart is not None:
         return json_schema(scene_of(chart))

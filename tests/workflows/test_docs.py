@@ -33,7 +33,7 @@ from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import CHARTS
+from stickslip.workflows.gallery import CHARTS
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
 

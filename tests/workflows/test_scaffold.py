@@ -20,8 +20,8 @@ from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
 from stickslip.pipeline.scene.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import CHARTS
-from stickslip.workflows.gallery.charts import chart as chart_scene
+from stickslip.workflows.gallery import CHARTS
+from stickslip.workflows.gallery import chart as chart_scene
 from stickslip.workflows.scaffold import SCHEMA, schema_text
 from stickslip.workflows.scenes import chart_of, find, shipped
 from tests.pipeline.conftest import SOURCE

@@ -207,7 +207,7 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.places.directory import Directory
-    from stickslip.workflows.gallery.charts import load_chart
+    from stickslip.workflows.gallery import load_chart
 
     scene = load_chart(file)
     if arguments.dry_run:

@@ -63,7 +63,7 @@ class Schema(Command):
         from stickslip.workflows.scaffold import key_lines, schema_text
 
         if arguments.chart is not None:
-            from stickslip.workflows.gallery.charts import CHARTS
+            from stickslip.workflows.gallery import CHARTS
 
             if arguments.chart not in CHARTS:
                 raise Wrong(

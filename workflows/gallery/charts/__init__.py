@@ -9,15 +9,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.scene import MINUTES
-from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, as_tuple, distinct, parse_toml, read_source
+from stickslip.pipeline.scene.toml import Positive, StrictTable, as_tuple, distinct
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,16 +27,6 @@ Several = Annotated[tuple[Value, ...], BeforeValidator(as_tuple), AfterValidator
 
 #: Told of each thing as it is done.
 Say = Callable[[str], None]
-
-#: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
-CHARTS = {
-    "one_block": "stickslip.workflows.gallery.field.one_block:OneBlockScene",
-    "paper": "stickslip.workflows.gallery.paper.chart:PaperScene",
-    "scaling": "stickslip.workflows.gallery.charts.scaling:ScalingScene",
-    "speed_accuracy": "stickslip.workflows.gallery.charts.speed_accuracy:SpeedScene",
-    "stability": "stickslip.workflows.gallery.charts.stability:StabilityScene",
-    "two_blocks": "stickslip.workflows.gallery.field.two_blocks:TwoBlocksScene",
-}
 
 
 @dataclass(frozen=True)
@@ -74,27 +61,3 @@ class ChartScene(StrictTable):
     @abstractmethod
     def show(self, measured: Any) -> Shown:
         """What the template is given, beside `scene` and `measured` themselves, and the tables."""
-
-
-def chart(name: str) -> type[ChartScene]:
-    """The scene of the chart of that name; KeyError if there is none."""
-    module, _, scene = CHARTS[name].partition(":")
-    found: type[ChartScene] = getattr(import_module(module), scene)
-    return found
-
-
-def load_chart(file: Path) -> ChartScene:
-    """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart.
-
-    Raises
-    ------
-    SceneError
-        If it is not a scene of a known chart; one line a problem.
-    """
-    table = parse_toml(read_source(file), str(file))
-    if table["chart"] not in CHARTS:
-        raise SceneError(
-            f"{file}: chart: expected {' or '.join(map(repr, CHARTS))}, got {table['chart']!r}; without the key"
-            " `chart` it is an ensemble"
-        )
-    return as_scene(chart(table["chart"]), table, str(file))
