@@ -321,7 +321,10 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     named = re.search(r'`"width": "stickslip.workflows.gallery.charts.(width:\w+)"`', page("extending"))[1]
     (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[4])
     (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
-    (tmp_path / "width.toml").write_text(blocks(page("extending"), "toml")[0])
+    scene = blocks(page("extending"), "toml")[0]
+    (tmp_path / "width.toml").write_text(scene)
+    assert {"about", "minutes"} <= set(tomllib.loads(scene))  # without which no scene ships
+    assert all("#" in line for line in scene.strip().splitlines())
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(CHARTS, "width", named)
     assert main(["run", str(tmp_path / "width.toml"), "--out", str(tmp_path / "out")]) == 0

@@ -123,7 +123,7 @@ def test_init_writes_a_scene_that_runs_and_refuses_to_write_over_it(name, tmp_pa
     ("argv", "code", "words"),
     [
         (["init", "none/mine.toml"], 1, "none/mine.toml'; the folder does not exist: create it or choose another"),
-        (["schema", "stabilty"], 2, "expected one of one_block, paper, scaling"),
+        (["schema", "stabilty"], 2, "expected one of one_block, paper, "),
     ],
 )
 def test_what_cannot_be_written(argv, code, words, tmp_path, monkeypatch, capsys):

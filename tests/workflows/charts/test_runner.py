@@ -121,7 +121,7 @@ BAD = {
     "unknown chart": (
         '"planted"',
         '"plant"',
-        "chart: expected 'one_block' or 'paper' or 'scaling'",
+        "chart: expected 'one_block' or 'paper' or ",
         "got 'plant'",
     ),
     "unknown key": ("n = 5", "n = 5\nnumber = 5", "number: unknown key", "remove it"),
