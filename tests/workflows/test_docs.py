@@ -47,6 +47,10 @@ TEXTS = sorted(
 )
 
 
+#: Files that the page on extending has its reader write.
+ADDED = {"largest", "pauses", "width"}
+
+
 def page(name: str) -> str:
     return (GUIDE / f"{name}.md").read_text()
 
@@ -294,16 +298,16 @@ def test_a_record_is_a_file_and_a_line(tree):
 
 def test_a_coupling_is_one_line(monkeypatch):
     line = blocks(page("extending"), "python")[2]
-    new = eval(f"{{{line}}}", vars(couplings) | {"scipy": scipy})
+    new = eval(f"{{{line}}}", vars(couplings))
     ((name, coupling),) = new.items()
     monkeypatch.setitem(couplings.COUPLINGS, name, coupling)
     k = draw_system(name, 9, 5).stiffness
-    assert k.nnz == 9 + 16
-    np.testing.assert_array_equal(np.triu(k.toarray(), 1), -np.tril(k.toarray(), -1).T)
+    assert np.count_nonzero(k) == 9 + 16
+    np.testing.assert_array_equal(np.triu(k, 1), -np.tril(k, -1).T)
     source = (ROOT / "workflows" / "scenes" / "quick.toml").read_text().replace('"antisymmetric"', f'"{name}"')
     member = next(iter(expand(parse_scene(source.encode()))))
     assert member.simulate().outcome in ("finished", "collapsed")
-    with pytest.raises(SceneError, match=r"keep what coupling = \"row\" is, \[\], got .*; remove \[perturbation\]"):
+    with pytest.raises(SceneError, match=r"keep what coupling = \"row\" is, \[\"relative\"\], got"):
         parse_scene(source.encode() + b"[perturbation]\nsizes = 0.1\n")
 
 
@@ -393,7 +397,7 @@ def test_every_file_that_is_named_is_there():
             for named in re.findall(
                 r"`((?:sim|pipeline|analysis|workflows|tests|docs)/[a-z_/]+\.\w+)`", file.read_text()
             ):
-                assert (ROOT / named).exists() or "width" in named, f"{file.name}: {named}"
+                assert (ROOT / named).exists() or Path(named).stem in ADDED, f"{file.name}: {named}"
 
 
 def anchors(file: Path) -> set[str]:
