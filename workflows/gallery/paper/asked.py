@@ -1,4 +1,4 @@
-"""What the chart `paper` asks for, and what is measured for it."""
+"""The keys of the chart `paper`, and what is measured for it."""
 
 from __future__ import annotations
 
