@@ -75,7 +75,7 @@ class Stability:
 
 @dataclass(frozen=True)
 class Shifted:
-    """A cycle centred on `shift` times the bound of z: its change over 100 cycles of the force, and its multiplier."""
+    """A cycle centred on `shift` times the bound of z: its change over 100 cycles of the force, its multiplier."""
 
     frequency: float
     friction: float

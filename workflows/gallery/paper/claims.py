@@ -186,7 +186,7 @@ def key_parameters(scene: Asked, measured: Measured) -> Claim:
 def details(scene: Asked, measured: Measured) -> Claim:
     """What the paper lists although it may be drawn differently: the start and the friction of each block.
 
-    How K is drawn is not such a detail; the six readings of it are listed too, by n: which of them end as in figure 3?
+    How K is drawn is not such a detail; the six readings of it are listed too, by n: which end as in figure 3?
     """
     rows = _changed(scene, measured, "details")
     wanted = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
