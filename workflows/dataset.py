@@ -1,4 +1,4 @@
-"""Ensembles from Python: a scene is run in sight, and what it made can be looked at."""
+"""Ensembles from Python: run a scene with a progress bar, and look at its dataset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dataset:
-    """The dataset at a directory or an address, as it is each time that it is asked.
+    """The dataset at a directory or an address; each access reads its present state.
 
     Raises
     ------
@@ -42,7 +42,7 @@ class Dataset:
 
     @property
     def status(self) -> Status:
-        """How far it is: counts, outcomes, failures."""
+        """Its progress: counts, outcomes, failures."""
         return status(self.path)
 
     @property
@@ -64,7 +64,7 @@ class Dataset:
         return query.sql(self.path, sql)
 
     def report(self) -> str:
-        """Write the report, unless the one that is there is of these data; returns the name of its page."""
+        """Write the report, unless it is up to date; returns the name of its page."""
         from stickslip.analysis.report import PAGE
         from stickslip.workflows import reporting
         from stickslip.workflows.asking import Asking

@@ -1,4 +1,4 @@
-"""An answer of the dataset, as a person or another program wants it: a table to read, CSV, Parquet."""
+"""An answer of the dataset as a table to read, as CSV or as Parquet."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory, remove_left, replacing
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.workflows.parser import NO_FOLDER
+from stickslip.workflows import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
 
-#: Rows of a table that a person may want to read.
+#: Most rows of a table that a person may want to read.
 _SHOWN = 1000
 
 
 #: What a table shows where there is no value.
 _NULL = "NULL"
 
-#: What the name of a file says of its form.
+#: Form by the ending of a file's name.
 _ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
 
 
 def form_of(asked: Form | None, out: Path | None) -> Form:
-    """The form asked for, or else the one that the name of the file says.
+    """The form asked for, or else the one that the file's name implies.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def form_of(asked: Form | None, out: Path | None) -> Form:
 
 
 def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Where) -> None:
-    """Write an answer to a file, which appears when it is whole, or to the standard output.
+    """Write an answer to a file, which appears once it is complete, or to the standard output.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
 
 
 def _table(batches: pa.RecordBatchReader) -> str:
-    """The first rows, aligned; a last line says how many there are more."""
+    """The first rows, aligned; a last line says how many more there are."""
     kept: list[pa.RecordBatch] = []
     n_rows = 0
     for batch in batches:

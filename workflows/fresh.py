@@ -1,4 +1,4 @@
-"""Whether a report is still that of its data: found without loading what makes one."""
+"""Whether a report is up to date, without loading the code that makes one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def name_of(path: Where) -> str:
 
 
 def made_from(opened: Opened) -> str:
-    """Digest of what a report depends on: data, scene, program."""
+    """Digest of all that a report depends on: data, scene, program."""
     title = opened.scene.title or name_of(opened.place)
     words = f"{title} {opened.scene.model_dump_json()} {__version__} {opened.manifest.digest}"
     digest = hashlib.sha256(words.encode())
@@ -30,6 +30,6 @@ def made_from(opened: Opened) -> str:
 
 
 def is_current(opened: Opened) -> bool:
-    """Whether the report that lies in a dataset was made from its data, its settings and this program."""
+    """Whether the report in a dataset was made from its present data and settings, by this program."""
     (page,) = opened.place.read_each([PAGE])
     return page is not None and made_from(opened).encode() in page[:2000]

@@ -29,7 +29,7 @@ _ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 w
 
 
 def write(path: Where, out: Path) -> None:
-    """Write the dataset at `path` to a file, which appears when it is whole.
+    """Write the dataset at `path` to a file, which appears once it is complete.
 
     Shards are read one after the other: memory is that of the table of members and of one shard.
 

@@ -1,4 +1,4 @@
-"""What a person is told of a run: how it goes (a bar, or a line now and then), where it stands."""
+"""What a person is told about a run: its progress (a bar, or a line now and then) and its status."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def _pace(rate: float | None, eta: float | None) -> str:
 
 
 class Watch:
-    """Shows `Progress` of the run into a directory as it comes, then how its report does; a context manager.
+    """Shows the `Progress` of a run into a directory, then that of its report; a context manager.
 
-    In a terminal or a notebook it is one bar, elsewhere a line now and then.
+    It is a bar in a terminal or a notebook, and a line now and then elsewhere.
     """
 
     def __init__(self, directory: Where, stream: TextIO | None = None) -> None:
@@ -98,7 +98,7 @@ class Watch:
         self.close()
 
     def close(self) -> None:
-        """Take leave of the bar; what is printed then stands below it."""
+        """Close the bar; later output appears below it."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
@@ -123,7 +123,7 @@ class Watch:
             self._line(progress)
 
     def answered(self, n: int, n_all: int) -> None:
-        """Show how many of a report's questions are answered; nothing of it stays."""
+        """Show how many of a report's questions are answered; the bar is removed at the end."""
         if self._has_bar:
             self._draw(n, n_all, f"report: {n}/{n_all} questions").leave = False
 

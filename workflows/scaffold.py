@@ -1,4 +1,4 @@
-"""Before the first run: which scenes there are, a scene of one's own, and all its keys."""
+"""Before the first run: the scenes that ship, a new scene, and all keys of a scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class NotWritten(ValueError):
 
 
 def listing() -> list[str]:
-    """A line for each scene that ships: name, members, time, what it is for."""
+    """A line for each scene that ships: name, members, time, purpose."""
     lines = [f"{'scene':16}{'members':>8}{'time':>8}  about"]
     for name, file in shipped().items():
         table = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -84,7 +84,7 @@ def new_scene(file: Path) -> list[str]:
 
 
 def _body() -> str:
-    """The scene `quick` without what is about itself: its head, and how long it took."""
+    """The scene `quick` without its head comment and the time it took, which describe `quick` alone."""
     lines = shipped()["quick"].read_text(encoding="utf-8").splitlines(keepends=True)
     first = next(i for i, line in enumerate(lines) if not line.startswith("#"))
     return "".join(line for line in lines[first:] if not line.startswith("minutes"))
@@ -94,7 +94,7 @@ def schema(chart: str | None) -> dict[str, Any]:
     """JSON Schema of an ensemble's scene, or of the scene of one kind of chart."""
     from stickslip.pipeline import Scene
     from stickslip.pipeline.scene.toml import json_schema
-    from stickslip.workflows.gallery.charts import chart as scene_of
+    from stickslip.workflows.gallery import chart as scene_of
 
     if chart is not None:
         return json_schema(scene_of(chart))
@@ -123,7 +123,7 @@ _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusive
 
 
 class Key(NamedTuple):
-    """A key of a scene: its path, what it means, what may be written, and what holds if nothing is."""
+    """A key of a scene: its path, meaning, allowed values and default."""
 
     path: str
     meaning: str
@@ -132,7 +132,7 @@ class Key(NamedTuple):
 
 
 def key_tables(chart: str | None) -> list[tuple[str, str, list[Key]]]:
-    """The tables of an ensemble's scene, or of one kind of chart's: how a file begins it, what it is, its keys."""
+    """The tables of a scene, of an ensemble or a kind of chart: head as in a file, description, keys."""
     whole = schema(chart)
     top = whole | {"description": ": above all tables"}
     return list(_tables("", top, whole.get("$defs", {})))
@@ -165,7 +165,7 @@ def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
 
 
 def _values(field: dict[str, Any]) -> str:
-    """What may be written: choices, or a type with its bounds."""
+    """The allowed values: choices, or a type with its bounds."""
     from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
 
     if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it

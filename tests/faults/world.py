@@ -31,9 +31,9 @@ INJECT = Path(__file__).parent / "inject"
 #: The command without its report, which takes longer than the small scene.
 COMMAND = """
 import sys
-from stickslip.workflows import commands
-commands._write_report = lambda *_: None
-sys.exit(commands.main())
+from stickslip.workflows.commands import main, run
+run.write_report = lambda *_: None
+sys.exit(main())
 """
 
 #: Small batches: a small scene then has many shards.

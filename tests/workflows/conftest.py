@@ -6,7 +6,8 @@ import pytest
 from stickslip.analysis.report.page import Drawn
 from stickslip.pipeline import SceneError
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery import load_chart
+from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.scenes import chart_of, shipped
 from tests.processes import computed_here
 from tests.scenes import ensemble

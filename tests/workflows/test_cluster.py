@@ -92,7 +92,7 @@ def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tm
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 143, err
-    assert "give the same command again to go on" in err
+    assert "rerun the same command to resume" in err
     assert verify(out) == []
     n_done = status(out).n_done
     assert 0 < n_done < 2 * N_MATRICES

@@ -33,7 +33,8 @@ from stickslip.pipeline.dataset.status import Began, Follower, Tally
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
-from stickslip.workflows.commands import _COMMANDS, main
+from stickslip.workflows.commands import main
+from stickslip.workflows.commands.scenes import Scenes
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
@@ -286,7 +287,7 @@ def test_who_reads_an_answer_may_stop_and_a_full_disk_is_called_so(form, dataset
 def test_a_command_has_one_thread_and_leaves_the_environment_as_it_was(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     seen = {}
-    monkeypatch.setitem(_COMMANDS, "scenes", lambda arguments: seen.update(os.environ) or 0)
+    monkeypatch.setattr(Scenes, "__call__", lambda self, arguments: seen.update(os.environ) or 0)
     before = dict(os.environ)
     assert main(["scenes"]) == 0
     assert seen["OMP_NUM_THREADS"] == seen["OPENBLAS_NUM_THREADS"] == "1"

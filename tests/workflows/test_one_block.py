@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import System, simulate
-from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery import load_chart
+from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.gallery.field import one_block
 from stickslip.workflows.gallery.field.forced import Forced, State, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import Basin, Measured, Period, Shifted, Sliding, Stability, Stops

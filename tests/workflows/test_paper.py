@@ -12,7 +12,8 @@ import pytest
 from stickslip.analysis.report.page import Drawn
 from stickslip.sim import simulate
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery import load_chart
+from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.gallery.charts.peers import W0, Z0, random_ratios
 from stickslip.workflows.gallery.paper import claims, figures_1_2, figures_3_to_5, runs
 from stickslip.workflows.gallery.paper.figures_3_to_5 import Cascades, Pairing, Row

@@ -7,7 +7,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from stickslip.workflows.gallery.charts import load_chart, runner
+from stickslip.workflows.gallery import load_chart
+from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.two_blocks import End, Measured, Pair, Together, Unequal
 from stickslip.workflows.scenes import shipped

@@ -1,8 +1,8 @@
 """Run a scene on a Slurm cluster: ``python slurm.py SCENE --out DIR --workers 64``; see cluster.md beside this file.
 
-Give it where jobs may be submitted: on a login node, or in a small job of its own that lasts as long as the run.
-It asks Slurm for jobs of workers, hands them the scene, and replaces jobs whose time is over. Ended by Ctrl-C or
-SIGTERM, it takes its jobs back, and leaves a dataset that the same command goes on with.
+Run it where jobs may be submitted: on a login node, or in a small job of its own that lasts as long as the run. It
+asks Slurm for jobs of workers, hands them the scene, and replaces jobs whose time is over. Ended by Ctrl-C or
+SIGTERM, it cancels its jobs and leaves a dataset that the same command resumes.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What dask-jobqueue is told: jobs of so many processes, each of one thread, that leave before they are ended."""
+    """Settings of dask-jobqueue: jobs of single-threaded processes that leave before their time is over."""
     prologue = [f"export {name}_NUM_THREADS=1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
-    # of its own: a worker looks for modules there, and the common one is whoever's came first
+    # of its own: workers look for modules there, and the shared one belongs to whoever came first
     prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
     hours, minutes = divmod(arguments.minutes, 60)
     lifetime = max(60, 60 * arguments.minutes - MARGIN - STAGGER)
@@ -70,8 +70,8 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
         "account": arguments.account,
         "job_script_prologue": prologue,
         "worker_extra_args": ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{STAGGER}s", "--no-dashboard"],
-        # others use these machines: who has not the run's certificate is not obeyed. Workers find theirs in files
-        # that their owner alone reads, in the directory that jobs are asked for and begin in
+        # others use these machines: whoever lacks the run's certificate is refused. Workers find theirs in files that
+        # only their owner can read, in the directory in which jobs are submitted and begin
         "security": Security.temporary(),
         "shared_temp_directory": os.getcwd(),
         "scheduler_cls": QuietScheduler,
@@ -80,7 +80,7 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def start(arguments: argparse.Namespace) -> Iterator[Client]:
-    """A client of a cluster that keeps so many workers, as far as it gets them, while the with-block lasts."""
+    """A client of a cluster that keeps this number of workers, as far as it gets them, during the with-block."""
     if arguments.local:
         with local(arguments.workers) as client:
             yield client
@@ -115,7 +115,7 @@ def main(argv: list[str] | None = None) -> int:
             with Watch(arguments.out) as watch:
                 status = run_ensemble(scene, arguments.out, scheduler=client, on_progress=watch)
     except Interrupted as interrupt:
-        print("interrupted; what is done is kept: give the same command again to go on", file=sys.stderr)
+        print("interrupted; finished work is kept: rerun the same command to resume", file=sys.stderr)
         return interrupt.exit_code
     except (SceneError, ScheduleError, StoreError) as error:
         sys.exit(f"slurm.py: {error}")

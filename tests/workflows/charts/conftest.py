@@ -2,7 +2,7 @@
 
 import pytest
 
-from stickslip.workflows.gallery.charts import load_chart
+from stickslip.workflows.gallery import load_chart
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ import pytest
 from stickslip import sim
 from stickslip.pipeline import expand, parse_scene
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import load_chart, peers, runner
+from stickslip.workflows.gallery import load_chart
+from stickslip.workflows.gallery.charts import peers, runner
 from stickslip.workflows.gallery.charts.peers import (
     METHODS,
     Equations,

@@ -1,7 +1,7 @@
 """Charts: scenes that are measured in one process on one core, where an ensemble is run.
 
-A chart is a file and a template of its name beside it. The file holds a `ChartScene`: a schema that says what would
-be measured, measures it, and hands the page its numbers. The template has the words.
+A chart is a file and a template of the same name beside it. The file holds a `ChartScene`: a schema that declares
+what to measure, measures it, and gives the page its numbers. The template has the words.
 """
 
 from __future__ import annotations
@@ -9,15 +9,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.scene import MINUTES
-from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, as_tuple, distinct, parse_toml, read_source
+from stickslip.pipeline.scene.toml import Positive, StrictTable, as_tuple, distinct
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,23 +25,13 @@ Value = TypeVar("Value")
 #: A key that takes one value or a list of them, kept in order without duplicates.
 Several = Annotated[tuple[Value, ...], BeforeValidator(as_tuple), AfterValidator(distinct)]
 
-#: Told of each thing as it is done.
+#: Called with a line about each part once it is measured.
 Say = Callable[[str], None]
-
-#: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
-CHARTS = {
-    "one_block": "stickslip.workflows.gallery.field.one_block:OneBlockScene",
-    "paper": "stickslip.workflows.gallery.paper.chart:PaperScene",
-    "scaling": "stickslip.workflows.gallery.charts.scaling:ScalingScene",
-    "speed_accuracy": "stickslip.workflows.gallery.charts.speed_accuracy:SpeedScene",
-    "stability": "stickslip.workflows.gallery.charts.stability:StabilityScene",
-    "two_blocks": "stickslip.workflows.gallery.field.two_blocks:TwoBlocksScene",
-}
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a page is made of: `facts` by their names in the template, and by name the tables and figures to keep."""
+    """The parts of a page: `facts` by their names in the template, and the tables and figures to keep, by name."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
@@ -52,9 +39,9 @@ class Shown:
 
 
 class ChartScene(StrictTable):
-    """The keys that every chart has, and what it does; `chart` of a subclass takes the chart's name alone."""
+    """The keys and methods of every chart; the field `chart` of a subclass accepts only the chart's name."""
 
-    #: Distributions that take part, beside those that always do: the page names their versions.
+    #: Distributions that the chart uses besides the usual ones: the page names their versions.
     libraries: ClassVar[tuple[str, ...]] = ()
 
     chart: str = Field(description="kind of the chart")
@@ -65,36 +52,12 @@ class ChartScene(StrictTable):
 
     @abstractmethod
     def extent(self) -> str:
-        """What would be measured, for a dry run."""
+        """What would be measured, in words, for a dry run."""
 
     @abstractmethod
     def measure(self, say: Say) -> Any:
-        """Measure all of it, in this process with one thread; `say` is told of each part as it is done."""
+        """Measure everything, in this process with one thread; `say` reports each part once it is done."""
 
     @abstractmethod
     def show(self, measured: Any) -> Shown:
-        """What the template is given, beside `scene` and `measured` themselves, and the tables."""
-
-
-def chart(name: str) -> type[ChartScene]:
-    """The scene of the chart of that name; KeyError if there is none."""
-    module, _, scene = CHARTS[name].partition(":")
-    found: type[ChartScene] = getattr(import_module(module), scene)
-    return found
-
-
-def load_chart(file: Path) -> ChartScene:
-    """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart.
-
-    Raises
-    ------
-    SceneError
-        If it is not a scene of a known chart; one line a problem.
-    """
-    table = parse_toml(read_source(file), str(file))
-    if table["chart"] not in CHARTS:
-        raise SceneError(
-            f"{file}: chart: expected {' or '.join(map(repr, CHARTS))}, got {table['chart']!r}; without the key"
-            " `chart` it is an ensemble"
-        )
-    return as_scene(chart(table["chart"]), table, str(file))
+        """The facts for the template, beside `scene` and `measured` themselves, and the tables and figures."""

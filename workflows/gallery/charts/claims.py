@@ -1,4 +1,4 @@
-"""Claims of others, judged by what was measured: facts and verdicts, whose words are in a chart's template.
+"""Published claims, judged by measurements: facts and verdicts, which a chart's template puts into words.
 
 One rule (`told`): a claim says that a number lies in a region. It is reproduced if the whole 95% interval does, not
 reproduced if none of it does, and else cannot be told. It is corrected if it is not reproduced, but is after a change
@@ -40,7 +40,7 @@ def verdict_of(is_so: bool, otherwise: str = CONTRADICTED) -> str:
 def told(
     low: float | None, high: float | None, least: float = -np.inf, most: float = np.inf, otherwise: str = CONTRADICTED
 ) -> str:
-    """Whether what an interval holds lies in [least, most]; the rule of this module."""
+    """Whether the interval lies in [least, most]: the rule of this module."""
     if low is None or high is None:
         return UNTOLD
     if least <= low and high <= most:

@@ -32,7 +32,7 @@ Control = Literal["tolerance", "step"]
 
 
 class Solution(NamedTuple):
-    """z at t_end, shape (n,), how many products with K that took, and the events; None where the method says none."""
+    """z at t_end, shape (n,), the number of products with K, and the events; None if the method reports none."""
 
     z: Floats
     n_products: int | None = None
@@ -388,7 +388,7 @@ METHODS: tuple[Method, ...] = (
 def methods_of(
     model: Model, tolerances: tuple[float, ...], steps: tuple[float, ...]
 ) -> Iterator[tuple[Method, tuple[float, ...]]]:
-    """The methods of a law, each with what it is asked for: tolerances or steps. One with nothing is left out."""
+    """The methods of a law, each with its tolerances or steps. A method without any is left out."""
     for one in METHODS:
         settings = steps if one.control == "step" else tolerances
         if one.model == model and settings:
@@ -401,11 +401,11 @@ def method(name: str) -> Method:
 
 
 def solved(name: str, setting: float, problem: Problem) -> Solution:
-    """What a method comes to at a tolerance or step, whatever it takes."""
+    """The result of a method at a tolerance or step, however long it takes."""
     return method(name).prepare(replace(problem, patience=math.inf))(setting)
 
 
 def warm(one: Method, problem: Problem, setting: float) -> None:
-    """Have done what a method compiles or loads at a first call, which is not timed; what fails here fails again."""
+    """Let a method compile and load what its first call needs, untimed; an error here will occur again when timed."""
     with suppress(MethodError, sim.IntegrationError):
         one.prepare(replace(problem, t_end=1e-3 * problem.t_end))(setting)

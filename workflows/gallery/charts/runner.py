@@ -1,4 +1,4 @@
-"""From what a chart measured to its page."""
+"""Makes the page of a chart from its measurements."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stickslip.workflows.gallery.charts import ChartScene
 
 
 def versions(*libraries: str) -> dict[str, str]:
-    """What took part, by distribution; "not installed" for a library that is absent."""
+    """Versions of the libraries used, by distribution; "not installed" for a missing one."""
     found = {"python": platform.python_version()}
     for name in ("stickslip", "numpy", "numba", *libraries):
         try:
@@ -41,7 +41,7 @@ def _folder(scene: ChartScene) -> Path:
 
 
 def report(scene: ChartScene, measured: Any) -> Report:
-    """The page of a scene, made of what its `measure` gave; its headline is the page's lead."""
+    """The page of a scene, made from the result of its `measure`; the headline is the page's lead."""
     shown = scene.show(measured)
     environment = page_environment("stickslip.workflows.gallery.charts")
     assert environment.loader is not None

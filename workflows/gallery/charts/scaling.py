@@ -121,7 +121,7 @@ class ScalingScene(ChartScene):
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run of one engine at one n costs: a row of the table `costs`.
+    """Cost of a run of one engine at one n: a row of the table `costs`.
 
     Seconds and products are medians over the repeats, with the least and the most. Numbers are null, with a reason,
     where the run did not end well; products are null for chains, whose K is never dense.
@@ -197,7 +197,7 @@ class Measured:
 
 
 def warm() -> None:
-    """Load what an engine compiles or loads at a first call: it is not timed."""
+    """Let an engine compile and load what its first call needs, untimed."""
     system = sim.draw_system("antisymmetric", 3, 0)
     sim.simulate(system, Z0, W0, 0.1)
     sim.simulate(system, Z0, W0, 0.1, engine="sigmoid", eps=0.1)

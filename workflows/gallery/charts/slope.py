@@ -1,4 +1,4 @@
-"""A block on a slope: of what friction can hold, half pulls at it for a long time, and it should not move.
+"""A block on a slope, pulled for a long time with half the force that friction can hold: it should not move.
 
 Gravity's component along the slope is a constant force F = 1/2, the normal force and the coefficient of friction are
 one; the block starts at rest. Under a smoothed law it creeps with the speed at which friction balances F, for the
@@ -35,7 +35,7 @@ _SCENE = """
 
 @dataclass(frozen=True)
 class Creep:
-    """How far a method lets the block go: a row of the table `creep`; null, with a reason, where it is absent."""
+    """Creep of the block under a method: a row of the table `creep`; null, with a reason, if the method is absent."""
 
     method: str
     distance: float | None = None

@@ -169,7 +169,7 @@ class Cell(Trial):
 
 @dataclass(frozen=True, kw_only=True)
 class Column(Reference):
-    """What the errors of one column are taken against: a row of the table `references`."""
+    """The reference for the errors of one column: a row of the table `references`."""
 
     axis: Axis
     stiffness: float
@@ -185,7 +185,7 @@ class Measured:
 
 
 def judged(cell: Cell, floor: float | None) -> Cell:
-    """What came of a run that ended well: right, rough, or wrong; nothing if the references do not say."""
+    """The cell of a run that reported success, judged right, rough or wrong if the references can tell."""
     if cell.outcome != "measured" or cell.error is None or floor is None:
         return cell
     promised = RIGHT_BELOW if cell.tolerance is None else FACTOR * cell.tolerance
@@ -196,7 +196,7 @@ def judged(cell: Cell, floor: float | None) -> Cell:
     return replace(cell, outcome="wrong" if cell.error > WRONG_ABOVE else "rough")
 
 
-# ---------------------------------------------------------------------------------------------- what came of it
+# ---------------------------------------------------------------------------------------------- results
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ _OUTCOMES = {
 
 
 def maps_of(maps: Sequence[Map], columns: int = 4) -> Figure:
-    """What came of each method over stiffness and tolerance or step; in a cell the power of ten of its error."""
+    """Result of each method over stiffness and tolerance or step; each cell has the power of ten of the error."""
     rows = -(-len(maps) // columns)
     with matplotlib.rc_context(STYLE | {"xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure, axes = subplots(rows, columns, 0.75 + 1.75 * rows)

@@ -53,7 +53,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """What the errors on one problem are taken against.
+    """The reference for the errors on one problem.
 
     `floor` is max |z - z_check| at t_end; null, with a reason, if one of the two could not be computed.
     """

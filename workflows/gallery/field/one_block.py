@@ -54,7 +54,7 @@ class Period:
 
 @dataclass(frozen=True)
 class Sliding:
-    """Cycles of a frequency beside the boundary of sliding: what a cycle leaves over, and stops in five cycles."""
+    """Cycles at a frequency near the boundary of sliding: the residual of a cycle, and its stops in five cycles."""
 
     frequency: float
     most_friction: float
@@ -75,7 +75,7 @@ class Stability:
 
 @dataclass(frozen=True)
 class Shifted:
-    """A cycle about a z of `shift` times the most: what 100 cycles of the force change of it, and its multiplier."""
+    """A cycle centred on `shift` times the bound of z: its change over 100 cycles of the force, its multiplier."""
 
     frequency: float
     friction: float

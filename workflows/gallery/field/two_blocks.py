@@ -226,7 +226,7 @@ def homogeneous(pair: Pair) -> Together:
 
 
 def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None) -> End:
-    """Which cycle a start ends in, how stable it is, and whether it outlives an asymmetry."""
+    """The cycle in which a start ends, its stability, and whether it survives an asymmetry."""
     found = _cycle(pair, start, episodes)
     at = abs(start) / pair.widest
     if found is None:
@@ -245,7 +245,7 @@ def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None)
 
 
 def _cycle(pair: Pair, start: float, episodes: int) -> list[Quake] | None:
-    """The episodes of the cycle that a start ends in; None if it is in none by then."""
+    """The episodes of the cycle in which a start ends; None if it has reached none by then."""
     orbit: list[Quake] = []
     for quake in islice(pair.orbit(start), episodes):
         orbit.append(quake)
@@ -338,7 +338,7 @@ _CLAIMS = (unstable, no_smoothing, two_cycles, structurally_unstable, only_cycle
 
 
 def kinds(measured: Measured) -> list[dict[str, Any]]:
-    """By kind of cycle: how many starts end in it, with what multipliers, at which couplings."""
+    """For each kind of cycle: the number of starts that end in it, their multipliers and couplings."""
     rows = []
     for kind, _ in Counter(one.kind for one in measured.ends).most_common():
         some = [one for one in measured.ends if one.kind == kind]

@@ -1,4 +1,4 @@
-"""What the chart `paper` asks for, and what is measured for it."""
+"""The keys of the chart `paper`, and what is measured for it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Asked(ChartScene):
     few: Count = Field(default=3, description="number of matrices for each change of the system")
     t_few: Positive = Field(default=1000.0, description="end of changed runs")
     size: Positive = Field(default=0.01, description="size of the perturbations of kappa and rho")
-    changed: Count = Field(default=20, description="number of matrices that small changes are followed to t_end on")
+    changed: Count = Field(default=20, description="number of matrices on which small changes are followed to t_end")
     noise: PositiveNumbers = Field(
         default=(0.01, 0.02, 0.03, 0.05, 0.07, 0.1),
         description="sizes of the noise on all dampings",

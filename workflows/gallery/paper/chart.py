@@ -27,7 +27,7 @@ class PaperScene(Asked):
     libraries = ("scipy",)
 
     def measure(self, say: Say) -> Measured:
-        """What the figures show and their claims are judged by."""
+        """The measurements that the figures show and the claims are judged by."""
         found = Measured(*([] for _ in Measured.__dataclass_fields__))
         if 1 in self.figures:
             found.portraits.extend(map(figures_1_2.portrait, (-ONE[3], ONE[3])))

@@ -1,4 +1,4 @@
-"""The paper's claims, judged by what was measured: facts and verdicts, whose words are in the template."""
+"""The paper's claims, judged by measurements: facts and verdicts, which the template puts into words."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
 
 
 def key_parameters(scene: Asked, measured: Measured) -> Claim:
-    """Key is what changes the fate, halved or doubled; that it never does is not shown by a few runs."""
+    """A constant is key if halving or doubling it changes the fate; a few runs cannot show that it never does."""
     rows = _changed(scene, measured, "keys")
     key = {name: any(row["is_other"] for row in rows if row["setting"].startswith(name)) for name in SCALES}
     named = all(key[name] for name in ("belt_speed", "rho", "kappa"))
@@ -184,9 +184,9 @@ def key_parameters(scene: Asked, measured: Measured) -> Claim:
 
 
 def details(scene: Asked, measured: Measured) -> Claim:
-    """What the paper lists and it may be drawn otherwise: the start and friction of each block.
+    """What the paper lists although it may be drawn differently: the start and the friction of each block.
 
-    How K is drawn is no such detail; the six readings of that, by n, stand beside it: which end as figure 3 has it.
+    How K is drawn is not such a detail; the six readings of it are listed too, by n: which end as in figure 3?
     """
     rows = _changed(scene, measured, "details")
     wanted = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]

@@ -38,7 +38,7 @@ class BlowUp:
 
 @dataclass(frozen=True)
 class SlowEvent:
-    """What happens to two blocks on the belt: a row of the table `hidden`; `block` is -1 where it is none's alone."""
+    """What happens to two blocks on the belt: a row of the table `hidden`; `block` is -1 if it concerns both."""
 
     from_side: int
     t: float
@@ -107,7 +107,7 @@ def slow_run(side: int) -> SlowRun:
 
 
 def _tidy(value: Any) -> Any:
-    """Plain numbers without what lies far below their error, so that zero is zero."""
+    """Plain numbers, rounded to 12 decimals so that zero is zero."""
     return (np.round(value, 12) + 0.0).tolist()
 
 

@@ -85,7 +85,7 @@ class Parallelogram:
 
 @dataclass(frozen=True)
 class Uniqueness:
-    """Around the double exit {+,+}: what becomes of a small distance, and how many futures a state has.
+    """Around the double exit {+,+}: the growth of a small distance, and the number of futures of a state.
 
     `apart` are the greatest distances that runs reach which start `APART` from the one through the corner, a
     direction each, `n_events` their events; `coulomb` and `static` count the forward solutions of one block that

@@ -1,4 +1,4 @@
-"""Figures 3 to 5: n_stick(t) of random systems, as it is, changed, and over long times; cascades of it."""
+"""Figures 3 to 5: n_stick(t) of random systems, unchanged, changed, and over long times; its cascades."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _DRAWN, _NOISE_DRAWN = 3, (0.01, 0.02, 0.05, 0.1)
 
 @dataclass(frozen=True)
 class Row:
-    """One run of a random system: a row of the table `runs`; null what it has not.
+    """One run of a random system: a row of the table `runs`, with null for what does not apply.
 
     `t_last` is its last event, `mean` the time mean of n_stick after t_burn; `t_apart`, of the study "lasting", when
     n_stick parts from that of the same matrix unchanged; `period` and `swing`, its standard deviation, are those of
@@ -169,7 +169,7 @@ def oscillation(path: Path) -> tuple[float | None, float | None]:
 
 
 def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
-    """What is drawn of a run, in which panels."""
+    """What is drawn of each run, by panel."""
     ask, last = path.ask, n[-1]
     if ask.study == "long" and ask.n == last and ask.matrix < _DRAWN:
         yield _trace(path, 5, "(i)", f"matrix {ask.matrix}", ask.t_end)

@@ -1,0 +1,103 @@
+"""The command `stickslip`: its commands, what it says of mistakes, and its exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from importlib import import_module
+from typing import Any
+
+from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
+from stickslip.pipeline.machine.processes import one_thread
+from stickslip.pipeline.machine.signals import Interrupted, interruptible
+from stickslip.workflows import NO_FOLDER
+from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed
+from stickslip.workflows.commands.completion import Completion
+from stickslip.workflows.commands.query import Export, Query
+from stickslip.workflows.commands.report import Report
+from stickslip.workflows.commands.run import Run
+from stickslip.workflows.commands.scenes import Init, Scenes, Schema
+from stickslip.workflows.commands.status import Status, Verify
+
+#: By name, in the order of the help. A class here, and the command has it.
+COMMANDS = {
+    one.name: one
+    for one in (
+        Run(), Status(), Verify(), Report(), Query(), Export(), Scenes(), Init(), Schema(), Completion(),
+    )
+}  # fmt: skip
+
+_EXAMPLES = (
+    ("stickslip scenes", "list what can be run"),
+    ("stickslip run cascades", "run it, write runs/cascades and its report"),
+    ("stickslip init mine.toml", "begin a scene of your own"),
+    ("stickslip run mine.toml --workers 4", "run it on four cores"),
+    ('stickslip query runs/cascades "SELECT engine, avg(n_exits) FROM members GROUP BY engine"', ""),
+)
+
+_CODES = """exit codes:
+  0    done
+  1    failed or incomplete: members failed, data are missing or damaged, a directory holds something else; the
+       message says what to do, and finished work is kept
+  2    wrong option, scene or query; nothing was done
+  130  interrupted by Ctrl-C (SIGINT)
+  143  ended by SIGTERM
+"""
+
+
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for; argparse's own action wants it before."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from stickslip.version import __version__
+
+        print(f"stickslip {__version__}")
+        parser.exit()
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command."""
+    form = argparse.RawDescriptionHelpFormatter
+    whole = argparse.ArgumentParser(
+        prog="stickslip",
+        description="Cascades of stick and slip in groups of blocks held by dry friction.",
+        epilog=f"{listed(_EXAMPLES)}\n{_CODES}",
+        formatter_class=form,
+    )
+    whole.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, one in COMMANDS.items():
+        about, examples = f"{one.words[0].upper()}{one.words[1:]}.", listed(one.examples)
+        one.add_arguments(
+            commands.add_parser(name, help=one.words, description=about, epilog=examples, formatter_class=form)
+        )
+    return whole
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command with `argv` (the process's own by default); returns the exit code."""
+    whole = parser()
+    arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
+    try:
+        with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's
+            return COMMANDS[arguments.command](arguments)
+    except Interrupted as interrupt:
+        print("\ninterrupted", file=sys.stderr)
+        return interrupt.exit_code
+    except (Wrong, SceneError, QueryError, AddressError) as error:
+        print(f"stickslip: {error}", file=sys.stderr)
+        return WRONG
+    except (StoreError, ScheduleError) as error:
+        print(f"stickslip: {error}", file=sys.stderr)
+        return UNFINISHED
+    except BrokenPipeError:  # the reader, `head` for one, has seen enough; nothing can be told it any more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNFINISHED
+    except OSError as error:  # a scene, a report or an answer that cannot be written
+        remedy = "make room or choose another place, then rerun the command"
+        print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
+        return UNFINISHED
+    except import_module("stickslip.sim.kernels.cache").CacheError as error:  # loaded only if it is none of the above
+        print(f"stickslip: {error}", file=sys.stderr)
+        return WRONG

@@ -1,0 +1,45 @@
+"""What a command of `stickslip` is."""
+
+from __future__ import annotations
+
+import argparse
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+#: Exit codes, as the help of the whole command explains them.
+DONE, UNFINISHED, WRONG = 0, 1, 2
+
+
+class Wrong(ValueError):
+    """A mistake in what was asked for that no room below sees."""
+
+
+class Command(ABC):
+    """A word after `stickslip`, its help and what it does.
+
+    Modules of commands load nothing heavy before they are called, so that --help is quick.
+    """
+
+    name: ClassVar[str]
+    #: Its line in the list of commands, which begins in lower case and has no full stop.
+    words: ClassVar[str]
+    #: Pairs of a command line and what it is for.
+    examples: ClassVar[tuple[tuple[str, str], ...]]
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Tell the command's own parser what it takes; by default nothing."""
+        del parser
+
+    @abstractmethod
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        """Run it and return the exit code.
+
+        Beside its own arguments it finds `is_program`, whether this process is the command's own, and `parser`, that
+        of the whole command.
+        """
+
+
+def listed(examples: tuple[tuple[str, str], ...]) -> str:
+    """Examples as the help shows them, in two columns."""
+    width = max((len(line) for line, words in examples if words), default=0)
+    return "\n".join(["examples:", *(f"  {line:{width}}  {words}".rstrip() for line, words in examples), ""])

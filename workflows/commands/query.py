@@ -1,0 +1,65 @@
+"""`stickslip query` and `export`: what a dataset holds, as a person or another program wants it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from stickslip.pipeline.machine.signals import Interrupted
+from stickslip.workflows.commands.command import DONE, Command
+
+
+class Query(Command):
+    """`stickslip query`."""
+
+    name = "query"
+    words = "query a dataset in SQL (views: members, n_stick, cascades, ...)"
+    examples = (
+        ('stickslip query runs/quick "SELECT outcome, count(*) FROM members GROUP BY outcome"', ""),
+        ('stickslip query runs/quick "SELECT * FROM n_stick" --out n_stick.parquet', ""),
+    )
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("directory", metavar="DIR")
+        parser.add_argument("sql", metavar="SQL")
+        parser.add_argument(
+            "--format",
+            choices=("table", "csv", "parquet"),
+            help="format of the answer (default: from the ending of FILE, else a table)",
+        )
+        parser.add_argument(
+            "--out", type=Path, metavar="FILE", help="file to write the answer to (default: standard output)"
+        )
+
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        from stickslip.pipeline.query import answer
+        from stickslip.workflows.export import form_of, write
+
+        form = form_of(arguments.format, arguments.out)
+        try:
+            with answer(arguments.directory, arguments.sql) as batches:
+                write(batches, form, arguments.out, arguments.directory)
+        except Interrupted as interrupt:
+            print("\ninterrupted; no answer was written", file=sys.stderr)
+            return interrupt.exit_code
+        return DONE
+
+
+class Export(Command):
+    """`stickslip export`."""
+
+    name = "export"
+    words = "write a dataset as one file of another form"
+    examples = (("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),)
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("directory", metavar="DIR")
+        parser.add_argument("--netcdf", type=Path, metavar="FILE", required=True, help="file to write, in NetCDF-4")
+
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        from stickslip.workflows.netcdf import write
+
+        write(arguments.directory, arguments.netcdf)
+        print(f"data    {arguments.netcdf}")
+        return DONE

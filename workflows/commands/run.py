@@ -1,0 +1,253 @@
+"""`stickslip run`: an ensemble with its report, one member, a chart, or what any of them would take."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sized
+from contextlib import nullcontext
+from importlib import import_module
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING
+
+from stickslip.pipeline.machine.processes import forked_workers, loading
+from stickslip.pipeline.machine.signals import Interrupted
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
+from stickslip.workflows.commands.report import check_no_ensemble, publish, write_report
+
+if TYPE_CHECKING:
+    from stickslip.pipeline.places.place import Place
+    from stickslip.workflows.asking import Asking
+
+
+class Run(Command):
+    """`stickslip run`."""
+
+    name = "run"
+    words = "run a scene, or what is missing of it, and write its report"
+    examples = (
+        ("stickslip run quick", "a scene that ships, into runs/quick"),
+        ("stickslip run mine.toml --dry-run", "what your own scene would take"),
+        ("stickslip run mine.toml --out data/first --workers 4", ""),
+        ("stickslip run mine.toml", "after an interruption: resumes"),
+    )
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scene", metavar="SCENE", help="a scene file, or the name of one that ships")
+        parser.add_argument(
+            "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
+        )
+        where = parser.add_mutually_exclusive_group()
+        # a default in text: argparse takes a value that is the default itself for one that was not given
+        where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
+        where.add_argument(
+            "--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://"
+        )
+        parser.add_argument(
+            "--dashboard",
+            action="store_true",
+            help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
+        )
+        parser.add_argument(
+            "--no-report", action="store_true", help="write no report; `stickslip report DIR` does so later"
+        )
+        parser.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
+        parser.add_argument("--accept-version", action="store_true", help="resume data that another version began")
+        parser.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
+        parser.add_argument(
+            "--dry-run",
+            action="store_true",
+            help="show what would be run and estimate time and disk; write nothing",
+        )
+
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        from stickslip.pipeline.places.directory import Directory
+        from stickslip.pipeline.places.locate import place_of
+        from stickslip.workflows.asking import Asking
+        from stickslip.workflows.scenes import chart_of, find, shipped
+
+        file = find(arguments.scene)
+        if not file.exists() and file.suffix != ".toml":
+            from stickslip.sim.numerics.arguments import did_you_mean
+
+            names = [*shipped(), *(str(near) for near in sorted(file.parent.glob("*.toml")))]
+            raise Wrong(
+                f"SCENE: expected a file or one of the scenes {', '.join(shipped())}, got {arguments.scene!r}"
+                + (did_you_mean(arguments.scene, names) or "; `stickslip scenes` says what they are")
+            )
+        out = place_of(arguments.out if arguments.out is not None else Path("runs") / file.stem)
+        if isinstance(out, Directory):
+            _check_directory(out.path, file)
+        is_chart = chart_of(file) is not None
+        if arguments.scheduler is not None and (is_chart or arguments.dry_run or arguments.only is not None):
+            raise Wrong(
+                "--scheduler: expected none with a chart, --dry-run or --only, which use this machine; leave it out"
+            )
+        if is_chart and (arguments.only is not None or arguments.retry_failed):
+            raise Wrong("--only, --retry-failed: expected none with a chart, which has no members; leave it out")
+        if is_chart:
+            return _run_chart(arguments, file, out)
+        if arguments.dry_run:
+            return _say_estimate(arguments, file, out)
+        if arguments.only is not None:
+            return _run_member(file, arguments.only)
+        # before all else: what these load, and what is loaded here, takes a second or two each
+        are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
+        with (
+            forked_workers() if are_forked else nullcontext(),
+            nullcontext() if arguments.no_report else Asking() as asking,
+        ):
+            return _run_ensemble(arguments, file, out, asking)
+
+
+def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
+    with loading() if arguments.is_program else nullcontext():
+        from stickslip.pipeline import run_ensemble
+        from stickslip.pipeline.machine.signals import last_act
+        from stickslip.pipeline.places.directory import Directory
+        from stickslip.pipeline.places.place import DATA, SCENE
+        from stickslip.workflows.progress import Watch, clock
+        from stickslip.workflows.scenes import load
+
+    scene = load(file)
+
+    def how_to_go_on() -> None:
+        print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
+
+    try:
+        with Watch(out) as watch, last_act(how_to_go_on):
+            if asking is not None:
+                # while workers compute
+                Thread(target=import_module, args=("stickslip.workflows.reporting",), daemon=True).start()
+            status = run_ensemble(
+                scene,
+                out,
+                arguments.workers,
+                arguments.scheduler,
+                on_progress=watch,
+                retry_failed=arguments.retry_failed,
+                accept_version=arguments.accept_version,
+                dashboard=arguments.dashboard,
+            )
+            if asking is not None:
+                write_report(out, asking, watch)
+    except Interrupted as interrupt:
+        how_to_go_on()
+        return interrupt.exit_code
+    print(f"data    {out.named(DATA)}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
+    for reason, count in status.failures.items():
+        print(f"failed  {count}: {reason}", file=sys.stderr)
+    if status.failures:
+        arguments.retry_failed = True
+        copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
+        alone = ["stickslip", "run", copy, "--only", str(status.first_failed)]
+        print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
+    if asking is None:
+        print(f"report  not written; write it with: {shlex.join(['stickslip', 'report', str(out)])}")
+    print(f"time    {clock(watch.elapsed)}, not counting the report")
+    return UNFINISHED if status.failures else DONE
+
+
+def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
+    from stickslip.pipeline.dataset.writer import Store
+    from stickslip.pipeline.running import ends
+    from stickslip.pipeline.running.cluster import check_memory
+    from stickslip.pipeline.running.estimate import WITHIN, estimate
+    from stickslip.workflows.progress import clock
+    from stickslip.workflows.scenes import load
+
+    scene = load(file)
+    scene.check_engines()
+    ends.check(scene)
+    check_memory(scene, arguments.workers)
+    store = Store(out, scene, arguments.retry_failed, arguments.accept_version)
+    planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
+    shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
+    print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
+    if scene.extent:
+        print(f"grid    {scene.extent}", flush=True)
+    n_to_go = sum(len(batch.members) for batch in to_go)
+    if n_to_go < scene.n_members:
+        print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
+    if not to_go:
+        return DONE
+    found = estimate(scene, to_go, arguments.workers)
+    for reason, count in found.failures.items():
+        print(f"failed  {count} of the pilot: {reason}")
+    if found.failures:
+        return UNFINISHED
+    workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
+    low, high = clock(found.seconds / WITHIN), clock(found.seconds * WITHIN)
+    size, core = found.n_bytes / 1e6, found.core_seconds
+    print(
+        f"time    {clock(found.seconds)} ({low} to {high}) on {workers}, not counting start and report;"
+        f" {core / WITHIN:.2g} to {core * WITHIN:.2g} s of a core\n"
+        f"disk    {size:.2g} MB ({size / WITHIN:.2g} to {size * WITHIN:.2g})"
+    )
+    return DONE
+
+
+def _run_member(file: Path, member_id: str) -> int:
+    from stickslip.pipeline import run_member
+    from stickslip.workflows.scenes import load
+
+    scene = load(file)
+    try:
+        row = run_member(scene, member_id)
+    except ValueError as error:
+        raise Wrong(f"--only: {error}") from None
+    for name, value in row.items():
+        if value is not None:
+            shown = f"{len(value)} values" if isinstance(value, Sized) and not isinstance(value, str) else value
+            print(f"{name:18} {shown}")
+    return UNFINISHED if row["outcome"] == "failed" else DONE
+
+
+def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
+    from stickslip.pipeline.places.directory import Directory
+    from stickslip.workflows.gallery import load_chart
+
+    scene = load_chart(file)
+    if arguments.dry_run:
+        print(f"{file}: a chart of {scene.extent()}, in one process, into {out}")
+        return DONE
+    check_no_ensemble(out)
+    try:
+        if isinstance(out, Directory):
+            out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
+        measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
+        from stickslip.workflows.gallery.charts.runner import report
+
+        publish(report(scene, measured), out)
+    except Interrupted as interrupt:
+        print("\ninterrupted; nothing was written", file=sys.stderr)
+        return interrupt.exit_code
+    return DONE
+
+
+def _again(arguments: argparse.Namespace, out: Place) -> str:
+    where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
+    flags = [flag for flag in ("--retry-failed", "--no-report") if getattr(arguments, flag[2:].replace("-", "_"))]
+    return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
+
+
+def _check_directory(out: Path, file: Path) -> None:
+    """Refuse a directory in which a dataset would be in the way of something else."""
+    from stickslip.pipeline.places.place import MANIFEST
+
+    place, here = out.resolve(), Path(__file__).resolve().parents[2]
+    if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
+        raise Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; choose another")
+    if place.exists() and not place.is_dir():
+        raise Wrong(f"--out: expected a directory, got the file {out}; choose another")
+    if place == file.resolve().parent and not (place / MANIFEST).exists():
+        raise Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; choose another")
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isascii() and text.isdigit() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
+    return value

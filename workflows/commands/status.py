@@ -1,0 +1,47 @@
+"""`stickslip status` and `verify`: how far a run is, and whether its data are sound."""
+
+from __future__ import annotations
+
+import argparse
+
+from stickslip.pipeline.machine.signals import Interrupted
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command
+
+
+class Status(Command):
+    """`stickslip status`."""
+
+    name = "status"
+    words = "show how far a run is, how fast it goes and what failed"
+    examples = (("stickslip status runs/quick", ""), ("stickslip status runs/quick --watch", "until the run ends"))
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("directory", metavar="DIR")
+        parser.add_argument("--watch", action="store_true", help="repeat until the run ends")
+
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        from stickslip.workflows.progress import say, watch
+
+        try:
+            (watch if arguments.watch else say)(arguments.directory)
+        except Interrupted as interrupt:  # ends the watching, not the run
+            return interrupt.exit_code
+        return DONE
+
+
+class Verify(Command):
+    """`stickslip verify`."""
+
+    name = "verify"
+    words = "check every byte of a dataset"
+    examples = (("stickslip verify runs/quick", ""),)
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("directory", metavar="DIR")
+
+    def __call__(self, arguments: argparse.Namespace) -> int:
+        from stickslip.pipeline import verify
+
+        problems = verify(arguments.directory)
+        print("\n".join(problems) if problems else f"{arguments.directory}: every shard is as the manifest says")
+        return UNFINISHED if problems else DONE
