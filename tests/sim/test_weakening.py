@@ -379,6 +379,6 @@ class Formless(Rational):
 @pytest.mark.parametrize(("engine", "form"), [("coulomb", "recurrence"), ("sigmoid", "on_lanes")])
 def test_an_engine_names_the_form_that_a_law_lacks(engine, form, monkeypatch):
     monkeypatch.setitem(LAWS, "formless", Formless)
-    expected = f"^weakening: expected Rational or Stribeck, all .*'{engine}' knows, .*, which has no `{form}`$"
+    expected = f"^weakening: expected Rational or Stribeck.*, all .*'{engine}' knows, .*, which has no `{form}`$"
     with pytest.raises(TypeError, match=expected):
         simulate(System([[1.0]], 0.1, weakening=Formless(1.0)), 0.0, 0.0, 1.0, engine=engine)
