@@ -436,7 +436,7 @@ def rhythm_study(rng, ensembles):
 
     Windows hold 3 to 18 periods. Where periods differ between matrices, the answer is the fit to their mean spectrum.
     """
-    ensembles = max(ensembles // 4, 100)
+    ensembles = max(ensembles // 4, 40)
     for span, period, quality, spread in (
         (1400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.15), (5400.0, 470.0, 1.2, 0.15),
         (5400.0, 300.0, 3.0, 0.0),

@@ -225,7 +225,7 @@ def test_the_code_says_what_is_missing(rng):
 
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 #: Ensembles of the studies that take longest by far; the others take 500, and 2000 of false alarms.
-FEWER = {"rhythm": 200, "methods": 800}
+FEWER = {"rhythm": 80, "methods": 800}
 
 
 @pytest.mark.long
