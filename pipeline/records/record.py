@@ -7,6 +7,7 @@ of the guide follow.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -68,6 +69,12 @@ class Made:
     again: Callable[[Any, tuple[float, ...]], Samples]
     found: dict[str, Any]
 
+    def samples(self, times: Floats) -> Samples:
+        """The run's state at times that a record asked for, as far as the run goes."""
+        taken = self.run.samples
+        rows = np.searchsorted(taken.t, times[times <= taken.t[-1]] if len(taken) else times[:0])
+        return Samples(taken.t[rows], taken.z[rows], taken.w[rows])
+
 
 class Sharing(NamedTuple):
     """How many members of a scene share what is computed once for them."""
@@ -102,7 +109,9 @@ class Record(ABC):
     Attributes
     ----------
     name : str
-        Its own, and the key under [record]; a field `step`, if it has one, is the value of that key, else it is true.
+        Its own, and the key under [record], which is true or false.
+    is_step : bool
+        Whether the value of its key is a step of time instead.
     words, example : str, object
         Of that key, for schemas and the guide.
     asked_by : str
@@ -119,6 +128,7 @@ class Record(ABC):
     example: ClassVar[object] = True
     asked_by: ClassVar[str] = ""
     columns: ClassVar[tuple[Column, ...]]
+    is_step: ClassVar[bool] = False
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
 
@@ -149,6 +159,38 @@ class Record(ABC):
     @abstractmethod
     def of(self, made: Made) -> dict[str, Any]:
         """The values of its columns; those left out are null."""
+
+
+@dataclass(frozen=True)
+class WindowRecord(Record):
+    """A record of what a run does after `t_burn`; its key is true, and [record] has the time."""
+
+    t_burn: float
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return cls(keys["t_burn"]) if keys[cls.name] else None
+
+
+@dataclass(frozen=True)
+class StateRecord(WindowRecord):
+    """A record of the states after `t_burn`, sampled every `dt`."""
+
+    dt: float
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return cls(keys["t_burn"], keys["dt"]) if keys[cls.name] else None
+
+    def times(self, member: Member) -> Floats:
+        """t_burn, t_burn + dt ... to t_end."""
+        n_steps = math.floor((member.t_end - self.t_burn) / self.dt * (1 + 1e-12))
+        return np.minimum(self.t_burn + self.dt * np.arange(n_steps + 1), member.t_end)
+
+    def memory(self, facts: Facts) -> Memory:
+        # z and w, and what is computed of them
+        n_bytes = 4.0 * 8 * facts.n * (facts.t_end - self.t_burn) / self.dt
+        return Memory(n_bytes, "sampling a run", "lengthen record.dt")
 
 
 def is_exact(member: Member) -> bool:

@@ -21,6 +21,7 @@ class Separation(Record):
     step: float
 
     name = "separation"
+    is_step = True
     words = "time step at which the distance of a changed run from the unchanged one is kept"
     example = 5.0
     asked_by = "`separation = 5.0` under [record]"
@@ -74,7 +75,8 @@ class Separation(Record):
         base = made.member.base
         if base is None:
             return {}
-        one, other = made.run.samples, made.again(base, tuple(self.times(made.member)))
+        times = self.times(made.member)
+        one, other = made.samples(times), made.again(base, tuple(times))
         m = min(len(one), len(other))  # both reached these
         squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
         return {"separation": np.sqrt(squares.mean(axis=1))}

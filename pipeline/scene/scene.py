@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.records import RECORDS
-from stickslip.pipeline.records.record import Facts, Record
+from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
@@ -167,9 +167,14 @@ class Scene(StrictTable):
     @property
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
-        keys = self.record.model_dump()
+        keys = self.record.model_dump() | {"t_burn": self._record_t_burn}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
+
+    @property
+    def _record_t_burn(self) -> float:
+        """From when on records measure that leave out the start."""
+        return self.analysis.t_burn if self.record.t_burn is None else self.record.t_burn
 
     @property
     def recording(self) -> Recording:
@@ -212,11 +217,12 @@ class Scene(StrictTable):
                     f" engine[{named.index(words)}], got none; remove it, put both into one table, or change eps or a"
                     " tolerance"
                 )
-        if self.analysis.t_burn >= self.run.t_end:
-            raise ValueError(
-                f"analysis.t_burn: expected less than run.t_end = {self.run.t_end}, "
-                f"got {self.analysis.t_burn}; shorten the burn-in or lengthen the runs"
-            )
+        for table, t_burn in (("analysis", self.analysis.t_burn), ("record", self._record_t_burn)):
+            if t_burn >= self.run.t_end:
+                raise ValueError(
+                    f"{table}.t_burn: expected less than run.t_end = {self.run.t_end}, "
+                    f"got {t_burn}; shorten the burn-in or lengthen the runs"
+                )
         readings = self.perturbation.readings if self.perturbation is not None else ()
         kept = self.system.readings
         if set(readings) - set(kept):
@@ -374,6 +380,7 @@ class Scene(StrictTable):
                 "what float64 resolves beside 1",
             ),
             ("analysis.dt", self.analysis.dt, step, steps),
+            ("record.dt", self.record.dt and (self.record.dt,), step, steps),
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
             if known and known[0] < least:
@@ -450,6 +457,8 @@ class Scene(StrictTable):
             keys["system"]["module"] = self.system.module.sha256
             if self.system.module.beside:
                 keys["system"]["beside"] = self.system.module.beside
+        if any(isinstance(record, WindowRecord) for record in self.records):
+            keys["record"]["t_burn"] = self._record_t_burn  # else [analysis] has no influence on the data
         for record in RECORDS:
             if keys["record"].get(record.name) is False and record.name not in _OLDEST_RECORDS:
                 del keys["record"][record.name]

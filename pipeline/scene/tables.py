@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from stickslip.pipeline.records import RECORDS
-from stickslip.pipeline.records.record import Record
+from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
 from stickslip.pipeline.scene.engine_table import Readings
 from stickslip.pipeline.scene.quantity import END, Displacement, Distribution, Velocity, values
 from stickslip.pipeline.scene.toml import (
@@ -155,7 +155,7 @@ class TwinsTable(StrictTable):
 def _key(record: type[Record]) -> tuple[Any, Any]:
     """The type of a record's key under [record], and pydantic's field for it."""
     examples = None if record.example is None else [record.example]
-    if "step" in record.__dataclass_fields__:
+    if record.is_step:
         return Positive | None, Field(default=None, description=record.words, examples=examples)
     return bool, Field(default=False, description=record.words, examples=examples)
 
@@ -167,6 +167,33 @@ _Records: Any = create_model("_Records", __base__=StrictTable, **_KEYS)
 
 class RecordTable(_Records):  # type: ignore[misc]
     """[record]: what is kept in addition to the change points of n_stick, which always are."""
+
+    t_burn: Natural | None = Field(
+        default=None,
+        description="time from which records measure that leave out the start; that of [analysis] if left out",
+        examples=[600.0],
+    )
+    dt: Positive | None = Field(
+        default=None,
+        description="time step at which the state is sampled for records that need it",
+        examples=[0.1],
+    )
+
+    @property
+    def of(self) -> list[type[Record]]:
+        """The records that its keys ask for."""
+        return [record for record in RECORDS if record.words and getattr(self, record.name)]
+
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        for key, kind in (("t_burn", WindowRecord), ("dt", StateRecord)):
+            if getattr(self, key) is not None and not any(issubclass(one, kind) for one in self.of):
+                known = ", ".join(one.name for one in RECORDS if issubclass(one, kind))
+                raise ValueError(f"{key}: expected only with some of {known}, found none; remove it")
+        taking = [one.name for one in self.of if issubclass(one, StateRecord)]
+        if taking and self.dt is None:
+            raise ValueError(f"dt: expected with `{taking[0]}`, found nothing; write e.g. dt = 0.1")
+        return self
 
 
 class MarginsTable(StrictTable):
