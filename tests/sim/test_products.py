@@ -10,8 +10,9 @@ from scipy.sparse import csc_array
 from stickslip.sim import System, simulate
 from stickslip.sim.numerics import products
 from tests.fuzz.draw import draw
-from tests.fuzz.judge import exact_truth, made
+from tests.fuzz.judge import exact_truth
 from tests.independent import Undecided
+from tests.systems import made
 
 
 def drawn(n_cases):
