@@ -185,6 +185,28 @@ def test_the_intraclass_correlation_is_that_of_shrout_and_fleiss():
     assert (found.low, found.high) == pytest.approx((-0.13, 0.72), abs=0.01)
 
 
+def test_the_effect_of_a_change_by_its_definition(rng):
+    """Mean squared differences over all pairs, each matrix left out in turn, and the ends of Fieller's interval."""
+    y, c = rng.normal(size=(7, 1)) + 0.3 * rng.normal(size=(7, 3)), rng.normal(size=(7, 2))
+
+    def sides(some):
+        apart = [np.mean((y[i][:, None] - y[j]) ** 2) for i, j in itertools.permutations(some, 2)]
+        change = [np.mean((c[i][:, None] - y[i]) ** 2) for i in some]
+        same = [np.mean([(a - b) ** 2 for a, b in itertools.permutations(y[i], 2)]) for i in some]
+        return np.array([np.mean(change) - np.mean(same), np.mean(apart) - np.mean(same)])
+
+    found, (top, bottom) = components.against_redraw(y, c, 0.95), sides(range(7))
+    off = np.array([sides([j for j in range(7) if j != i]) for i in range(7)])
+    off -= off.mean(axis=0)
+    covariance = 6 / 7 * off.T @ off  # the jackknife's
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-10)
+    assert found.theta.value == pytest.approx(top / bottom)
+    for end in (found.theta.low, found.theta.high) if found.kind == components.BOUNDED else ():
+        weights = np.array([1.0, -end])
+        error = 2.446911851144969 * np.sqrt(weights @ covariance @ weights)  # of t with 6 degrees of freedom
+        assert abs(top - end * bottom) == pytest.approx(error, rel=1e-6)
+
+
 def test_a_change_that_does_nothing_or_all_is_zero_or_one(rng):
     own = rng.standard_normal((400, 1))
     noise = 1e-3 * rng.standard_normal((400, 4))
