@@ -39,9 +39,9 @@ def draw_case(
     belt_speed : sequence of float
         One of these.
     terms : collection of str
-        Of `TERMS`, each in half of the systems.
+        Of `TERMS`, each in half of the systems; weakening in those of at most 6 blocks.
     on_belt : float
-        Probability of a block to start at the speed of its belt.
+        Probability that a block starts at the speed of its belt.
     """
     least, most = (n, n) if isinstance(n, int) else n
     n = int(rng.integers(least, most + 1))
@@ -174,6 +174,7 @@ FAMILIES: dict[str, Callable[[Rng, int], Floats]] = {
 
 
 def any_damping(rng: Rng, n: int) -> Floats:
+    """R of all kinds: none, of some blocks, as in the paper, over many scales, of either sign."""
     kind = rng.choice(["none", "weak", "paper", "wide", "negative", "some"], p=[0.2, 0.25, 0.2, 0.15, 0.08, 0.12])
     if kind == "none":
         return np.zeros(n)
@@ -187,6 +188,7 @@ def any_damping(rng: Rng, n: int) -> Floats:
 
 
 def any_friction(rng: Rng, n: int) -> Floats:
+    """mu of all kinds: equal, different, of some blocks, none."""
     kind = rng.choice(["equal", "mixed", "some", "none"], p=[0.45, 0.3, 0.2, 0.05])
     if kind == "equal":
         return np.full(n, rng.choice([1.0, rng.uniform(0.1, 3)]))
