@@ -111,6 +111,17 @@ def test_numbers_of_a_known_oscillator(rng):
     assert value["times"] == pytest.approx((100 + 11 * power.max()) / 220, rel=1e-3)
 
 
+def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(rng):
+    """On the log scale; sqrt(2 / 3 sum of squares) is the jackknife's error."""
+    data = exact(SPAN, 470.0, 1.2, g=3)
+    data = dataclasses.replace(data, observed=data.observed * np.array([[0.9], [1.0], [1.15]]))
+    found = rhythm.rhythm(data, 0.95, rng)
+    logs = np.log(found.values["variance"])  # noqa: PD011
+    half = 4.302652729696142 * np.sqrt(2 / 3 * np.sum((logs[1:] - logs[1:].mean()) ** 2))
+    ends = found.found["variance"].low, found.found["variance"].high
+    assert np.log(ends) == pytest.approx([logs[0] - half, logs[0] + half], rel=1e-9)
+
+
 def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_to_be(rng):
     overdamped = rhythm.rhythm(exact(SPAN, 470.0, 0.45), 0.95, rng)
     assert overdamped.verdict == rhythm.SLOW

@@ -143,6 +143,14 @@ def test_effects_are_ratios_judged_together(rng):
 # ------------------------------------------------------------------------------- effective samples, growth rates
 
 
+def test_the_spread_of_batches_by_hand():
+    """n_stick a_k on 20 batches of length 2: length times variance with 9 and 19 degrees of freedom."""
+    a = np.random.default_rng(0).integers(0, 100, 20)
+    twenties, pairs = a.var(ddof=1), a.reshape(10, 2).mean(axis=1).var(ddof=1)
+    found = effective.row(window(np.arange(0.0, 40.0, 2.0), a, 0.0, 40.0), 3.0)
+    np.testing.assert_allclose(found, [a.var(), 4.0 * pairs, 2.0 * twenties, 6.0 * a.var()], rtol=1e-12)
+
+
 def test_n_stick_that_does_not_change_has_no_effective_samples():
     still = effective.row(window(np.zeros(1), np.array([3]), 0.0, 10.0), 0.0)
     assert effective.tau(np.array([still, still])) is None
@@ -175,6 +183,28 @@ def test_the_intraclass_correlation_is_that_of_shrout_and_fleiss():
     found = components.intraclass(np.array(ratings), 0.95)
     assert found.value == pytest.approx(0.17, abs=0.005)
     assert (found.low, found.high) == pytest.approx((-0.13, 0.72), abs=0.01)
+
+
+def test_the_effect_of_a_change_by_its_definition(rng):
+    """Mean squared differences over all pairs, each matrix left out in turn, and the ends of Fieller's interval."""
+    y, c = rng.normal(size=(7, 1)) + 0.3 * rng.normal(size=(7, 3)), rng.normal(size=(7, 2))
+
+    def sides(some):
+        apart = [np.mean((y[i][:, None] - y[j]) ** 2) for i, j in itertools.permutations(some, 2)]
+        change = [np.mean((c[i][:, None] - y[i]) ** 2) for i in some]
+        same = [np.mean([(a - b) ** 2 for a, b in itertools.permutations(y[i], 2)]) for i in some]
+        return np.array([np.mean(change) - np.mean(same), np.mean(apart) - np.mean(same)])
+
+    found, (top, bottom) = components.against_redraw(y, c, 0.95), sides(range(7))
+    off = np.array([sides([j for j in range(7) if j != i]) for i in range(7)])
+    off -= off.mean(axis=0)
+    covariance = 6 / 7 * off.T @ off  # the jackknife's
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-10)
+    assert found.theta.value == pytest.approx(top / bottom)
+    for end in (found.theta.low, found.theta.high) if found.kind == components.BOUNDED else ():
+        weights = np.array([1.0, -end])
+        error = 2.446911851144969 * np.sqrt(weights @ covariance @ weights)  # of t with 6 degrees of freedom
+        assert abs(top - end * bottom) == pytest.approx(error, rel=1e-6)
 
 
 def test_a_change_that_does_nothing_or_all_is_zero_or_one(rng):

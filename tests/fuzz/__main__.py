@@ -11,10 +11,11 @@ from itertools import count, product
 import numpy as np
 
 from tests import fuzz
-from tests.fuzz.draw import TERMS, draw, sort_of
+from tests.fuzz.draw import draw, sort_of
 from tests.fuzz.judge import LIMIT, Verdict
 from tests.fuzz.relations import RELATIONS, setup_of
 from tests.fuzz.workers import JUDGES, verdicts, within_limits
+from tests.systems import TERMS
 
 
 class _Table:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
 
 from tests.independent import Case, Floats, Ramp
-
-Rng = np.random.Generator
+from tests.systems import FAMILIES, TERMS, Rng, any_damping, any_friction, started, with_terms
 
 
 @dataclass(frozen=True)
@@ -64,78 +63,6 @@ def _ramp(ramp: Ramp) -> str:
     return f"Piecewise({ramp.times.tolist()}, {ramp.values.tolist()})"
 
 
-def _grounded(springs: Floats, ground: Floats) -> Floats:
-    """Springs between blocks (symmetric) and to the ground, eq. (6)."""
-    return np.diag(ground + springs.sum(axis=1)) - springs
-
-
-def _chain(rng: Rng, n: int) -> Floats:
-    springs = np.zeros((n, n))
-    for i in range(n - 1):
-        springs[i, i + 1] = springs[i + 1, i] = rng.choice([1.0, rng.uniform(0.2, 3)])
-    ground = rng.uniform(0, 1, n) if rng.random() < 0.5 else np.eye(n)[0]
-    return _grounded(springs, ground)
-
-
-def _stiff(rng: Rng, n: int) -> Floats:
-    springs = np.triu(10 ** rng.uniform(2, 3, (n, n)) * (rng.random((n, n)) < 0.6), 1)
-    ground = np.where(rng.random(n) < 0.5, 10 ** rng.uniform(2, 3, n), rng.uniform(0, 1, n))
-    return _grounded(springs + springs.T, ground)
-
-
-def _antisymmetric(rng: Rng, n: int) -> Floats:
-    u = rng.uniform(-1, 1, (n, n)) * rng.choice([0.2, 1.0, 3.0])
-    return (u - u.T) / 2 + np.diag(np.abs(np.diag(u)))
-
-
-def _symmetric(rng: Rng, n: int) -> Floats:
-    a = rng.normal(size=(n, n))
-    return a @ a.T / n if rng.random() < 0.7 else (a + a.T) / 2
-
-
-def _singular(rng: Rng, n: int) -> Floats:
-    rank = int(rng.integers(0, n)) if n > 1 else 0
-    left = rng.normal(size=(n, rank))
-    return left @ (left.T if rng.random() < 0.5 else rng.normal(size=(rank, n)))
-
-
-def _nilpotent(rng: Rng, n: int) -> Floats:
-    order = rng.permutation(n)
-    return np.triu(rng.normal(size=(n, n)), 1)[np.ix_(order, order)]
-
-
-def _sparse(rng: Rng, n: int) -> Floats:
-    k = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.3)
-    return k + np.diag(rng.choice([0.0, 1.0, 2.0], n))
-
-
-def _identical(rng: Rng, n: int) -> Floats:
-    a, b = rng.uniform(0.1, 2), rng.uniform(-0.5, 0.5)
-    return a * np.eye(n) + b * np.ones((n, n))
-
-
-def _integers(rng: Rng, n: int) -> Floats:
-    k = rng.integers(-1, 2, (n, n)) * 1.0
-    k = np.triu(k) + np.triu(k, 1).T if rng.random() < 0.5 else k
-    return k + np.diag(rng.integers(0, 4, n) * 1.0)
-
-
-def _full(rng: Rng, n: int) -> Floats:
-    return rng.normal(size=(n, n)) + rng.choice([0.0, 2.0]) * np.eye(n)
-
-
-FAMILIES: dict[str, Callable[[Rng, int], Floats]] = {
-    "antisymmetric": _antisymmetric,
-    "chain": _chain,
-    "full": _full,
-    "identical": _identical,
-    "integers": _integers,
-    "nilpotent": _nilpotent,
-    "singular": _singular,
-    "sparse": _sparse,
-    "stiff": _stiff,
-    "symmetric": _symmetric,
-}
 #: Of the cases, in this order over and over: each engine meets each family.
 _ENGINES: tuple[Literal["coulomb", "sigmoid"], ...] = ("coulomb", "coulomb", "sigmoid")
 _GROWN = 1e6  # what grows by more can hardly be judged
@@ -145,26 +72,6 @@ _TURNS = 1500.0  # time times rate: what the references do in a second
 def _size(rng: Rng) -> int:
     sizes = ((1, 2), (2, 3), (3, 4), (4, 7), (7, 13), (13, 21))
     return int(rng.integers(*sizes[rng.choice(len(sizes), p=[0.25, 0.25, 0.15, 0.25, 0.07, 0.03])]))
-
-
-def _damping(rng: Rng, n: int) -> Floats:
-    kind = rng.choice(["none", "weak", "paper", "wide", "negative", "some"], p=[0.2, 0.25, 0.2, 0.15, 0.08, 0.12])
-    if kind == "none":
-        return np.zeros(n)
-    if kind == "paper":
-        return rng.uniform(3.5, 7, n)
-    if kind == "wide":
-        return 10 ** rng.uniform(-8, np.log10(50), n)
-    if kind == "negative":
-        return np.where(rng.random(n) < 0.5, -(10 ** rng.uniform(-2, -0.5, n)), rng.uniform(0, 1, n))
-    return rng.uniform(0, 1, n) * (rng.random(n) < (0.5 if kind == "some" else 1.0))
-
-
-def _friction(rng: Rng, n: int) -> Floats:
-    kind = rng.choice(["equal", "mixed", "some", "none"], p=[0.45, 0.3, 0.2, 0.05])
-    if kind == "equal":
-        return np.full(n, rng.choice([1.0, rng.uniform(0.1, 3)]))
-    return rng.uniform(0, 2, n) * (rng.random(n) < {"mixed": 1.0, "some": 0.6, "none": 0.0}[kind])
 
 
 def _start(rng: Rng, k: Floats, mu: Floats, v: Floats, drag: Floats) -> tuple[Floats, Floats]:
@@ -210,88 +117,6 @@ def longest(case: Case, t: float) -> float:
     return t
 
 
-def _static(rng: Rng, mu: Floats) -> Floats:
-    """Static friction above the kinetic, of all blocks or some; by a ratio, but where there is no kinetic."""
-    above = rng.choice([0.25, 0.01, 1.0, rng.uniform(0.0, 2.0)], len(mu)) * (rng.random(len(mu)) < 0.8)
-    return mu * (1 + above)
-
-
-#: What is drawn beside eq. (10), each in half of the cases: static friction above the kinetic, forces, belts of
-#: different speeds or such as change, masses, friction that falls with speed, no back slip.
-TERMS = ("static", "force", "belt", "mass", "weakening", "back_slip")
-_CURVED_MAX = 6  # blocks; more are slow to follow where the motion is not linear
-_LATEST = 60.0  # of a knot
-
-
-def _ramps(rng: Rng, n: int, size: Callable[[tuple[int, int]], Floats], whole: bool) -> Ramp:
-    """By block or for all blocks: constant or piecewise linear; knots at whole times or anywhere."""
-    k = int(rng.choice([1, 2, 3, 6]))
-    latest = _LATEST if rng.random() < 0.3 else 6.0
-    times = rng.choice(np.arange(0.0, 12.0), k, replace=False) if whole else rng.uniform(0, latest, k)
-    values = size((k, n)) if rng.random() < 0.6 else size((k, 1)).repeat(n, axis=1)
-    if k > 2 and rng.random() < 0.4:
-        values[1] = values[0]
-    return Ramp(np.sort(times), values)
-
-
-def _with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool, alike: bool) -> Case:
-    """With the terms, each by a coin; in whole or half numbers, or alike for all blocks."""
-    n = case.n
-    draws = dict(zip(TERMS, rng.spawn(len(TERMS)), strict=True))
-    chosen = {term: own for term, own in draws.items() if own.random() < 0.5 and term in terms}
-    if own := chosen.get("static"):
-        halves = own.integers(0, 2, n) / 2 * (case.friction > 0)
-        above = _static(own, case.friction[:1]).repeat(n) if alike else _static(own, case.friction)
-        case = replace(case, static=case.friction + halves if whole else above)
-    if own := chosen.get("mass"):
-        mass = own.choice([0.5, 1.0, 2.0, 4.0], n) if whole else 10 ** own.uniform(-1.5, 1.5, n)
-        case = replace(case, mass=mass[:1].repeat(n) if alike else mass)
-    if own := chosen.get("belt"):
-        v = case.belt.values[0, 0]
-        size = own.choice([abs(v), 1.0, 0.2])
-
-        def speeds(shape: tuple[int, int]) -> Floats:
-            if whole:
-                return own.integers(-2, 3, shape) / 2
-            return np.where(own.random(shape) < 0.3, v, size * own.normal(size=shape))
-
-        belt = _ramps(own, n, speeds, whole)
-        case = replace(case, belt=Ramp(belt.times, belt.values[:, :1].repeat(n, axis=1)) if alike else belt)
-    if own := chosen.get("force"):
-        size = own.choice([0.3, 1.0, 3.0])
-
-        def pushes(shape: tuple[int, int]) -> Floats:
-            return (
-                own.integers(-1, 2, shape) * 1.0
-                if whole
-                else size * own.normal(size=shape) * (own.random(shape) < 0.7)
-            )
-
-        push = _ramps(own, n, pushes, whole) if own.random() < 0.6 else Ramp.of(0.0, n)
-        count = own.choice([0, 1, 2]) if push.values.any() else 1
-        waves = np.stack(
-            [
-                pushes((count, n)) if own.random() < 0.6 else pushes((count, 1)).repeat(n, axis=1),
-                (own.choice([0.5, 1.0, 2.0], (count, 1)) if whole else 10 ** own.uniform(-1.5, 1, (count, 1))).repeat(
-                    n, axis=1
-                ),
-                own.choice([0.0, np.pi / 2, own.uniform(0, 7)], (count, 1)).repeat(n, axis=1),
-            ],
-            axis=1,
-        )
-        if count and not whole and own.random() < 0.3:
-            waves[:, 1] *= own.uniform(0.5, 1.0, (count, n))
-        if alike:
-            push, waves = Ramp(push.times, push.values[:, :1].repeat(n, axis=1)), waves[:, :, :1].repeat(n, axis=2)
-        case = replace(case, push=push, waves=waves)
-    speeds_of_slip = [0.5, 1.0, 2.0] if whole else [0.1, 1.0, 3.0]
-    if (own := chosen.get("weakening")) and case.n <= _CURVED_MAX:
-        case = replace(case, falls=(own.choice(["rational", "exponential"]), float(own.choice(speeds_of_slip))))
-    if "back_slip" in chosen and (case.near > 0).all() and (case.belt.values * case.belt.values[0] > 0).all():
-        case = replace(case, closed=np.sign(case.belt.values[0]))
-    return case
-
-
 def sort_of(number: int) -> tuple[str, Literal["coulomb", "sigmoid"]]:
     """Family and engine of case `number` of any seed."""
     return list(FAMILIES)[number % len(FAMILIES)], _ENGINES[number // len(FAMILIES) % len(_ENGINES)]
@@ -305,7 +130,7 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
     k = FAMILIES[family](rng, n)
     speeds = [-0.2, 0.2, -1.0, 1.0, 0.0, 30.0, -30.0, rng.normal()]
     v = float(rng.choice(speeds, p=[0.35, 0.12, 0.1, 0.1, 0.1, 0.03, 0.03, 0.17]))
-    r, mu = _damping(rng, n), _friction(rng, n)
+    r, mu = any_damping(rng, n), any_friction(rng, n)
     whole, alike = family == "integers", family == "identical"
     if whole:
         v = float(rng.integers(-2, 3)) / 2
@@ -313,7 +138,7 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
     elif alike:
         r, mu = np.full(n, r[0]), np.full(n, mu[0])
     other = np.random.default_rng([seed, number, 2])  # what else is drawn stays as it is without
-    case = _with_terms(other, Case.of(k, r, mu, v, 0.0, v), terms, whole, alike)
+    case = with_terms(other, Case.of(k, r, mu, v, 0.0, v), terms, whole, alike)
     at_start = case.belt.line(0.0)[0]
     if whole:
         z = rng.integers(-2, 3, n) * 1.0
@@ -322,7 +147,7 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
         kinds = rng.integers(0, rng.integers(1, 3), n) if alike else np.arange(n)  # one kind of start, or two
         drag = case.holding(np.zeros(1), np.zeros((1, n)))[0]
         z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, case.static, at_start, drag))
-    case = replace(case, z0=z, w0=np.where(case.closed * (w - at_start) > 0, at_start, w))
+    case = started(case, z, w)
     lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]
     length = rng.choice(lengths, p=[0.25, 0.6, 0.15])
     t_end = longest(case, float(length))

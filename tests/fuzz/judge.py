@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import eig
-from scipy.sparse import csc_array
 
-from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, Run, Stribeck, System, simulate
+from stickslip.sim import IntegrationError, Run, simulate
 from stickslip.sim.numerics import products
 from tests.fuzz.draw import Trial, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Ramp, Undecided, follow
+from tests.systems import made
 
 #: Error over tol times sensitivity beyond which a run is wrong, by engine. The sigmoid engine's errors add up where
 #: nothing damps them: `docs/guide/sigmoid-engine.md` states its bound.
@@ -70,28 +70,6 @@ def patience(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
-
-
-def made(case: Case, sparse: bool = False) -> System:
-    """The system of a case."""
-    k = csc_array(case.stiffness) if sparse else case.stiffness
-    force: Any = [Piecewise(case.push.times, case.push.values), *(Harmonic(*wave) for wave in case.waves)]
-    laws = {"rational": Rational, "exponential": Stribeck}
-    return System(
-        k,
-        case.damping,
-        case.friction,
-        _drive(case.belt),
-        case.static,
-        mass=case.mass,
-        force=force,
-        weakening=laws[case.falls[0]](case.falls[1]) if case.falls else None,
-        back_slip=not case.closed.any(),
-    )
-
-
-def _drive(ramp: Ramp) -> Floats | Piecewise:
-    return ramp.values[0] if len(ramp.times) == 1 else Piecewise(ramp.times, ramp.values)
 
 
 @dataclass(frozen=True)

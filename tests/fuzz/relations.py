@@ -18,10 +18,11 @@ from scipy.linalg import expm
 from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
-from tests.fuzz.draw import TERMS, Rng, draw
-from tests.fuzz.judge import Endless, Verdict, made, patience
+from tests.fuzz.draw import draw
+from tests.fuzz.judge import Endless, Verdict, patience
 from tests.fuzz.series import Stretches, agreeing, by_block, compare
 from tests.independent import Floats
+from tests.systems import TERMS, Rng, made
 
 #: Difference over tol times sensitivity beyond which a relation is broken, by engine: two runs may err each way.
 LIMIT = {"coulomb": 200.0, "sigmoid": 2000.0}

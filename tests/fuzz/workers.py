@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from stickslip.pipeline.machine.processes import Child, ChildDied
-from tests.fuzz.draw import TERMS, draw
+from tests.fuzz.draw import draw
 from tests.fuzz.judge import Verdict, judge
 from tests.fuzz.relations import judge_relations
+from tests.systems import TERMS
 
 _WORK = 120.0  # seconds of its own time that a case may take before its process is killed
 PATIENCE = 15 * _WORK  # seconds by the clock, for one that hangs; a busy machine stops no case

@@ -1,7 +1,5 @@
 """The parts of the sigmoid engine by their definitions, and what its steps of a block's own must not miss."""
 
-import secrets
-
 import numba
 import numpy as np
 import pytest
@@ -14,11 +12,11 @@ from stickslip.sim.systems.friction import hidden_term
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.sim import radau as reference
+from tests.systems import draw_run
 
 
-def test_the_method_by_its_definition():
+def test_the_method_by_its_definition(rng):
     """Polynomials of degree 4 are integrated to each node, of degree 8 to the end; projection and hull."""
-    rng = np.random.default_rng(secrets.randbits(32))
     p = np.polynomial.Polynomial(rng.normal(size=5))
     np.testing.assert_allclose(radau.WEIGHTS @ p(radau.NODES), p.integ()(radau.NODES), atol=1e-13)
     np.testing.assert_allclose(radau.INVERSE @ p.integ()(radau.NODES), p(radau.NODES), atol=1e-11)
@@ -41,8 +39,7 @@ def test_the_method_by_its_definition():
 
 @pytest.mark.parametrize("n", [1, 7, 8, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
-def test_products_in_panels_are_plain_products(n, single):
-    rng = np.random.default_rng(secrets.randbits(32))
+def test_products_in_panels_are_plain_products(n, single, rng):
     multiply, dtype = panels.products(5, single), np.float32 if single else np.float64
     apply = numba.njit(lambda k, x, y: multiply(k, x, y))
     matrix, width = rng.normal(size=(n, n)), -(-n // 16) * 16
@@ -55,8 +52,7 @@ def test_products_in_panels_are_plain_products(n, single):
 
 @pytest.mark.parametrize("n", [1, 7, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
-def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single):
-    rng = np.random.default_rng(secrets.randbits(32))
+def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single, rng):
     multiply, dtype = panels.pair_products(single), np.float32 if single else np.float64
     apply = numba.njit(lambda k, x, y, columns, m: multiply(k, x, y, columns, m))
     matrix, height = rng.normal(size=(n, n)), panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
@@ -103,13 +99,11 @@ def test_errors_that_add_up_undamped_stay_small(seed, number):
 
 
 @pytest.mark.long
-def test_cross_damping():
-    rng = np.random.default_rng(secrets.randbits(32))
-    damping = np.diag(rng.uniform(0.5, 1.5, 6)) + rng.uniform(-0.4, 0.4, (6, 6))
-    system = System(draw_system("antisymmetric", 6, 3).stiffness, damping, 1.0, -0.2)
+def test_cross_damping(rng):
+    system, z, w = draw_run(rng, 6, "antisymmetric", damping=(0.5, 1.5), friction=(1.0, 1.0), cross=0.2)
     times = np.linspace(0.0, 8.0, 9)[1:]
-    exact = reference.states(system, -0.7, -0.4, 0.02, times, 1e-11, 0.02)
-    got = simulate(system, -0.7, -0.4, 8.0, t_eval=times, engine="sigmoid", eps=0.02, rtol=1e-7, atol=1e-7).samples
+    exact = reference.states(system, z, w, 0.02, times, 1e-11, 0.02)
+    got = simulate(system, z, w, 8.0, t_eval=times, engine="sigmoid", eps=0.02, rtol=1e-7, atol=1e-7).samples
     assert np.abs(np.stack([got.z, got.w], axis=1) - exact).max() < 1e-5
 
 

@@ -16,19 +16,15 @@ from stickslip.sim import (
     perturb_system,
     simulate,
 )
+from tests.systems import draw_run
 
 FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
 
 
-def draw(seed, cross=1.0, n_max=6):
-    """A system with entries of N of size `cross`, and a start; some blocks without friction, one without damping."""
+def draw(seed, cross=1.0):
+    """A system with entries of N of size `cross`, and a start."""
     rng = np.random.default_rng([seed, 19])
-    n = int(rng.integers(2, n_max + 1))
-    k = rng.normal(size=(n, n))
-    k = (k - k.T) / 2 + np.diag(np.abs(np.diag(k)))
-    c = cross * rng.normal(size=(n, n))
-    np.fill_diagonal(c, np.append(rng.uniform(0.5, 3.0, n - 1), 0.0))
-    return System(k, c, rng.choice([0.0, 0.5, 1.0], n), -0.3), rng.normal(size=n), rng.normal(size=n), rng
+    return *draw_run(rng, (2, 6), "antisymmetric", damping=(0.0, 3.0), belt_speed=[-0.3], cross=cross), rng
 
 
 def full(system):
@@ -158,7 +154,7 @@ def test_entries_and_exits_see_the_force_with_its_cross_damping():
     """F = R v + K z + N w and |w - v| on a fine grid of the reference: what sticks there is what the run says."""
     eps = 0.03
     n_events = 0
-    for seed in (0, 1, 3):
+    for seed in range(6):
         system, z0, w0, _ = draw(seed, 0.3)
         sol = by_scipy(system, z0, w0, eps, 6.0, "Radau", 1e-11)
         run = simulate(system, z0, w0, 6.0, eps=eps, **FINE)
@@ -217,31 +213,6 @@ def test_energy_balance(seed):
         work = -0.5 * width * float(loss @ np.tile(weights, 400))
         change = 0.5 * (run.w @ run.w + run.z @ k @ run.z) - 0.5 * (w0 @ w0 + z0 @ k @ z0)
         assert change == pytest.approx(work, rel=1e-6, abs=1e-6)
-
-
-@pytest.mark.parametrize("stick", [{}, {"stick": "threshold", "threshold": 3.0}], ids=["manifold", "threshold"])
-def test_nothing_happens_after_a_certified_collapse(stick):
-    n_collapsed = 0
-    for seed in range(80):
-        rng = np.random.default_rng([seed, 23])
-        n = int(rng.integers(2, 6))
-        k = 0.5 * rng.normal(size=(n, n))
-        k = (k - k.T) / 2 + np.diag(rng.uniform(0.2, 1.5, n))
-        c = 0.5 * rng.normal(size=(n, n))
-        np.fill_diagonal(c, rng.uniform(0.2, 3.0, n))
-        system = System(k, c, rng.uniform(0.2, 1.0, n), rng.choice([-0.5, -0.2, 0.3]))
-        start = rng.normal(size=(2, n))
-        law = {"engine": "sigmoid", "eps": 0.02, "rtol": 1e-7, "atol": 1e-7, **stick}
-        run = simulate(system, *start, 150.0, **law)
-        if run.outcome != "collapsed":
-            continue
-        n_collapsed += 1
-        whole = simulate(system, *start, 150.0, stop_early=False, **law)
-        np.testing.assert_array_equal(whole.events.t, run.events.t)
-        np.testing.assert_array_equal(whole.events.mode, run.events.mode)
-        assert whole.outcome == "finished"
-        assert run.n_stick(150.0) == 0
-    assert n_collapsed > 30
 
 
 def test_growth_by_cross_damping_alone_is_seen():

@@ -1,7 +1,5 @@
 """Energy and its balance, and episodes."""
 
-import secrets
-
 import numpy as np
 import pytest
 from scipy.integrate import quad_vec
@@ -47,12 +45,10 @@ def test_a_block_that_rides_the_belt_takes_its_work():
 
 
 @pytest.mark.parametrize("coupling", ["antisymmetric", "chain"])
-def test_the_balance_closes_over_thousands_of_events(coupling):
-    seed = secrets.randbits(32)
-    print("seed", seed)
+def test_the_balance_closes_over_thousands_of_events(coupling, rng):
+    seed = int(rng.integers(2**32))
     if coupling == "chain":
-        system = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0, static=1.5)
-        rng, t_end = np.random.default_rng(seed), 400.0
+        system, t_end = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0, static=1.5), 400.0
         start = rng.normal(size=30), np.full(30, -0.2)
     else:
         system, t_end, start = draw_system("antisymmetric", 150, seed, kappa=0.25), 800.0, (-0.7, -0.4)
@@ -239,12 +235,9 @@ def test_one_block_with_static_friction_has_an_episode_a_period():
 
 @pytest.mark.parametrize("belts", ["one", "several", "changing"])
 @pytest.mark.parametrize(("engine", "settings"), [("coulomb", {}), ("sigmoid", {"eps": 1e-2})])
-def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts):
-    seed = secrets.randbits(32)
-    print(f"seed = {seed}")
-    rng = np.random.default_rng(seed)
+def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts, rng):
     n_found = 0
-    for draw in range(3):  # one in some hundreds comes to slide, with few episodes or none
+    for _ in range(3):  # one in some hundreds comes to slide, with few episodes or none
         side = float(rng.choice([-1.0, 1.0]))
         speeds = side * rng.uniform(0.04, 0.06, (4, 6))
         belt = {
@@ -252,7 +245,9 @@ def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts):
             "several": speeds[0],
             "changing": Piecewise(np.sort(rng.uniform(-10.0, 160.0, 4)), speeds),
         }[belts]
-        chain = draw_system("chain", 6, seed + draw, kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=belt)
+        chain = draw_system(
+            "chain", 6, int(rng.integers(2**32)), kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=belt
+        )
         start = rng.uniform(-0.2, 0.2, 6), chain.belt_speed_at(0.0), 150.0
         found = episodes(simulate(chain, *start, engine=engine, **settings), belt)
         ends = np.column_stack([found.start, found.end]).ravel()

@@ -5,8 +5,9 @@ import pytest
 
 from stickslip.sim import simulate
 from tests.fuzz.draw import Trial
-from tests.fuzz.judge import judge, made
+from tests.fuzz.judge import judge
 from tests.independent import Case, Ramp
+from tests.systems import made
 
 SMOOTH = {"eps": 0.01, "rtol": 1e-8, "atol": 1e-8}
 FOUND = {

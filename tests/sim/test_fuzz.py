@@ -12,11 +12,12 @@ import pytest
 from stickslip.sim import EventSeries, Run, System, draw_system, simulate
 from stickslip.sim.runs.run import Samples
 from tests.fuzz import judge as judging
-from tests.fuzz.draw import FAMILIES, TERMS, Trial, draw
+from tests.fuzz.draw import Trial, draw
 from tests.fuzz.judge import exact_truth, judge
 from tests.fuzz.series import Stretches, compare
 from tests.fuzz.workers import judge_case, verdicts, within_limits
 from tests.independent import Case
+from tests.systems import FAMILIES, TERMS
 
 DRAWN = draw_system("antisymmetric", 4, seed=3)
 CASE = Case.of(DRAWN.stiffness, DRAWN.damping, 1, -0.2, -0.7, -0.4)

@@ -18,6 +18,7 @@ from stickslip.sim.theory.folds import (
     visibility,
 )
 from stickslip.sim.theory.strata import corners, n_strata, parallelogram, strata
+from tests.systems import draw_run
 
 EXACT = {"tol": 1e-15, "stop_early": False}
 FIGURE_2 = {"kappa1": 1.1, "kappa2": 1.6, "kappa12": 0.5, "rho": 0.1, "mu": 1.0, "v": -1.0}
@@ -27,10 +28,8 @@ ONE_BLOCK = [(3.5, 0.2, -0.2), (3.5, 0.2, 0.2), (0.1, 1.0, -0.2)]
 def draw(seed, n_max=6):
     """A system of any kind of K, with independent rows."""
     rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, n_max + 1))
-    k = rng.normal(size=(n, n)) + rng.choice([0.0, 2.0]) * np.eye(n)
-    v = rng.choice([-1.0, -0.2, 0.7])
-    return System(k, rng.uniform(-0.2, 2.0, n), rng.uniform(0.3, 2.0, n), v), rng
+    speeds = (-1.0, -0.2, 0.7)
+    return draw_run(rng, (1, n_max), "full", damping=(-0.2, 2.0), friction=(0.3, 2.0), belt_speed=speeds)[0], rng
 
 
 def place(system, share):
@@ -507,9 +506,8 @@ def described(system, z, w, mode):
 
 def start_at_a_fold(seed):
     rng = np.random.default_rng(seed)
-    n = 4
-    system = System(rng.normal(size=(n, n)), rng.uniform(0, 1, n), rng.uniform(0.5, 2, n), -0.4)
-    share = rng.uniform(-0.8, 0.8, n)
+    system, *_ = draw_run(rng, 4, "full", damping=(0.0, 1.0), friction=(0.5, 2.0), belt_speed=[-0.4])
+    share = rng.uniform(-0.8, 0.8, 4)
     w = np.array([-0.4, -0.4, -0.4, 0.9])
     share[0] = 1.0
     return system, place(system, share), w, np.array([0, 0, 0, 1]), rng

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stickslip.sim import System
 from tests.independent import Case, Path, Ramp, follow
+from tests.systems import draw_case, made
 
 from .reference import follow as follow_in_34_digits
 
@@ -102,20 +102,15 @@ def test_energy_is_lost_to_damping_and_friction_only():
 
 
 @pytest.mark.parametrize("kind", ["random", "ties"])
-def test_small_systems_in_34_digits(kind):
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")
-    rng = np.random.default_rng(seed)
+def test_small_systems_in_34_digits(kind, rng):
     n_events = 0
     for n in (1, 2, 2):
+        case = draw_case(rng, n, "full", damping=(0.0, 1.0), friction=(0.0, 1.0), belt_speed=rng.normal(size=1))
         if kind == "ties":
             k, r = rng.integers(-1, 3, (n, n)) / 1.0, rng.integers(0, 2, n) / 2
-            mu, v, z, w = 1.0, -0.5, rng.integers(-1, 2, n) / 1.0, -0.5
-        else:
-            k, r = rng.normal(size=(n, n)) + 2 * np.eye(n), rng.uniform(0, 1, n)
-            mu, v, z, w = rng.uniform(0, 1, n), rng.normal(), 2 * rng.normal(size=n), rng.normal(size=n)
-        expected = follow_in_34_digits(System(k, r, mu, v), z, w, 3.0)
-        path = follow(Case.of(k, r, mu, v, z, w), 3.0)
+            case = Case.of(k, r, 1.0, -0.5, rng.integers(-1, 2, n) / 1.0, -0.5)
+        expected = follow_in_34_digits(made(case), case.z0, case.w0, 3.0)
+        path = follow(case, 3.0)
         assert (path.block, path.mode) == (expected.block, expected.mode)
         assert list(path.initial_mode) == expected.initial_mode
         np.testing.assert_allclose(path.t, expected.t, rtol=0, atol=1e-7)  # a tangency halves the digits

@@ -22,10 +22,7 @@ def test_planted_roots_are_found_in_order(planted):
     assert found_in(coefficients, 1).tolist() == found_in(coefficients, 8)[:1].tolist()  # as there is room for
 
 
-def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_border_it_lies():
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
+def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_border_it_lies(rng):
     places = np.setdiff1d(np.arange(-8, 25), [0, 16]) / 16  # at 1 itself rounding decides whether it is inside
     for _ in range(5000):
         planted = np.sort(rng.choice(places, rng.integers(1, 6), replace=False))

@@ -1,5 +1,7 @@
 """Heavily damped blocks under the exact law: closed forms, the independent engine, a limit, and short steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -8,6 +10,7 @@ from stickslip.sim import Harmonic, Piecewise, System, simulate
 from stickslip.sim.engines.coulomb import integrate
 from stickslip.sim.engines.coulomb.overdamped import Slow
 from tests import independent
+from tests.systems import draw_case, made
 
 
 def slipping(damping, stiffness, friction, z0, w0, t):
@@ -61,29 +64,24 @@ def test_a_block_that_is_held_leaves_when_a_force_says_so_however_slow_its_neigh
 
 def draw(rng, damping):
     """Blocks of which some are heavily damped, on belts on which they stick, or that they leave behind."""
-    n = int(rng.integers(1, 5))
-    stiffness = rng.normal(size=(n, n))
-    stiffness = stiffness @ stiffness.T / n + (rng.normal() * (np.tri(n) - np.tri(n).T))
-    heavy = rng.random(n) < rng.choice([0.3, 1.0])
-    heavy[rng.integers(n)] = True
-    r = np.where(heavy, damping * rng.uniform(1, 3, n), rng.uniform(0.5, 2, n))
-    friction = rng.uniform(0.3, 1.5, n)
-    v = float(rng.choice([-0.2, 0.0, 0.1 / damping, 1.0 / damping]))
-    arguments = {"damping": r, "friction": friction, "static": friction * rng.choice([1.0, 1.3])}
-    return stiffness, arguments, v, rng.normal(size=n), np.where(rng.random(n) < 0.5, v, rng.normal(size=n))
+    speeds = (-0.2, 0.0, 0.1 / damping, 1.0 / damping)
+    case = draw_case(
+        rng, (1, 4), "full", damping=(0.5, 2.0), friction=(0.3, 1.5), belt_speed=speeds, terms=["static"], on_belt=0.5
+    )
+    heavy = rng.random(case.n) < rng.choice([0.3, 1.0])
+    heavy[rng.integers(case.n)] = True
+    return replace(case, damping=np.where(heavy, damping * rng.uniform(1, 3, case.n), case.damping))
 
 
 def test_against_the_independent_engine(rng):
     for _ in range(4):
-        stiffness, arguments, v, z0, w0 = draw(rng, 1e3)
-        n = len(z0)
-        wave = rng.normal(size=n), rng.uniform(0.5, 3), rng.uniform(0, 6, n)
-        case = independent.Case.of(stiffness, belt_speed=v, z0=z0, w0=w0, waves=[wave], **arguments)
-        found = independent.follow(case, 2.0)
-        size = max(np.abs(x).max() for x in (z0, w0, found.z, found.w))
-        system = System(stiffness, belt_speed=v, force=[Harmonic(*wave)], **arguments)
+        case = draw(rng, 1e3)
+        wave = rng.normal(size=case.n), np.full(case.n, rng.uniform(0.5, 3)), rng.uniform(0, 6, case.n)
+        case = replace(case, waves=np.array([wave]))
+        found, system = independent.follow(case, 2.0), made(case)
+        size = max(np.abs(x).max() for x in (case.z0, case.w0, found.z, found.w))
         assert Slow.of(system, 3.0) is not None
-        run = simulate(system, z0, w0, 2.0, tol=1e-12, stop_early=False)
+        run = simulate(system, case.z0, case.w0, 2.0, tol=1e-12, stop_early=False)
         assert np.abs(run.z - found.z).max() < 1e-8 * size
         assert np.abs(run.w - found.w).max() < 1e-8 * size
 
@@ -91,15 +89,12 @@ def test_against_the_independent_engine(rng):
 def test_against_short_steps(rng, monkeypatch):
     """The same with each step as short as the largest R wants it."""
     for _ in range(8):
-        stiffness, arguments, v, z0, w0 = draw(rng, 10 ** rng.uniform(2.7, 4))
-        n = len(z0)
+        case = draw(rng, 10 ** rng.uniform(2.7, 4))
+        n, z0, w0, v = case.n, case.z0, case.w0, case.belt.values[0, 0]
         force = rng.choice([None, Harmonic(rng.normal(size=n), 1.3), Piecewise([0, 2, 5], rng.normal(size=(3, n)))])
         belt = Piecewise([0, 3, 9], [v, -v, 2 * v]) if rng.random() < 0.3 else v
-        system = System(stiffness, belt_speed=belt, force=[] if force is None else [force], **arguments)
-        growth = np.linalg.eigvals(
-            np.block([[0 * stiffness, np.eye(n)], [-stiffness, -np.diag(system.damping)]])
-        ).real
-        t_end = min(10.0, 5 / max(growth.max(), 1e-9))
+        system = made(case).changed(belt_speed=belt, force=[] if force is None else [force])
+        t_end = min(10.0, 5 / max(np.linalg.eigvals(system.slip_matrix()).real.max(), 1e-9))
         run = simulate(system, z0, w0, t_end, tol=1e-11, stop_early=False)
         with monkeypatch.context() as short:
             short.setattr(integrate.Slow, "of", staticmethod(lambda *_: None))

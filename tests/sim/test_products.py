@@ -1,17 +1,18 @@
 """Runs are the same whatever makes the products: panels in float64, in float32, or sparse columns."""
 
+from functools import reduce
 from itertools import count
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 from scipy.sparse import csc_array
 
-from stickslip.sim import System, simulate
+from stickslip.sim import simulate
 from stickslip.sim.numerics import products
 from tests.fuzz.draw import draw
-from tests.fuzz.judge import exact_truth, made
-from tests.independent import Undecided
+from tests.fuzz.judge import exact_truth
+from tests.independent import Case, Undecided
+from tests.systems import draw_case, made
 
 
 def drawn(n_cases):
@@ -64,25 +65,19 @@ def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monke
     ],
 )
 @pytest.mark.parametrize("storage", [np.array, csc_array])
-def test_blocks_go_their_own_way_in_any_company(law, allowed, storage):
+def test_blocks_go_their_own_way_in_any_company(law, allowed, storage, rng):
     """Systems put together without springs between them, enough for products in float32."""
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
     groups = []
-    while sum(len(k) for k, *_ in groups) < 48:
-        n = rng.integers(1, 7)
-        k = rng.normal(size=(n, n)) * rng.choice([0.3, 1.0, 3.0])
-        k, mu = k @ k.T / n, rng.uniform(0.1, 1, n)
-        static = mu * rng.choice([1.0, 1.3], n)
-        groups.append((k, rng.uniform(0.5, 4, n), mu, static, rng.normal(size=n), rng.normal(size=n)))
-    ks, *each = zip(*groups, strict=True)
-    r, mu, static, z0, w0 = map(np.concatenate, each)
-    together = simulate(System(storage(block_diag(*ks)), r, mu, -0.2, static), z0, w0, 15.0, **law)
+    while sum(case.n for case in groups) < 48:
+        groups.append(draw_case(rng, family="chain", damping=(0.5, 4.0), friction=(0.1, 1.0), terms=["static"]))
+    system = made(reduce(Case.beside, groups))
+    system = system.changed(stiffness=storage(system.stiffness))
+    start = (np.concatenate([getattr(case, name) for case in groups]) for name in ("z0", "w0"))
+    together = simulate(system, *start, 15.0, **law)
     first, late = 0, []
-    for k, r, mu, static, z0, w0 in groups:
-        alone = simulate(System(k, r, mu, -0.2, static), z0, w0, 15.0, **law)
-        mine = slice(first, first + len(k))
+    for case in groups:
+        alone = simulate(made(case), case.z0, case.w0, 15.0, **law)
+        mine = slice(first, first + case.n)
         np.testing.assert_allclose(together.z[mine], alone.z, rtol=0, atol=allowed)
         np.testing.assert_allclose(together.w[mine], alone.w, rtol=0, atol=allowed)
         events, its = together.events, alone.events

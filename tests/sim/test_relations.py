@@ -9,8 +9,8 @@ import pytest
 
 from stickslip.sim import EventSeries, Run, simulate
 from tests.fuzz import relations
-from tests.fuzz.draw import FAMILIES
 from tests.fuzz.relations import RELATIONS, judge_relations
+from tests.systems import FAMILIES
 
 
 def late(run: Run) -> Run:

@@ -58,11 +58,8 @@ def test_to_ask_for_them_changes_nothing(system, settings):
 
 
 @pytest.mark.parametrize("n", [1, 3, 20])
-def test_a_collapsed_run_is_the_one_that_goes_on(settings, n):
+def test_a_collapsed_run_is_the_one_that_goes_on(settings, n, rng):
     """Past a collapse the motion is that of the modes: the same states, to the end, as step by step."""
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print(f"seed {seed}")
-    rng = np.random.default_rng(seed)
     saved = 0
     for _ in range(20):  # of which some save nothing
         system = draw_system("antisymmetric", n, rng.integers(2**32))

@@ -82,15 +82,13 @@ def test_between_the_two_frictions_the_state_says_which_future():
 
 
 @pytest.mark.parametrize("ratio", [1.05, 1.3, 2.0])
-def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio):
+def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio, rng):
     """Between kinetic and static friction a step that passes a thin layer finds nothing wrong behind it.
 
     Blocks by themselves, springs k, forces f, belts at rest: each swings about (f + mu) / k until it comes to rest
     where F = k z - f lies between -mu and -mu_s; or all of that with the other sign.
     """
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    rng, n = np.random.default_rng(seed), 8
+    n = 8
     peak = np.arctanh(turning_point(hidden_term(ratio)))
     for _ in range(40):
         k, mu, f, side = 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-0.5, 0.5, n), *rng.normal(size=(2, n))
@@ -110,11 +108,8 @@ def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio):
         assert (off < allowed).all()
 
 
-def test_a_block_in_a_thin_layer_leaves_in_time():
+def test_a_block_in_a_thin_layer_leaves_in_time(rng):
     """Near its peak u is held by little: F lacks the square of what it errs by, over the peak, when it is let go."""
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    rng = np.random.default_rng(seed)
     for _ in range(60):
         k, v, ratio = 10 ** rng.uniform(-1, 1.5), -(10 ** rng.uniform(-1, 0.5)), 1 + 10 ** rng.uniform(-1, 0.5)
         delta, tol = 10 ** rng.uniform(-9.5, -8), 10 ** rng.uniform(-5.7, -4)  # delta^(2/3) is no matter beside it

@@ -1,6 +1,5 @@
 """Friction that falls with the speed of slip, and blocks that do not get ahead of their belt."""
 
-import secrets
 import textwrap
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from stickslip.sim.energy import energy
 from stickslip.sim.engines.sigmoid import friction
 from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.weakening import LAWS
+from tests.systems import draw_run
 
 # the system
 
@@ -99,35 +99,17 @@ def follow(system, z0, w0, t_end):
             t, y = found.t[-1], found.y[:, -1].copy()
 
 
-def one_law(rng):
-    """A law, and a static friction over the kinetic that goes with it."""
-    law = rng.choice(["rational", "stribeck", "none"])
-    if law == "rational":
-        return Rational(10 ** rng.uniform(-0.5, 1.0)), rng.choice([1.0, 1.3])
-    return (Stribeck(10 ** rng.uniform(-1.0, 0.5)), rng.choice([1.2, 2.0])) if law == "stribeck" else (None, 1.3)
-
-
-def one_system(rng, n):
-    """A chain, with a start that is not ahead of the belt."""
-    k, v = rng.uniform(0.3, 2.0), rng.choice([-0.5, -0.2, 0.1, 0.4])
-    matrix = np.diag(np.full(n, k)) + rng.uniform(0.0, 0.4, (n, n))
-    law, ratio = one_law(rng)
-    mu = rng.uniform(0.5, 1.5, n)
-    back_slip = bool(rng.random() < 0.5)
-    system = System(matrix, rng.uniform(0.0, 0.3, n), mu, v, ratio * mu, weakening=law, back_slip=back_slip)
-    return system, rng.uniform(-1.0, 1.0, n), np.where(rng.random(n) < 0.5, v, v - np.sign(v) * rng.uniform(0, 1, n))
-
-
 @pytest.mark.parametrize("n", [1, 2])
-def test_the_exact_engine_against_an_independent_method(n):
-    seed = secrets.randbits(32)
-    print("seed", seed)
+def test_the_exact_engine_against_an_independent_method(n, rng):
     late = [0.0]
-    for number in range(8):
-        system, z, w = one_system(np.random.default_rng([seed, number]), n)
+    for _ in range(8):
+        system, z, w = draw_run(
+            rng, n, "chain", damping=(0.0, 0.3), friction=(0.5, 1.5), belt_speed=(-0.5, -0.2, 0.1, 0.4),
+            terms=["static", "weakening", "back_slip"], on_belt=0.5,
+        )  # fmt: skip
         run = simulate(system, z, w, 15.0, tol=1e-12)
         events, z_end, w_end = follow(system, z, w, 15.0)
-        print(number, system, len(events))
+        print(system, len(events))
         assert [(block, mode) for _, block, mode in events] == list(
             zip(run.events.block.tolist(), run.events.mode.tolist(), strict=True)
         )
@@ -175,9 +157,9 @@ def test_no_block_gets_ahead_of_its_belt():
 
 
 @pytest.mark.parametrize("law", [Rational(5.0), Stribeck(0.2)])
-def test_energy_balances(law):
-    system = draw_system("chain", 4, secrets.randbits(32), kappa=0.7, leaf=1.0, rho=0.2, static=1.4)
-    system, z = system.changed(weakening=law), np.random.default_rng(secrets.randbits(32)).uniform(-0.3, 0.3, 4)
+def test_energy_balances(law, rng):
+    system = draw_system("chain", 4, int(rng.integers(2**32)), kappa=0.7, leaf=1.0, rho=0.2, static=1.4)
+    system, z = system.changed(weakening=law), rng.uniform(-0.3, 0.3, 4)
     run = simulate(system, z, -0.2, 20.0, tol=1e-13)
     account = energy(system, run, z, -0.2, tol=1e-13)
     assert account.heat[-1] > 1.0
@@ -243,11 +225,8 @@ def test_the_smoothed_laws_tend_to_the_exact_ones(law, static, order, back_slip)
 
 
 @pytest.mark.parametrize("falls", [Rational(5e3), Stribeck(1e-4), Stribeck(1e-2), None], ids=str)
-def test_a_block_that_its_belt_does_not_hold_leaves_a_thin_layer_in_time(falls):
+def test_a_block_that_its_belt_does_not_hold_leaves_a_thin_layer_in_time(falls, rng):
     """From w = v with |F| beyond friction; or, where it falls fast, held at first by what is left between both."""
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    rng = np.random.default_rng(seed)
     for _ in range(12):
         mu, over, v = 10 ** rng.uniform(-1, 0.5), rng.uniform(1.02, 1.5), -rng.choice([0.0, 0.2, 1.0])
         k, delta, tol = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-7, -5), 10 ** rng.uniform(-9, -5)
@@ -342,9 +321,8 @@ def test_the_law_and_its_slope(law, monkeypatch):
 
 
 @pytest.mark.parametrize("law", FORMS)
-def test_the_recurrence_gives_the_series_of_the_shape(law):
+def test_the_recurrence_gives_the_series_of_the_shape(law, rng):
     """The sum of S_k t^k against S(x(t)), within a third of the distance of a pole; S_0 = 0 makes all of it zero."""
-    rng = np.random.default_rng(seed := secrets.randbits(32))
     orders, n = 41, 20
     z, x0, scale = np.zeros((orders + 1, n)), rng.uniform(0.0, 5.0, n), rng.uniform(-2.0, 2.0, n)
     z[2:5] = rng.uniform(-0.1, 0.1, (3, n))
@@ -355,9 +333,7 @@ def test_the_recurrence_gives_the_series_of_the_shape(law):
     t = 0.5
     x = x0 + scale * sum((j + 1) * z[j + 1] * t**j for j in range(1, 4))
     expected = np.where(np.arange(n) == 0, 0.0, law.shape(x))
-    np.testing.assert_allclose(
-        np.polynomial.polynomial.polyval(t, series[0]), expected, rtol=1e-12, atol=1e-13, err_msg=f"seed {seed}"
-    )
+    np.testing.assert_allclose(np.polynomial.polynomial.polyval(t, series[0]), expected, rtol=1e-12, atol=1e-13)
 
 
 def test_laws_and_their_parameters_have_names_of_their_own():
