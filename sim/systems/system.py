@@ -46,7 +46,8 @@ class System:
     stiffness : array_like or scipy.sparse matrix, shape (n, n)
         K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
     damping : float or array_like, shape (n,) or (n, n)
-        R, the diagonal of the damping matrix C, or C itself, dense.
+        R, the diagonal of the damping matrix C, or C itself, dense. Of either sign: R < 0 feeds a motion, as friction
+        that falls with the speed of slip does in linear theory.
     friction : float or array_like, shape (n,)
         mu >= 0, kinetic friction; a block with mu = 0 slides freely, except to a closed side.
     belt_speed : float, array_like, shape (n,), or Piecewise
