@@ -16,6 +16,7 @@ from .sim.systems.couplings import draw_system as draw_system
 from .sim.systems.couplings import perturb_system as perturb_system
 from .sim.systems.drive import Harmonic as Harmonic
 from .sim.systems.drive import Piecewise as Piecewise
+from .sim.systems.scales import Scales as Scales
 from .sim.systems.system import System as System
 from .sim.systems.weakening import Rational as Rational
 from .sim.systems.weakening import Stribeck as Stribeck

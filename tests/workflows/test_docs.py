@@ -199,6 +199,22 @@ def test_the_verdicts_are_those_of_the_analysis():
     assert [words for words in verdicts if words not in source] == []
 
 
+def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
+    """The first exit is when the belt has stretched the springs of one block by its static friction."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("brake.py").write_text(blocks(page("own-system"), "python")[3])
+    Path("brake.toml").write_text(blocks(page("own-system"), "toml")[0])
+    assert main(["run", "brake.toml", "--no-report", "--workers", "1"]) == 0
+    found = run_python("own-system", 4)
+    for row in found["table"].itertuples():
+        first = found["seconds"][row.member_id][1]
+        low, high = (
+            (0.6 * load / row.metres_a_second - 5.0) / 1e5 for load in (500.0, 700.0)
+        )  # K has row sums of 1e5
+        assert low < first < high
+
+
 def test_the_numbers_of_a_report_in_python(first, monkeypatch):
     monkeypatch.chdir(first)
     names = run_python("report")

@@ -13,20 +13,22 @@ engines compile with their kernels. An engine refuses a law that lacks the form 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import namedtuple
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
 
 from stickslip.sim.numerics.arguments import Floats, number
 
 
-def parameter(words: str, column: str, example: float) -> Any:
+def parameter(words: str, column: str, example: float, power: int) -> Any:
     """A field of a law, a number > 0: its words in a scene's keys and in a dataset's columns, and an example.
 
-    The laws share a table of a scene, and its keys say which of them it means: no two have a parameter of one name.
+    `power` is that of a speed in its unit: 1 for a speed, -1 for what multiplies one, 0 for a plain number. The laws
+    share a table of a scene, and its keys say which of them it means: no two have a parameter of one name.
     """
-    return field(metadata={"words": words, "column": column, "example": example})
+    return field(metadata={"said": {"words": words, "column": column, "example": example}, "power": power})
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,18 @@ class Weakening(ABC):
     @classmethod
     def parameters(cls) -> dict[str, dict[str, Any]]:
         """Words, column and example of each parameter, by name."""
-        return {one.name: dict(one.metadata) for one in fields(cls)}
+        return {one.name: one.metadata["said"] for one in fields(cls)}
+
+    def in_units(self, speed: float) -> Self:
+        """The same law, where speeds are measured in units of `speed`; TypeError if its powers do not say how."""
+        powers = {one.name: one.metadata["power"] for one in fields(self)}
+        law = replace(self, **{name: getattr(self, name) / speed**power for name, power in powers.items()})
+        if not math.isclose(law.steepness, self.steepness * speed, rel_tol=1e-9):
+            raise TypeError(
+                f"weakening: expected powers of a speed that make the steepness one over a speed, got {powers} of"
+                f" {type(self).__name__}; correct them"
+            )
+        return law
 
     @classmethod
     def require_static(cls, static: object) -> None:
