@@ -7,7 +7,7 @@ from stickslip.sim.systems.couplings import COUPLINGS, READINGS, draw_system, pe
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import Rational, Stribeck
+from stickslip.sim.systems.weakening import Rational, Stribeck, Weakening
 
 __all__ = [
     "COUPLINGS",
@@ -23,6 +23,7 @@ __all__ = [
     "Stats",
     "Stribeck",
     "System",
+    "Weakening",
     "draw_system",
     "perturb_system",
     "simulate",

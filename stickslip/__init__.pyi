@@ -20,6 +20,7 @@ from .sim.systems.scales import Scales as Scales
 from .sim.systems.system import System as System
 from .sim.systems.weakening import Rational as Rational
 from .sim.systems.weakening import Stribeck as Stribeck
+from .sim.systems.weakening import Weakening as Weakening
 from .version import __version__ as __version__
 from .workflows.dataset import Dataset as Dataset
 from .workflows.dataset import run_scene as run_scene
