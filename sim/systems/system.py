@@ -611,7 +611,7 @@ def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakeni
         return None
     if not isinstance(weakening, Weakening):
         known = " or ".join(f"{law.__name__}({', '.join(law.parameters())})" for law in LAWS.values())
-        raise TypeError(f"weakening: expected {known}, got {weakening!r}; left out: none")
+        raise TypeError(f"weakening: expected {known}, or another Weakening, got {weakening!r}; left out: none")
     weakening.require_static(static)
     return weakening
 

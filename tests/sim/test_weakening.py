@@ -375,6 +375,6 @@ class Formless(Rational):
 
 @pytest.mark.parametrize(("engine", "form"), [("coulomb", "recurrence"), ("sigmoid", "on_lanes")])
 def test_an_engine_names_the_form_that_a_law_lacks(engine, form):
-    expected = f"^weakening: expected a law with a `{form}`, as .* Stribeck, which engine='{engine}' needs, got"
+    expected = f"^weakening: expected a law with the form `{form}`, which engine='{engine}' needs and .* has, got"
     with pytest.raises(TypeError, match=expected):
         simulate(System([[1.0]], 0.1, weakening=Formless(1.0)), 0.0, 0.0, 1.0, engine=engine)

@@ -21,6 +21,6 @@ def require_form(weakening: Weakening, form: str, engine: str) -> None:
     if getattr(weakening, form) is None:
         known = " or ".join(law.__name__ for law in LAWS.values() if getattr(law, form) is not None)
         raise TypeError(
-            f"weakening: expected a law with a `{form}`, as {known}, which engine={engine!r} needs, got {weakening!r}"
-            f" without; write it"
+            f"weakening: expected a law with the form `{form}`, which engine={engine!r} needs and {known} has, got"
+            f" {weakening!r} without; write it"
         )

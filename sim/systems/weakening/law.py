@@ -20,6 +20,8 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from stickslip.sim.kernels.digest import code_digest
 from stickslip.sim.numerics.arguments import Floats, number
 
@@ -45,7 +47,7 @@ class Weakening(ABC):
         Whether it needs a static friction to fall from.
     on_lanes : function or None
         For the sigmoid engine: S and its derivative, of a `Lane` x >= 0. It imports from
-        `stickslip.sim.numerics.lanes` inside, since systems load no numba.
+        ``stickslip.sim.numerics.lanes`` inside, since systems load no numba.
     recurrence : function or None
         For the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the Taylor coefficients S_k of all blocks,
         k >= 1, into ``series[0, k]``. `series` has shape (n_series, orders, n); the law may keep others behind the
@@ -65,6 +67,11 @@ class Weakening(ABC):
     recurrence: ClassVar[Any] = None
     n_series: ClassVar[int] = 1
     is_entire: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        if "shape" in vars(cls):  # an inherited form is that of another shape
+            for form in {"on_lanes", "recurrence"} - vars(cls).keys():
+                setattr(cls, form, None)
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -125,7 +132,10 @@ def kind_of(law: type[Weakening]) -> type[Any]:
     ------
     TypeError
         If a form uses something of which it cannot be said whether it changes.
+    ValueError
+        If S(0) is not 1, or `recurrence` does not give the series of `shape`.
     """
+    _check_shape(law)
     try:
         name = f"{law.__name__}_{code_digest(law.shape, law.on_lanes, law.recurrence)}"
     except TypeError as error:
@@ -134,3 +144,23 @@ def kind_of(law: type[Weakening]) -> type[Any]:
         kind = globals()[name] = namedtuple(name, (), module=__name__)
         LAW_OF[kind] = law
     return globals()[name]
+
+
+def _check_shape(law: type[Weakening]) -> None:
+    """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
+    start, x0, t, orders = float(law.shape(np.array([0.0]))[0]), np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
+    if start != 1.0:
+        raise ValueError(f"weakening: expected a law with S(0) = 1, got {start:g} from the shape of {law.__name__}")
+    if law.recurrence is None:
+        return
+    z, series = np.zeros((orders + 1, len(x0))), np.full((law.n_series, orders, len(x0)), np.nan)
+    z[2], series[0, 0] = 0.5, law.shape(x0)  # x(t) = x0 + t
+    for k in range(1, orders):
+        law.recurrence(k, z, x0, np.ones(len(x0)), series)
+    found, expected = np.polynomial.polynomial.polyval(t, series[0]), law.shape(x0 + t)
+    if not np.allclose(found, expected, rtol=1e-9, atol=1e-12):
+        k = int(np.argmax(~np.isclose(found, expected, rtol=1e-9, atol=1e-12)))
+        raise ValueError(
+            f"weakening: expected a `recurrence` of {law.__name__} that gives the series of its shape, got"
+            f" {found[k]:.12g} for S({x0[k] + t:g}) = {expected[k]:.12g}; correct it, or the shape"
+        )
