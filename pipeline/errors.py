@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 
 def printable(text: str) -> str:
     """Words of a dataset for a terminal, which obeys control characters: those are written as Python writes them."""
@@ -16,6 +18,11 @@ def foreign(error: BaseException, most: int = 300) -> str:
         words = f"its message cannot be had ({type(another).__name__})"
     text = printable(" ".join(f"{type(error).__name__}: {words}".split())).removesuffix(":")
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def command(*words: str) -> str:
+    """A command of ours as a shell takes it: names with spaces are quoted."""
+    return shlex.join(("stickslip", *words))
 
 
 class SceneError(ValueError):

@@ -5,8 +5,9 @@ from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.couplings import COUPLINGS, READINGS, draw_system, perturb_system
 from stickslip.sim.systems.drive import Harmonic, Piecewise
+from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import Rational, Stribeck
+from stickslip.sim.systems.weakening import Rational, Stribeck, Weakening
 
 __all__ = [
     "COUPLINGS",
@@ -18,9 +19,11 @@ __all__ = [
     "Rational",
     "Run",
     "Samples",
+    "Scales",
     "Stats",
     "Stribeck",
     "System",
+    "Weakening",
     "draw_system",
     "perturb_system",
     "simulate",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 COULOMB, SIGMOID = 'name = "coulomb"', 'name = "sigmoid"'
 #: How the text of a scene of short runs ends.
 ENDING = """\
@@ -34,3 +37,11 @@ def ensemble(
     parts += [f"[[engine]]\n{keys}" for keys in engines or (COULOMB, SIGMOID)]
     parts += [rest.strip()] * bool(rest)
     return "\n\n".join([*parts, f"[analysis]\n{analysis}\n"])
+
+
+def own_law() -> str:
+    """The guide's law of friction, `Lorentz`, as the text of its module."""
+    page = (Path(__file__).parents[1] / "docs" / "guide" / "own-system.md").read_text()
+    return next(
+        block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "class Lorentz" in block
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from collections import Counter
@@ -13,7 +12,7 @@ from tqdm import tqdm
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.dataset.status import Follower, Status, status
-from stickslip.pipeline.errors import printable
+from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.places.place import Where
 
 if TYPE_CHECKING:
@@ -60,8 +59,8 @@ def _status_lines(found: Status) -> list[str]:
         f"shards  {found.n_shards_done} of {found.n_shards}, {found.n_bytes / 1e6:.2f} MB",
     ]
     if found.n_damaged:
-        where = shlex.quote(found.path)
-        lines.append(f"damaged {found.n_damaged} of the shards, or missing: `stickslip verify {where}` says which")
+        which = command("verify", found.path)
+        lines.append(f"damaged {found.n_damaged} of the shards, or missing: `{which}` says which")
     if found.running is not None:
         elapsed = clock(time.time() - found.running.began.at)
         lines.append(f"running {found.running.owner}, {elapsed}{_pace(found.rate, found.eta)}")

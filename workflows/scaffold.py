@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from stickslip.pipeline.errors import command
 from stickslip.workflows.scenes import shipped
 
 #: The schema that a new scene's first line names, beside the scene.
@@ -17,7 +17,7 @@ SCHEMA = "stickslip.schema.json"
 
 _HEAD = """#:schema ./{schema}
 # A scene: which systems, run how, what is kept, and what to make of it. All quantities are dimensionless.
-# `stickslip schema --keys` lists all keys; `stickslip run {file} --dry-run` says what the scene would take.
+# `stickslip schema --keys` lists all keys; `{run} --dry-run` says what the scene would take.
 """
 
 
@@ -30,7 +30,9 @@ def listing() -> list[str]:
     lines = [f"{'scene':16}{'members':>8}{'time':>8}  about"]
     for name, file in shipped().items():
         table = tomllib.loads(file.read_text(encoding="utf-8"))
-        lines.append(f"{name:16}{_members(table, file):>8}{_time(table.get('minutes')):>8}  {table['about']}")
+        lines.append(
+            f"{name:16}{_members(table, file):>8}{_time(table.get('minutes')):>8}  {table.get('about', '')}".rstrip()
+        )
     return [*lines, "\ntime: on two cores, with the report and without compilation; a chart has no members"]
 
 
@@ -66,20 +68,20 @@ def new_scene(file: Path) -> list[str]:
         file = file.with_name(f"{file.name}.toml")
     try:
         with file.open("x", encoding="utf-8") as stream:
-            stream.write(_HEAD.format(schema=SCHEMA, file=file.name) + _body())
+            stream.write(_HEAD.format(schema=SCHEMA, run=command("run", file.name)) + _body())
     except FileExistsError:
         raise NotWritten(
             f"FILE: expected a name that is free, got {str(file)!r}, which exists; choose another, or remove it"
         ) from None
-    beside, named = file.with_name(SCHEMA), shlex.quote(str(file))
+    beside, run = file.with_name(SCHEMA), command("run", str(file))
     if not beside.exists():
         beside.write_text(schema_text(None), encoding="utf-8")
     return [
         f"scene   {file}",
         f"schema  {beside}: editors with a TOML language server complete and check the scene by it",
         "next    edit the scene, then",
-        f"  stickslip run {named} --dry-run    what it would take",
-        f"  stickslip run {named}              run it, into runs/{file.stem}",
+        f"  {run} --dry-run    what it would take",
+        f"  {run}              run it, into runs/{file.stem}",
     ]
 
 
@@ -145,8 +147,7 @@ def _tables(path: str, table: dict[str, Any], known: dict[str, Any]) -> Iterator
         others = dict.fromkeys(re.findall(r'"#/\$defs/(\w+)"', json.dumps(field)))
         below += [(f"{path}{name}.", known[other]) for other in others]
         if not others and name != "name":  # the name of an engine stands in the head of its table
-            required = table.get("required", table.get("else", {}).get("required", ()))
-            default = _default(name, field, name in required)
+            default = _default(name, field, name in table.get("else", table).get("required", ()))
             keys.append(Key(path + name, field["description"], _values(field), default))
     yield head, about, keys
     for inner, other in below:
@@ -172,7 +173,8 @@ def _values(field: dict[str, Any]) -> str:
         first, *others = field["anyOf"]
         ways = ["a list"] if any(choice.get("type") == "array" for choice in others) else []
         tables = [choice["properties"] for choice in others if "properties" in choice]
-        inside = (", ".join(f"{key} = {DISTRIBUTIONS.get(key, '[numbers]')}" for key in table) for table in tables)
+        pairs = [{key: "[numbers]" if "type" in one else "1.2" for key, one in table.items()} for table in tables]
+        inside = (", ".join(f"{key} = {DISTRIBUTIONS.get(key, one)}" for key, one in pair.items()) for pair in pairs)
         ways += [f"{{{keys}}}" for keys in inside]
         ways += [json.dumps(choice["const"]) for choice in others if "const" in choice]
         ways += ["module:function" for choice in others if "pattern" in choice]

@@ -33,6 +33,7 @@ SHARED = ("n", "coupling")
 SAME = "same"
 _TABLE: Mapping[str, str] = {"setting": S, "other": S, "is_paired": B, **SCHEMA}
 _UNMATCHED = {"dataset": S, "setting": S, "members": I}
+_ALONE = {"dataset": S, "setting": S, "member_id": S}
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,12 @@ class Match:
     differs: dict[str, tuple[Any, Any]]
     is_paired: bool
 
+    def alone(self, k: int) -> tuple[Group, list[str]]:
+        """One of the two, by its number, and its members without a partner, if partners are what is compared."""
+        mine, theirs = (self.first, self.second)[:: 1 - 2 * k]
+        lacks = ~mine.members["unit"].isin(theirs.members["unit"]) & self.is_paired
+        return mine, mine.members.loc[lacks, "member_id"].tolist()
+
 
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
     """Report that compares two ensembles, under the settings of the first.
@@ -105,6 +112,15 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         for which, some in zip((first, second), left, strict=True)
         for group in some
     ]
+    alone = [
+        {"dataset": which.name, "setting": group.label, "member_id": name}
+        for k, (which, some) in enumerate(zip((first, second), left, strict=True))
+        for group, names in [
+            *(match.alone(k) for match in matches),
+            *((one, one.members["member_id"].tolist()) for one in some),
+        ]
+        for name in names
+    ]
     facts |= {
         "verdict": next(one for one in (DIFFER, UNKNOWN, AGREE) if one in verdicts),
         "all": summary(shown) if shown else None,
@@ -115,12 +131,15 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         ],
         "n_paired": sum(match.is_paired for match in matches),
         "unmatched": unmatched,
+        "alone": [[row["member_id"] for row in alone if row["dataset"] == one.name] for one in (first, second)],
         "other_margins": sorted(
             name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin
         ),
     }  # fmt: skip
     facts["unit"] = one.unit
-    return _report(facts, {"compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched)})
+    return _report(facts, {
+        "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
+    })  # fmt: skip
 
 
 def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:

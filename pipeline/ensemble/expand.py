@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, product
@@ -12,9 +12,9 @@ from typing import Any, overload
 
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.quantity import BELT, END, FILE, Value, short, word
+from stickslip.pipeline.scene.quantity import BELT, END, FILE, Ratio, Value, short, word
 from stickslip.pipeline.scene.scene import Scene
-from stickslip.pipeline.scene.system_table import QUANTITIES
+from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
@@ -23,7 +23,7 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 
 #: The order of a member's terms, whatever a scene sweeps.
-_TERMS = (*QUANTITIES, "back_slip")
+_TERMS = (*QUANTITIES, "back_slip", "force_blocks", "forces")
 
 #: Kinds of members that are cached: each matrix goes through them again.
 _KINDS = 4096
@@ -183,14 +183,25 @@ class _Ensemble:
         z0, w0, seed = given.pop("z"), given.pop("w"), given.pop("seed")
         if w0 == BELT and isinstance(given["belt_speed"], float):
             w0 = given["belt_speed"]
+        given = {name: _multiplied(value, given) for name, value in given.items()}
         parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
         if not scene.system.back_slip:
             given["back_slip"] = "barred"
+        given["forces"] = scene.system.pushes
+        if isinstance(scene.system.force, ForceTable):
+            given["force_blocks"] = scene.system.force.on_blocks
         terms = tuple((name, given[name]) for name in _TERMS if given.get(name) is not None)
         begin = Start(z0, w0, draw, scene.ends if point.is_at_end else None)
         of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
         kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+
+
+def _multiplied(value: Any, given: Mapping[str, Any]) -> Any:
+    """A ratio of one number to another as their product; anything else as it is."""
+    if isinstance(value, Ratio) and isinstance(value.factor, float) and isinstance(given[value.of], float):
+        return value.factor * given[value.of]
+    return value
 
 
 def _of_file(origin: SystemFile | SystemFunction | None) -> dict[str, Any]:

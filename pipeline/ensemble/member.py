@@ -13,7 +13,18 @@ from numpy.typing import ArrayLike
 
 from stickslip import sim
 from stickslip.pipeline.scene.ends import Ends
-from stickslip.pipeline.scene.quantity import BELT, END, Course, Distribution, Named, Value
+from stickslip.pipeline.scene.quantity import (
+    BELT,
+    END,
+    Course,
+    Distribution,
+    Named,
+    OnBlocks,
+    Push,
+    Pushes,
+    Ratio,
+    Value,
+)
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine
@@ -27,13 +38,12 @@ MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W = 0, 1, 2, 3, 6, 7
 #: The purpose of each draw for the blocks, by the argument of `sim.System`, or of a force, that it gives.
 _PURPOSES = {term.name: term.purpose for term in TERMS if term.purpose is not None}
 _OF_FORCE = tuple(term.name for term in TERMS if term.table == "force")
-_GIVEN = (*OF_BLOCKS, *_OF_FORCE)
 #: The arrays of a file, by the purpose of the draw that each replaces.
 _ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_W: "w0"}
 
 
 #: What a term or a start may be instead of one number.
-NO_NUMBER = (Distribution, Course, Named)
+NO_NUMBER = (Distribution, Course, Named, Ratio, OnBlocks, Pushes)
 
 #: z and w, each of shape (n,).
 State = tuple[np.ndarray, np.ndarray]
@@ -167,6 +177,8 @@ class Member:
             return value
         if isinstance(value, Course):
             return sim.Piecewise(value.times, value.values)
+        if isinstance(value, Ratio):
+            return self._by_block(value.factor, purpose, *draw)
         if isinstance(value, Distribution):
             return value.draw(self._seed(purpose, *draw), self.n)
         if not isinstance(value, Named):
@@ -182,7 +194,8 @@ class Member:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
         terms = dict(self.terms)
         own = {key: terms[key] for key in _PURPOSES if key in terms}
-        own |= {"force": terms.get("force_course"), "z": self.begin.z0, "w": self.begin.w0}
+        own |= {"force": terms.get("forces", terms.get("force_course")), "force_blocks": terms.get("force_blocks")}
+        own |= {"z": self.begin.z0, "w": self.begin.w0}
         given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
         return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
 
@@ -300,28 +313,47 @@ def _own_system(member: Member) -> sim.System:
     """The system of a member's matrix, not moved."""
     seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
     given: dict[str, Any] = {
-        name: member._by_block(terms[name], _PURPOSES[name]) for name in _GIVEN if terms.get(name) is not None
+        name: member._by_block(terms[name], _PURPOSES[name]) for name in OF_BLOCKS if terms.get(name) is not None
     }
-    if "force_amplitude" in given:
-        given["force"] = sim.Harmonic(*(given.pop(name) for name in _OF_FORCE))
-    course = terms.get("force_course")
-    if isinstance(course, Course):
-        given["force"] = sim.Piecewise(course.times, course.values)
+    if terms.get("force_amplitude") is not None or terms.get("force_course") is not None:
+        harmonic = tuple(terms.get(name) for name in _OF_FORCE)
+        given["force"] = _force(member, Push(harmonic, terms.get("force_course"), terms.get("force_blocks")))
+    if isinstance(several := terms.get("forces"), Pushes):
+        given["force"] = [_force(member, push, k) for k, push in enumerate(several.parts)]
     for law in LAWS.values():
         numbers = {key: terms.get(f"weakening_{key}") for key in law.parameters()}
         if None not in numbers.values():
             given["weakening"] = law(**numbers)
     if terms.get("back_slip") is not None:
         given["back_slip"] = False
+    made = None
     if isinstance(origin, SystemFunction):
         made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters))
+    for name, value in terms.items():
+        if isinstance(value, Ratio):
+            given[name] = given[name] * (given[value.of] if value.of in given else getattr(made, value.of))
+    if made is not None:
         return made.changed(**given)
     rho = terms.get("rho")
-    if origin is not None:
+    if isinstance(origin, SystemFile):
         if rho is not None:
             given["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
         return sim.System(read(origin)["stiffness"], **given)
     return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **given)
+
+
+def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piecewise:
+    """A force; `number` is that of one of several, which has draws of its own."""
+    blocks = push.blocks
+    acts = 1.0 if blocks is None else np.isin(np.arange(member.n), blocks.numbers).astype(np.float64)
+    if push.course is not None:
+        return sim.Piecewise(push.course.times, np.multiply.outer(push.course.values, acts))
+    numbers = (
+        member._by_block(value, _PURPOSES[name], *number)
+        for name, value in zip(_OF_FORCE, push.harmonic, strict=True)
+    )
+    amplitude, frequency, phase = numbers
+    return sim.Harmonic(amplitude * acts, frequency, phase)
 
 
 def _moved_system(member: Member) -> sim.System:

@@ -22,7 +22,7 @@ from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
-from stickslip.pipeline.errors import foreign
+from stickslip.pipeline.errors import command, foreign
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made
 from stickslip.pipeline.running.ends import end_of
@@ -146,8 +146,8 @@ def failed(member: Member, reason: str) -> dict[str, Any]:
     """The result of a member that could not be run."""
     # words of an exception may hold what Parquet's text cannot
     reason = reason.encode(errors="replace").decode()
-    command = f"stickslip run scene.toml --only {member.member_id}"
-    return {"outcome": "failed", "reason": reason, "reproduce": command}
+    again = command("run", "scene.toml", "--only", member.member_id)
+    return {"outcome": "failed", "reason": reason, "reproduce": again}
 
 
 def _kept(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -70,6 +71,40 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
+class OnBlocks:
+    """The blocks, by number, that a force acts on."""
+
+    numbers: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.numbers))
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One of several forces: amplitude cos(frequency t + phase), numbers or drawn by block, or a course."""
+
+    harmonic: tuple[Any, ...]
+    course: Course | None
+    blocks: OnBlocks | None
+
+    def __str__(self) -> str:
+        words = [str(one) if isinstance(one, Distribution) else short(one) for one in self.harmonic]
+        shape = f"({self.course})" if self.course else "{} cos({} t + {})".format(*words)
+        return shape + (f" on blocks {self.blocks}" if self.blocks else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Pushes:
+    """A sum of forces."""
+
+    parts: tuple[Push, ...]
+
+    def __str__(self) -> str:
+        return " + ".join(map(str, self.parts))
+
+
+@dataclass(frozen=True, slots=True)
 class Named:
     """A number for each block that a word stands for."""
 
@@ -84,8 +119,29 @@ class Named:
 FILE, BELT, END = Named("file"), Named("belt"), Named("end")
 
 
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A number for each block: a factor, which may be drawn, of another that the block has."""
+
+    factor: float | Distribution
+    of: str
+
+    @property
+    def size(self) -> float:
+        """The largest factor, as far as it is known."""
+        return size(self.factor)
+
+    @property
+    def word(self) -> str:
+        """What stands in a member's name."""
+        return f"ratio_{word(self.factor)}"
+
+    def __str__(self) -> str:
+        return f"{self.factor if isinstance(self.factor, Distribution) else short(self.factor)} {self.of}"
+
+
 #: The value of a key in one run.
-Value: TypeAlias = float | int | Distribution | Course | Named
+Value: TypeAlias = float | int | Distribution | Course | Named | Ratio
 
 #: What a key holds: a tuple is a list in the file, each of whose values is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -125,6 +181,8 @@ def as_written(quantity: Quantity) -> Any:
         return str(quantity)
     if isinstance(quantity, Course):
         return {"times": list(quantity.times), "values": list(quantity.values)}
+    if isinstance(quantity, Ratio):
+        return {"ratio": as_written(quantity.factor)}
     return {quantity.name: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
 
 
@@ -135,7 +193,8 @@ def as_written(quantity: Quantity) -> Any:
 class Key:
     """How pydantic reads a quantity: its least value, and the distributions that it may be drawn from.
 
-    `above`: the least value itself is excluded; `in_time`: it may be a `Course`.
+    `above`: the least value itself is excluded; `in_time`: it may be a `Course`; `ratio_of`: it may be a `Ratio` of
+    this, at least 1.
     """
 
     names: tuple[str, ...] = ()
@@ -143,15 +202,16 @@ class Key:
     words: tuple[Named, ...] = ()
     above: bool = False
     in_time: bool = False
+    ratio_of: str = ""
 
     def read(self, given: object) -> Quantity:
         """A quantity from what the file holds."""
         if not isinstance(given, list | tuple):
             return self._value(given, given)
-        return once([self._value(value, given) for value in given])
+        return once([self._value(value, given) for value in given], as_toml=as_written)
 
     def _value(self, given: object, whole: object) -> Value:
-        if isinstance(given, Distribution | Course | Named):
+        if isinstance(given, Distribution | Course | Named | Ratio):
             given = as_written(given)
         for one in self.words:
             if given == one.word and given is whole:
@@ -163,11 +223,25 @@ class Key:
             if given is not whole:
                 raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
             return course(given)
+        if self.ratio_of and isinstance(given, dict) and "ratio" in given:
+            return self._ratio(given)
         if isinstance(given, dict) and self.names:
             return self._distribution(given)
         within = f" in {shown(whole)}" if given is not whole else ""
         remedy = unquoted(given) or f"; {self._write}"
         raise ValueError(f"expected {self._expected}, got {shown(given)}{within}{remedy}")
+
+    def _ratio(self, given: dict[str, object]) -> Ratio:
+        factor, found = given["ratio"], None
+        if len(given) == 1 and not isinstance(factor, list | tuple):
+            with contextlib.suppress(ValueError):  # one message says what may stand here
+                found = Key(self.names, 1.0)._value(factor, factor)
+        if not isinstance(found, float | Distribution):
+            raise ValueError(
+                f"expected a ratio to {self.ratio_of} of at least 1, a number or a distribution, got"
+                f" {shown(given)}; write e.g. {{ratio = 1.2}} or {{ratio = {{uniform = [1.1, 1.4]}}}}, or a list"
+            )
+        return Ratio(found, self.ratio_of)
 
     def _distribution(self, given: dict[str, object]) -> Distribution:
         name = next(iter(given), "")
@@ -196,9 +270,9 @@ class Key:
     @property
     def _expected(self) -> str:
         number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
-        course = ", or times and values" if self.in_time else ""
+        others = ", or times and values" * self.in_time + f", or a ratio to {self.ratio_of}" * bool(self.ratio_of)
         return (
-            f"{number}, a list of numbers or a distribution{course}"
+            f"{number}, a list of numbers or a distribution{others}"
             if self.names
             else f"{number} or a list of numbers"
         )
@@ -222,6 +296,16 @@ class Key:
             {"type": "object", "properties": {name: pair}, "required": [name], "additionalProperties": False}
             for name in self.names
         ]
+        if self.ratio_of:
+            factor = {"anyOf": [{"type": "number", "minimum": 1}, *drawn]}
+            drawn.append(
+                {
+                    "type": "object",
+                    "properties": {"ratio": factor},
+                    "required": ["ratio"],
+                    "additionalProperties": False,
+                }
+            )
         items = {"anyOf": [one, *drawn]} if drawn else one
         named = [{"const": one.word} for one in self.words]
         row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -303,10 +387,17 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
 
 
 def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
-    """Numbers come before distributions."""
-    drawn = [one if isinstance(one, Distribution) else None for one in row]
-    numbers = [one if isinstance(one, float | int) else 0.0 for one in row]
-    return [(one.name, one.first, one.second) if one else ("", x, 0.0) for one, x in zip(drawn, numbers, strict=True)]
+    """Numbers come before distributions, and ratios last."""
+
+    def place(one: Value) -> tuple[str, float, float]:
+        if isinstance(one, Ratio):
+            name, *numbers = place(one.factor)
+            return f"~{name}", numbers[0], numbers[1]
+        if isinstance(one, Distribution):
+            return one.name, one.first, one.second
+        return "", one if isinstance(one, float | int) else 0.0, 0.0
+
+    return [place(one) for one in row]
 
 
 def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:

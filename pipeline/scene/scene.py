@@ -29,6 +29,7 @@ from stickslip.pipeline.scene.quantity import (
     Course,
     Distribution,
     Quantity,
+    Ratio,
     Value,
     as_written,
     axes,
@@ -189,6 +190,7 @@ class Scene(StrictTable):
     def parts(self) -> tuple[str, ...]:
         """Which of `pipeline.scene.columns.PARTS` its datasets have."""
         system, known = self.system, self.system.quantities
+        several = isinstance(system.force, tuple) or any(force.blocks for force in system.forces)
         drawn = (one for quantity in self.quantities.values() for one in values(quantity) if one != BELT)
         in_files = any(file.arrays for file in system.known_files.values())
         asked = {
@@ -199,7 +201,7 @@ class Scene(StrictTable):
             "belts": any(not isinstance(one, float) for one in values(system.belt_speed)) or in_files,
             "force": system.force is not None,
             "back_slip": not system.back_slip,
-            "drawn": any(not isinstance(one, float) for one in drawn) or in_files,
+            "drawn": any(not isinstance(one, float) for one in drawn) or in_files or several,
             "step": any("step" in engine.settings for engine in self.engines),
         }
         of_terms = {term.part for term in TERMS if term.part and known.get(term.name) is not None}
@@ -259,7 +261,12 @@ class Scene(StrictTable):
         """Static friction is at least the kinetic at every point of the grid; for files and functions, runs tell."""
         for _, at in self.points() if self.system.static is not None else ():
             held, kinetic = at["static"], at["friction"]
-            if held is not None and kinetic is not None and lowest(held) < size(kinetic):
+            if (
+                held is not None
+                and not isinstance(held, Ratio)
+                and kinetic is not None
+                and lowest(held) < size(kinetic)
+            ):
                 raise ValueError(
                     f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
                     f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
@@ -287,13 +294,17 @@ class Scene(StrictTable):
             If one cannot.
         """
         system, known = self.system, self.system.quantities
-        push = [known[key] for key in ("force_amplitude", "force_course")]
-        belts = [one for one in values(known["belt_speed"]) if isinstance(one, Distribution | Course)]
-        force, weakening = self.system.force, self.system.weakening
+        pushes = [one for force in system.forces for one in (force.amplitude, force.course) if one is not None]
+        belts = [
+            one
+            for one in values(known["belt_speed"])
+            if isinstance(one, Distribution) or (isinstance(one, Course) and len(set(one.values)) > 1)
+        ]
+        forces = [force.model_dump(exclude_none=True) for force in system.forces] if any(map(size, pushes)) else None
         asked = (
-            ("force", force if any(size(one) for one in push if one is not None) else None, "none"),
+            ("force", forces and (forces if isinstance(system.force, tuple) else forces[0]), "none"),
             ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
-            ("weakening", weakening, "none"),
+            ("weakening", system.weakening, "none"),
             ("back_slip", None if system.back_slip else "false", "true"),
             *((term.name, known[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )

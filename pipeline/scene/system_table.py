@@ -4,22 +4,38 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import core_schema
 
 from stickslip.pipeline.scene.quantity import (
     AnyNumber,
     Course,
     Key,
+    OnBlocks,
+    Push,
+    Pushes,
     Quantity,
     as_written,
     course,
     size,
     values,
 )
-from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, shown
+from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, as_tuple, distinct, shown
 from stickslip.sim.numerics.arguments import did_you_mean
 from stickslip.sim.systems.couplings import COUPLINGS
 from stickslip.sim.systems.drive import direction
@@ -33,6 +49,8 @@ OF_FILE = "file"
 
 #: The keys that a force is given by: a harmonic one, or one that is linear between times.
 _FORCES = (("amplitude", "frequency"), ("times", "values"))
+
+_HARMONIC = (*_FORCES[0], "phase")
 
 #: Pattern of a coupling that names a function.
 _FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
@@ -81,7 +99,7 @@ def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
 
 def _kind(term: Term) -> Any:
     """What may be written for a term."""
-    kind = Annotated[Quantity, Key(term.draws, term.least, above=term.is_above, in_time=term.in_time)]
+    kind = Annotated[Quantity, Key(term.draws, term.least, (), term.is_above, term.in_time, term.ratio_of)]
     return kind if term.argument and term.default is not None else kind | None
 
 
@@ -97,6 +115,15 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     values: Annotated[tuple[float, ...], List] | None = Field(
         default=None, description="the force on every block at these times", examples=[[0.0, 0.5]]
     )
+    blocks: (
+        Annotated[
+            tuple[Annotated[int, Field(ge=0)], ...],
+            Field(min_length=1),
+            BeforeValidator(as_tuple),
+            AfterValidator(distinct),
+        ]
+        | None
+    ) = Field(default=None, description="the blocks it acts on, by number from 0; all if left out", examples=[[0]])
 
     @model_validator(mode="before")
     @classmethod
@@ -104,17 +131,68 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
         keys = set(given) if isinstance(given, dict) else set()
         if keys - set(cls.model_fields):
             return given  # unknown keys are refused by name
+        keys.discard("blocks")
         if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
             raise ValueError(
-                f"expected amplitude and frequency, or times and values, got {shown(given)}; write e.g."
-                " {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0, 0.5]}"
+                f"expected amplitude and frequency, or times and values, and `blocks` or none, got {shown(given)};"
+                " write e.g. {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0,"
+                " 0.5]}"
             )
-        return given if "times" not in keys else {**as_written(course(given)), "phase": None}
+        if "times" not in keys:
+            return given
+        found = course({key: given[key] for key in _FORCES[1]})
+        return {**given, **as_written(found), "phase": None}
 
     @property
     def course(self) -> Course | None:
         """The force by its values at given times."""
         return None if self.times is None or self.values is None else Course(self.times, self.values)
+
+    @property
+    def on_blocks(self) -> OnBlocks | None:
+        """The blocks it acts on; None: all."""
+        return None if self.blocks is None else OnBlocks(self.blocks)
+
+
+class _Forces:
+    """Reads a force, or a list of forces, of which none is swept: a table, or a tuple of tables."""
+
+    @staticmethod
+    def _read(given: Any, read: Callable[..., ForceTable]) -> ForceTable | tuple[ForceTable, ...]:
+        if not isinstance(given, list | tuple):
+            return read(given)
+        if not given:
+            raise ValueError("expected one force or more, got []; write e.g. {amplitude = 0.5, frequency = 1.0}")
+        found = tuple(read(one, k) for k, one in enumerate(given))
+        for k, one in enumerate(found):
+            for key in _HARMONIC:
+                if isinstance(getattr(one, key), tuple):
+                    raise ValueError(
+                        f"expected one value of each key where there are several forces, got a list for {key} of"
+                        f" force {k}; a sweep takes one force"
+                    )
+        return found
+
+    @staticmethod
+    def _write(given: Any, write: Callable[[Any], Any]) -> Any:
+        return [write(one) for one in given] if isinstance(given, tuple) else write(given)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        inner = handler(source)
+        written = core_schema.wrap_serializer_function_ser_schema(self._write, schema=inner)
+        return core_schema.no_info_wrap_validator_function(self._read, inner, serialization=written)
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        one = handler(schema["schema"])
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+
+
+if TYPE_CHECKING:
+    Forces = ForceTable | tuple[ForceTable, ...]
+else:
+    Forces = Annotated[ForceTable, _Forces()]
 
 
 class _Law(StrictTable):
@@ -145,14 +223,26 @@ QUANTITIES = {term.name: (term.table, term.key) for term in TERMS}
 QUANTITIES["force_course"] = ("force", "course")  # a force that is given by times and values
 
 
+def _either_files(schema: dict[str, Any]) -> None:
+    """Let editors accept a system without n, if it is read from files."""
+    required = schema.pop("required")
+    of_files = {"properties": {"coupling": {"const": OF_FILE}}}
+    schema |= {"if": of_files, "then": {"required": required}, "else": {"required": [*required, "n"]}}
+
+
 class _Source(StrictTable):
+    model_config = ConfigDict(json_schema_extra=_either_files)
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
         description="name of the ensemble, or of the graph that springs lie along; that K is read from a file; or the"
         " function that makes the systems, as module:function",
         examples=["antisymmetric"],
         json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": _FUNCTION}]},
     )
-    n: BlockNumbers = Field(description="number of blocks, or a list of numbers", examples=[200])
+    n: BlockNumbers = Field(
+        default_factory=tuple,
+        description="number of blocks, or a list of numbers; with files of K that of these, and may be left out",
+        examples=[200],
+    )
     path: str | None = Field(
         default=None,
         description="file of K, .npz, .npy or Matrix Market, beside the scene; or several, by a pattern",
@@ -163,7 +253,9 @@ class _Source(StrictTable):
 class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     """[system]: what the systems are drawn from."""
 
-    force: ForceTable | None = None
+    force: Forces | None = Field(
+        default=None, description="an external force, or a list of forces that act together; see [system.force]"
+    )
     weakening: WeakeningTable | None = None
     back_slip: bool = Field(
         default=True,
@@ -186,6 +278,22 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         given = self.parameters or {}
         own = {name: place for name, place in QUANTITIES.items() if name not in given}
         return {name: getattr(getattr(self, t) if t else self, key, None) for name, (t, key) in own.items()} | given
+
+    @property
+    def forces(self) -> tuple[ForceTable, ...]:
+        """All forces."""
+        return () if self.force is None else self.force if isinstance(self.force, tuple) else (self.force,)
+
+    @property
+    def pushes(self) -> Pushes | None:
+        """The forces, where they are several; of one, the numbers are quantities."""
+        if not isinstance(self.force, tuple):
+            return None
+        return Pushes(
+            tuple(
+                Push(tuple(getattr(one, key) for key in _HARMONIC), one.course, one.on_blocks) for one in self.force
+            )
+        )
 
     def place_of(self, name: str, tables: dict[str, Any]) -> tuple[dict[str, Any], str]:
         """The table that holds one of the quantities, within a dump of this one, and its key there."""
@@ -226,6 +334,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
         first: dict[str, str] = {}
+        if not self.n:
+            object.__setattr__(self, "n", distinct(tuple({file.n for file in self.files.values()})))
         for name, file in self.files.items():
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
@@ -258,6 +368,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     def _only_what_applies(self) -> Self:
         """What is not used is refused, and no part of the data."""
         of_file, why = self.coupling == OF_FILE, ""
+        if not self.n and not of_file:
+            raise ValueError("n: expected the number of blocks, or a list of numbers, found nothing; add `n = 200`")
         if of_file or self.is_own:
             why = ", which has K itself" if of_file else ", which makes all of it from [system.parameters]"
         for key, is_used in (
@@ -287,6 +399,13 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             if "rho" in self.model_fields_set and self.rho is not None:
                 raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
             object.__setattr__(self, "rho", None)
+        for k, force in enumerate(self.forces):
+            if force.blocks is not None and force.blocks[-1] >= min(self.n):
+                where = f"force[{k}]" if isinstance(self.force, tuple) else "force"
+                raise ValueError(
+                    f"{where}.blocks: expected numbers from 0 to n - 1 = {min(self.n) - 1}, got {force.blocks[-1]};"
+                    " leave it out"
+                )
         if self.degree is not None and size(self.degree) > min(self.n) - 1:
             most = f"n - 1 = {min(self.n) - 1}, all the others"
             raise ValueError(f"degree: expected at most {most}, got {size(self.degree):g}; lower it")

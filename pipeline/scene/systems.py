@@ -358,8 +358,8 @@ def _parts(system: System) -> list[Any]:
     """All that determines a system."""
     stiffness = system.stiffness
     dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
-    rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "weakening", "back_slip")]
-    return [dense, *rest]
+    rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "back_slip")]
+    return [dense, *rest, repr(system.weakening)]  # a law of the user's own may not be pickled
 
 
 class _Audit:

@@ -8,7 +8,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -55,14 +55,16 @@ def as_tuple(value: object) -> object:
     return value if isinstance(value, tuple) else (value,)
 
 
-def once(values: Sequence[Any], least: int = 1) -> tuple[Any, ...]:
-    """The values of a key, not too many and none of them twice."""
+def once(values: Sequence[Any], least: int = 1, as_toml: Callable[[Any], Any] = lambda one: one) -> tuple[Any, ...]:
+    """The values of a key, not too many and none of them twice; `as_toml` gives one as a file has it."""
     if not least <= len(values) <= MAX_VALUES:
         between = f"{least} to" if least else "at most"
         raise ValueError(f"expected {between} {MAX_VALUES} values, got {len(values)}; write some, or fewer")
     twice = [value for k, value in enumerate(values) if value in values[:k]]
     if twice:
-        raise ValueError(f"expected each value once, got {twice[0]!r} more than once; remove the duplicates")
+        raise ValueError(
+            f"expected each value once, got {_value(as_toml(twice[0]))} more than once; remove the duplicates"
+        )
     return tuple(values)
 
 

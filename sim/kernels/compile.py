@@ -26,7 +26,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numba
@@ -36,7 +36,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime import rtsys
 from numba.core.targetconfig import ConfigStack
-from numba.core.types import Type, unliteral
+from numba.core.types import Integer, Type, unliteral
 from numba.core.types.functions import BaseFunction
 
 from stickslip.sim.kernels.cache import KernelFiles, cache_directory
@@ -171,8 +171,29 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False, i
     return compiled
 
 
-def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
-    """For kernels, ``f(number, *arguments)``: the function of that number; all take and return the same types."""
+def one_of(functions: Sequence[Callable[..., Any]], others: Callable[[type[Any]], Callable[..., Any]]) -> Any:
+    """For kernels, ``f(which, *arguments)``: the function of that number, or that of an empty named tuple's class.
+
+    All take and return the same types. `others` gives the function of a class, for which kernels are compiled.
+    """
+    numbered = _numbered(functions)
+    of_class = cache(lambda kind: _numbered([others(kind)]))
+    template, overload = numbered.get_call_template, numbered.get_overload
+
+    def is_numbered(kinds: Sequence[Any]) -> bool:
+        return isinstance(kinds[0], Integer)
+
+    numbered.get_call_template = lambda args, kws: (
+        template if is_numbered(args) else of_class(args[0].instance_class).get_call_template
+    )(args, kws)
+    numbered.get_overload = lambda args: (
+        overload if is_numbered(args) else of_class(args[0].instance_class).get_overload
+    )(args)
+    return numbered
+
+
+def _numbered(functions: Sequence[Callable[..., Any]]) -> Any:
+    """The function of a number; of one function, whatever stands there."""
     first, others = inner(functions[0]), functions[1:]
     if not others:
 
@@ -181,7 +202,7 @@ def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
             return first(*arguments)
 
         return only
-    rest = one_of(others)
+    rest = _numbered(others)
 
     @inner
     def choose(number, *arguments):  # type: ignore[no-untyped-def]

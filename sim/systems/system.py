@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.numerics.arguments import Floats, flag, floats, number, per_block
 from stickslip.sim.runs import show
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
+from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.weakening import LAWS, Weakening
 
 if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
@@ -46,7 +47,8 @@ class System:
     stiffness : array_like or scipy.sparse matrix, shape (n, n)
         K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
     damping : float or array_like, shape (n,) or (n, n)
-        R, the diagonal of the damping matrix C, or C itself, dense.
+        R, the diagonal of the damping matrix C, or C itself, dense. Of either sign: R < 0 feeds a motion, as friction
+        that falls with the speed of slip does in linear theory.
     friction : float or array_like, shape (n,)
         mu >= 0, kinetic friction; a block with mu = 0 slides freely, except to a closed side.
     belt_speed : float, array_like, shape (n,), or Piecewise
@@ -142,6 +144,55 @@ class System:
         object.__setattr__(self, "force", forces(force, n))
         object.__setattr__(self, "weakening", _weakening(weakening, static))
         object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
+
+    @classmethod
+    def from_physical(
+        cls,
+        stiffness: ArrayLike | scipy.sparse.sparray | scipy.sparse.spmatrix,
+        damping: ArrayLike,
+        friction: ArrayLike,
+        belt_speed: ArrayLike | Piecewise,
+        *,
+        mass: ArrayLike,
+        normal: ArrayLike = 1.0,
+        static: ArrayLike | None = None,
+        scales: Scales | None = None,
+        **others: Any,
+    ) -> tuple[System, Scales]:
+        """The dimensionless system of blocks in SI units, and the scales by which its results are brought back.
+
+        Parameters
+        ----------
+        stiffness : array_like or scipy.sparse matrix, shape (n, n)
+            In N/m.
+        damping : float or array_like, shape (n,) or (n, n)
+            In N s/m.
+        friction, static : float or array_like, shape (n,)
+            Coefficients; or forces in N, if `normal` is left out.
+        belt_speed : float, array_like, shape (n,), or Piecewise
+            In m/s; times in s.
+        mass : float or array_like, shape (n,)
+            In kg.
+        normal : float or array_like, shape (n,)
+            Normal loads in N.
+        scales : Scales, optional
+            By default those of `Scales.of`: mean mass, diagonal entry of K and kinetic friction are 1.
+        **others
+            `force` in N, with frequencies in radians a second; `weakening`, with speeds in m/s; `back_slip`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `System`; or if a normal load is negative, or there is nothing by which to scale.
+        """
+        coefficients = cls(stiffness, damping, friction, belt_speed, static, mass=mass, **others)
+        load = per_block("normal", normal, coefficients.n, "normal >= 0")
+        physical = coefficients.changed(
+            friction=coefficients.friction * load,
+            static=None if static is None else coefficients.static * load,
+        )
+        chosen = Scales.of(physical) if scales is None else scales
+        return chosen.dimensionless(physical), chosen
 
     @cached_property
     def n(self) -> int:
@@ -560,7 +611,7 @@ def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakeni
         return None
     if not isinstance(weakening, Weakening):
         known = " or ".join(f"{law.__name__}({', '.join(law.parameters())})" for law in LAWS.values())
-        raise TypeError(f"weakening: expected {known}, got {weakening!r}; left out: none")
+        raise TypeError(f"weakening: expected {known}, or another Weakening, got {weakening!r}; left out: none")
     weakening.require_static(static)
     return weakening
 

@@ -35,6 +35,8 @@ class Term:
         Its least value, excluded if `is_above`.
     draws : tuple of str
         The distributions that it may be drawn from, block by block; none: it is one number a system.
+    ratio_of : str
+        Of which other term it may be a multiple, by a factor of at least 1; empty: of none.
     in_time : bool
         Whether it may change in time, linear between given times.
     purpose : int or None
@@ -59,6 +61,7 @@ class Term:
     least: float | None = None
     is_above: bool = False
     draws: tuple[Draw, ...] = ()
+    ratio_of: str = ""
     in_time: bool = False
     purpose: int | None = None
     argument: str = ""
@@ -118,11 +121,10 @@ TERMS = (
     Term(name="rho", words="scale of the dampings", default=3.5, least=0),
     Term(
         name="damping",
-        words="damping R of every block, in the place of `rho`",
+        words="damping R of every block, of either sign, in the place of `rho`",
         column="damping R of every block; null if drawn",
         example=0.0,
-        least=0,
-        draws=BOUNDED,
+        draws=UNBOUNDED,
         purpose=5,
         argument="damping",
         part="damping",
@@ -145,6 +147,7 @@ TERMS = (
         example=1.3,
         least=0,
         draws=BOUNDED,
+        ratio_of="friction",
         purpose=9,
         argument="static",
         part="static",

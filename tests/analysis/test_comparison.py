@@ -91,6 +91,22 @@ def test_settings_that_differ_are_matched_by_what_they_share(planted):
     assert report.tables["unmatched"]["setting"].tolist() == ["n = 200, sigmoid, eps = 0.01, stick = convergent"]
 
 
+def test_members_without_a_partner_are_named(planted):
+    """Matrices 4 and 5 are in the first alone; with other seeds nobody has a partner, and none is missed."""
+    first, second = ensemble(planted, "first", n_matrices=6), ensemble(planted, "second", draw=1, n_matrices=4)
+    report = compare(first, second, SETTINGS)
+    assert report.tables["alone"].to_dict("list") == {
+        "dataset": ["first"] * 2, "setting": ["n = 200, exact"] * 2, "member_id": ["coulomb-004", "coulomb-005"],
+    }  # fmt: skip
+    assert "2 members of first have no partner, and are left out: coulomb-004 and coulomb-005." in text_of(report)
+    turned = compare(second, first, SETTINGS)
+    assert turned.tables["alone"]["dataset"].tolist() == ["first"] * 2
+    other = compare(first, ensemble(planted, "second", draw=1, n_matrices=4, seed=1), SETTINGS)
+    assert other.tables["alone"].empty
+    more = compare(ensemble(planted, "more", n_matrices=4, engines=("coulomb", "sigmoid")), second, SETTINGS)
+    assert more.tables["alone"]["member_id"].tolist() == [f"sigmoid-{k:03d}" for k in range(4)]
+
+
 def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):
     first, second = (
         ensemble(planted, name, draw=draw, n_matrices=4) for draw, name in enumerate(("first", "second"))

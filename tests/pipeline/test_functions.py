@@ -19,7 +19,7 @@ from stickslip.pipeline.scene import systems
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
-from tests.scenes import ENDING
+from tests.scenes import ENDING, own_law
 
 OWN = """\
 import numpy as np
@@ -54,6 +54,28 @@ def written(folder, text=SCENE, own=OWN):
     (folder / "beside.py").write_text("STIFF = 1.5\n")
     (folder / "mine.toml").write_text(text)
     return folder / "mine.toml"
+
+
+def test_a_function_may_have_a_law_of_friction_of_its_own(tmp_path):
+    """In a module beside it: the members are runs of `simulate` with that law, in a worker too."""
+    own = OWN.replace("import numpy as np\n", "import numpy as np\nfrom lorentz import Lorentz\n")
+    own = own.replace("belt_speed=-0.3)", "belt_speed=-0.3, weakening=Lorentz(4.0))")
+    scene = written(tmp_path, SCENE.replace("[3, 4]", "3"), own)
+    (tmp_path / "lorentz.py").write_text(own_law())
+    loaded = load_scene(scene)
+    assert sorted(loaded.system.module.beside) == ["beside.py", "lorentz.py", "own.py"]
+    run_ensemble(loaded, tmp_path / "out", workers=1)
+    table = query.members(tmp_path / "out").set_index("member_id")
+    assert set(table.outcome) <= {"finished", "collapsed"}, table.reason.tolist()
+    made = {"__name__": "lorentz"}
+    exec(compile(own_law(), "lorentz.py", "exec", dont_inherit=True), made)
+    for member in expand(loaded):
+        system = member.system()
+        assert repr(system.weakening) == "Lorentz(sharpness=4.0)"
+        run = sim.simulate(system.changed(weakening=made["Lorentz"](4.0)), -0.7, -0.4, 5.0, tol=1e-6)
+        assert table.n_exits[member.member_id] == run.events.counts()["n_exits"]
+        t, _ = query.n_stick(tmp_path / "out", member.member_id)
+        assert t.tolist() == run.events.change_points()[0].tolist()
 
 
 def test_a_function_makes_the_systems(tmp_path):

@@ -39,3 +39,9 @@ def test_what_an_engine_does_not_take_is_refused(key, tmp_path):
 def test_what_it_takes_is_not():
     taken = {"mass": 2.0, "belt_speed": [-0.1, -0.2], "force": {"amplitude": 0.0, "frequency": 1.0}}
     scene(taken, "coulomb", "moreau").check_engines()
+
+
+def test_a_belt_that_keeps_its_speed_is_one_number(tmp_path):
+    steady = scene({"belt_speed": {"times": [0.0, 1.0], "values": [-0.2, -0.2]}, "static": None}, "moreau")
+    status = run_ensemble(steady, tmp_path / "out", workers=0)
+    assert not status.failures

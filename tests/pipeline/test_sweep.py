@@ -268,6 +268,74 @@ def test_static_friction_is_swept_and_drawn(seed, tmp_path):
     assert (table.drawn.str.contains("static = uniform(1.3, 1.5)", regex=False) == table.static.isna()).all()
 
 
+def test_static_friction_may_be_a_ratio_of_the_kinetic(seed, tmp_path):
+    """The factor is drawn as `static` would be, and the friction as it is without."""
+    keys = "static = [{ratio = 1.25}, {ratio = {uniform = [1.1, 1.4]}}]\nfriction = [2.0,"
+    scene = scene_of(DRAWN.replace("SEED", str(seed)), ("friction = [1.0,", keys))
+    members = expand(scene)
+    assert len({member.member_id for member in members}) == len(members) == scene.n_members == 2 * 2 * 2 * 2 * 3
+    for member in members:
+        system, matrix = member.system(), member.source.matrix
+        kinetic = (
+            np.full(3, 2.0) if "friction=2" in member.member_id else drawn(4, seed, 3, matrix).uniform(0.8, 1.2, 3)
+        )
+        factor = 1.25 if "static=ratio_1.25" in member.member_id else drawn(9, seed, 3, matrix).uniform(1.1, 1.4, 3)
+        assert np.array_equal(system.friction, kinetic)
+        assert np.array_equal(system.static, factor * kinetic)
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert set(table.outcome) <= {"finished", "collapsed"}
+    assert sorted(table.static.dropna().unique()) == [2.5]
+    assert (table.static.notna() == (table.friction.notna() & ~table.drawn.str.contains("static"))).all()
+    assert table.drawn.str.contains("static = uniform(1.1, 1.4) friction", regex=False).sum() == len(table) // 2
+    assert load_again(scene).hash == scene.hash
+    for given in (
+        "{ratio = 0.9}",
+        "{ratio = [1.1, 1.2]}",
+        "{ratio = {normal = [1.3, 0.1]}}",
+        "{ratio = 1.2, of = 1}",
+    ):
+        with pytest.raises(
+            SceneError, match=r"system\.static: expected a ratio to friction of at least 1, .* write e\.g"
+        ):
+            scene_of(DRAWN.replace("SEED", "1"), ("n = 3", f"n = 3\nstatic = {given}"))
+
+
+def test_a_draw_that_is_there_twice_is_shown_as_it_is_written():
+    twice = "friction = [{uniform = [0.8, 1.2]}, {uniform = [0.8, 1.2]}, "
+    with pytest.raises(
+        SceneError, match=r"friction: expected each value once, got \{uniform = \[0\.8, 1\.2\]\} more"
+    ):
+        scene_of(DRAWN.replace("SEED", "1"), ("friction = [1.0, ", twice))
+
+
+def test_forces_are_several_and_on_some_blocks(seed, tmp_path):
+    """Each of several has draws of its own, and the run is that of the same forces given to `simulate`."""
+    forces = (
+        "force = [{amplitude = 0.5, frequency = {uniform = [0.9, 1.1]}, blocks = [2, 0]},"
+        " {times = [0, 10], values = [0, 2], blocks = 1}, {amplitude = 0.5, frequency = {uniform = [0.9, 1.1]}}]"
+    )
+    scene = scene_of(DRAWN.replace("SEED", str(seed)), ("n = 3", f"n = 3\n{forces}"))
+    assert load_again(scene).hash == scene.hash == scene.from_source.hash
+    for member in expand(scene)[:7]:
+        first, third = (drawn(13, seed, 3, member.source.matrix, k).uniform(0.9, 1.1, 3) for k in (0, 2))
+        t = np.array([0.0, 5.0, 20.0])[:, None]
+        expected = 0.5 * np.cos(first * t) * [1, 0, 1] + 0.5 * np.cos(third * t)
+        expected[:, 1] += [0.0, 1.0, 2.0]
+        np.testing.assert_allclose(member.system().force_at(t[:, 0]), expected, atol=1e-15)
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert table[["force_amplitude", "force_frequency", "force_phase"]].isna().all(axis=None)
+    assert (table.drawn == [member.drawn for member in expand(scene)]).all()
+    assert "0.5 cos(uniform(0.9, 1.1) t + 0) on blocks 0, 2 + (0 at 0 to 2 at 10) on blocks 1" in table.drawn[0]
+    one = scene_of(
+        DRAWN.replace("SEED", "1"), ("n = 3", "n = 3\nforce = {amplitude = [1, 2], frequency = 1.0, blocks = [0]}")
+    )
+    amplitudes = {tuple(member.system().force[0].amplitude) for member in expand(one)}
+    assert amplitudes == {(1.0, 0.0, 0.0), (2.0, 0.0, 0.0)}
+    assert "force_blocks = 0" in expand(one)[0].drawn
+
+
 ON_BELT = ("w = [-0.4, {normal = [0.0, 0.1]}]", 'w = "belt"')
 DRIVEN = """\
 static = 1.5
@@ -491,7 +559,18 @@ BAD = {
     "zip of no list": ("seed = 3", 'zip = [["kappa", "rho"]]', ["run.zip", "lists, got 'rho'"]),
     "zip of one": ("seed = 3", 'zip = [["kappa"]]', ["run.zip", "two keys or more", "['kappa']"]),
     "zip of an unknown key": ("seed = 3", 'zip = [["kapa", "z"]]', ["run.zip", "did you mean 'kappa'"]),
-    "zip twice": ("seed = 3", 'zip = [["kappa", "z"], ["z", "belt_speed"]]', ["run.zip", "'z' more than once"]),
+    "no force": ("n = [3, 4]", "n = [3, 4]\nforce = []", ["system.force", "one force or more", "write e.g."]),
+    "a sweep of several forces": (
+        "n = [3, 4]",
+        "n = [3, 4]\nforce = [{amplitude = 1.0, frequency = 1.0}, {amplitude = [1.0, 2.0], frequency = 1.0}]",
+        ["system.force", "got a list for amplitude of force 1"],
+    ),
+    "a force on no block": (
+        "n = [3, 4]",
+        "n = [3, 4]\nforce = [{amplitude = 1.0, frequency = 1.0, blocks = [0, 3]}]",
+        ["system.force[0].blocks", "from 0 to n - 1 = 2, got 3"],
+    ),
+    "zip twice": ("seed = 3", 'zip = [["kappa", "z"], ["z", "belt_speed"]]', ["run.zip", '"z" more than once']),
     "zip of other lengths": (
         "z = [-0.7, -0.5]\nw = -0.4\n[run]",
         'z = [-0.7, -0.5, 0]\nw = -0.4\n[run]\nzip = [["kappa", "z"]]',

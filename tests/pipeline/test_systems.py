@@ -72,6 +72,20 @@ def test_a_file_is_the_system_and_its_digest_is_in_the_name(tmp_path, arrays):
     assert len({member.system().damping.tobytes() for member in members}) == 2  # a draw for each of `matrices`
 
 
+def test_a_scene_of_files_may_leave_n_out(tmp_path, arrays):
+    """It is the same scene, and `n` is required of all others."""
+    said = load_scene(written(tmp_path, arrays))
+    left = load_scene(written(tmp_path, arrays, SCENE.replace("n = 4\n", "")))
+    assert left.system.n == (4,)
+    assert left.hash == said.hash == left.from_source.hash
+    assert b"n = 4" not in left.source.partition(b"[system.files")[0]
+    np.savez(tmp_path / "L.npz", stiffness=np.eye(3), z0=np.zeros(3))
+    both = left.changed(system={"path": "[KL].npz"})
+    assert [member.n for member in expand(both)[::8]] == [3, 4]
+    with pytest.raises(SceneError, match=r"system\.n: expected the number of blocks.* add `n = 200`"):
+        load_scene(written(tmp_path, arrays, SCENE.replace('"file"\npath = "K.npz"\nn = 4', '"chain"')))
+
+
 def test_the_run_of_a_member_is_that_of_simulate(tmp_path, arrays):
     file = written(tmp_path, arrays)
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)

@@ -7,6 +7,7 @@ in 40-digit arithmetic with the couplings of eq. (6): s = +1 as printed, s = -1 
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from stickslip.sim import System, simulate
 from tests.systems import draw_run
@@ -50,6 +51,29 @@ def test_one_block_never_sticks_again():
     run = simulate(System([[0.2]], 3.5), -0.7, -0.4, 600.0, tol=TOL, stop_early=False)
     assert len(run.events) == 2
     assert run.z[0] == pytest.approx(-1 / 0.2, abs=1e-10)
+
+
+@pytest.mark.parametrize(("r", "v"), [(-0.1, -0.2), (-0.5, 0.3)])
+def test_a_block_that_a_negative_damping_drives_sticks_again(r, v):
+    """kappa = 1, from rest on the belt: exit at the end of the stick interval, entry where w is v again.
+
+    With y = z - sgn(v), slip is y'' + r y' + y = 0 from y = -r v, y' = v; so y' = v at a root of one equation.
+    """
+    system = System([[1.0]], r, belt_speed=v)
+    leave = (np.sign(v) - r * v) / v
+    k, omega = -r / 2, np.sqrt(1 - r**2 / 4)
+    a, b = -r * v, (v - k * -r * v) / omega
+
+    def gap(t):
+        c, s = np.cos(omega * t), np.sin(omega * t)
+        return np.exp(k * t) * (k * (a * c + b * s) + omega * (b * c - a * s)) - v
+
+    at = np.linspace(0.05, 2 * np.pi, 400)
+    first = at[np.flatnonzero(gap(at)[1:] * gap(at)[:-1] < 0)[0]]
+    enter = brentq(gap, first - 0.02, first + 0.02, xtol=1e-15)
+    run = simulate(system, 0.0, "belt", leave + 6.0, tol=TOL)
+    np.testing.assert_allclose(run.events.t[:2], [leave, leave + enter], rtol=0, atol=1e-11)
+    assert run.events.mode[:2].tolist() == [-np.sign(v), 0]
 
 
 def test_two_blocks_from_rest_on_the_belt():

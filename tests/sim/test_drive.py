@@ -38,6 +38,16 @@ def test_forces_add_up():
     assert not System(np.eye(2), 0.1, force=[1.0, 2.0]).changes
 
 
+def test_a_start_on_the_belt_is_the_speed_of_each_belt_then():
+    several = System(np.eye(2), 0.1, belt_speed=Piecewise([0.0, 8.0], [[-0.25, 0.5], [-0.5, 0.25]]))
+    for system, t_start, w in ((several, 4.0, [-0.375, 0.375]), (System(np.eye(2), 0.1), 0.0, -0.2)):
+        one, two = (simulate(system, 0.5, w0, 20.0, t_start=t_start) for w0 in ("belt", w))
+        assert one.events.t.tolist() == two.events.t.tolist()
+        assert one.w.tolist() == two.w.tolist()
+    with pytest.raises(ValueError, match='w0: expected a number, 2 numbers or "belt", got \'rest\'; write w0="belt"'):
+        simulate(several, 0.0, "rest", 1.0)
+
+
 def test_belts_are_one_or_one_a_block():
     several = System(np.eye(2), 0.1, belt_speed=[-0.2, 0.3])
     assert not several.has_one_belt

@@ -246,7 +246,7 @@ RUNS = [
     ),
     *(
         (
-            "weakening", TYPE, f"expected Rational or Stribeck.*, all that engine='{engine}' knows",
+            "weakening", TYPE, f"expected .* form `.*`, which engine='{engine}' needs",
             run(System([[1.0]], 0.1, weakening=law), engine=engine),
         )
         for engine in ("coulomb", "sigmoid")

@@ -284,6 +284,15 @@ def test_who_reads_an_answer_may_stop_and_a_full_disk_is_called_so(form, dataset
     assert "shard" not in done.stderr
 
 
+def test_a_scene_that_ships_need_not_say_what_it_is_about(tmp_path, monkeypatch, capsys):
+    silent = tmp_path / "silent.toml"
+    text = find("quick").read_text()
+    silent.write_text("".join(line for line in text.splitlines(keepends=True) if not line.startswith("about")))
+    monkeypatch.setattr("stickslip.workflows.scaffold.shipped", lambda: {"silent": silent})
+    assert main(["scenes"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split()[0] == "silent"
+
+
 def test_a_command_has_one_thread_and_leaves_the_environment_as_it_was(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     seen = {}
@@ -721,3 +730,19 @@ def test_a_run_parses_its_scene_once_and_once_for_its_report(small_scene, tmp_pa
         parsed.clear()
         assert main(["run", str(small_scene), "--out", str(tmp_path / "out"), "--workers", "1", *more]) == 0
         assert len(parsed) == n
+
+
+def test_commands_to_copy_quote_names_with_spaces(tmp_path, small_scene, capsys):
+    """What is printed to be run again is split by a shell into the words that were meant."""
+    named = tmp_path / "my scenes" / "one scene.toml"
+    assert main(["init", str(named.parent.with_name("a b.toml"))]) == 0
+    said = capsys.readouterr().out
+    for line in (line for line in said.splitlines() if line.strip().startswith("stickslip run")):
+        assert shlex.split(line)[2] == str(tmp_path / "a b.toml")
+    assert "`stickslip run 'a b.toml' --dry-run`" in (tmp_path / "a b.toml").read_text()
+    named.parent.mkdir()
+    shutil.copy(small_scene, named)
+    out = str(tmp_path / "my data")
+    assert main(["run", str(named), "--out", out, "--workers", "1", "--no-report"]) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("report"))
+    assert shlex.split(line.partition(": ")[2]) == ["stickslip", "report", out]

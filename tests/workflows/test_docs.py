@@ -36,6 +36,7 @@ from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import CHARTS
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
+from tests.scenes import own_law
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -197,6 +198,31 @@ def test_the_verdicts_are_those_of_the_analysis():
     verdicts = re.findall(r"\*([a-z ]+)\*", page("report").partition("**Verdicts**")[2].partition("**Collapsed**")[0])
     assert {"steeper", "agree", "stays", "cannot be told"} <= set(verdicts)
     assert [words for words in verdicts if words not in source] == []
+
+
+def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
+    """The first exit is when the belt has stretched the springs of one block by its static friction."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("brake.py").write_text(blocks(page("own-system"), "python")[3])
+    Path("brake.toml").write_text(blocks(page("own-system"), "toml")[0])
+    assert main(["run", "brake.toml", "--no-report", "--workers", "1"]) == 0
+    found = run_python("own-system", 4)
+    for row in found["table"].itertuples():
+        first = found["seconds"][row.member_id][1]
+        low, high = (
+            (0.6 * load / row.metres_a_second - 5.0) / 1e5 for load in (500.0, 700.0)
+        )  # K has row sums of 1e5
+        assert low < first < high
+
+
+def test_a_law_of_friction_in_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("lorentz.py").write_text(own_law())
+    found = run_python("own-system", 6)
+    assert found["stops"] == pytest.approx(26.0, rel=1e-12)
+    assert abs(float(capsys.readouterr().out)) < 1e-10
 
 
 def test_the_numbers_of_a_report_in_python(first, monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sized
 from contextlib import nullcontext
@@ -12,6 +11,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from stickslip.pipeline.errors import command
 from stickslip.pipeline.machine.processes import forked_workers, loading
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
@@ -142,10 +142,10 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     if status.failures:
         arguments.retry_failed = True
         copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
-        alone = ["stickslip", "run", copy, "--only", str(status.first_failed)]
-        print(f"again   {_again(arguments, out)}\nalone   {shlex.join(alone)}", file=sys.stderr)
+        alone = command("run", copy, "--only", str(status.first_failed))
+        print(f"again   {_again(arguments, out)}\nalone   {alone}", file=sys.stderr)
     if asking is None:
-        print(f"report  not written; write it with: {shlex.join(['stickslip', 'report', str(out)])}")
+        print(f"report  not written; write it with: {command('report', str(out))}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
     return UNFINISHED if status.failures else DONE
 
@@ -230,7 +230,7 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 def _again(arguments: argparse.Namespace, out: Place) -> str:
     where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
     flags = [flag for flag in ("--retry-failed", "--no-report") if getattr(arguments, flag[2:].replace("-", "_"))]
-    return shlex.join(["stickslip", "run", arguments.scene, "--out", str(out), *where, *flags])
+    return command("run", arguments.scene, "--out", str(out), *where, *flags)
 
 
 def _check_directory(out: Path, file: Path) -> None:

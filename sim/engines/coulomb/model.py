@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.systems.system import Columns, System
-from stickslip.sim.systems.weakening import LAWS, require_form
+from stickslip.sim.systems.weakening import LAWS, kind_of, require_form
 
-#: The laws whose series the engine can extend, as kernels number them.
+#: The laws whose series all kernels can extend, as these number them. Kernels are compiled apart for any other law.
 SERIES_OF = [law for law in LAWS.values() if law.recurrence is not None]
 
 
@@ -22,7 +22,7 @@ class SpeedWeakening(NamedTuple):
 
     far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
     steepness: float
-    law: int  #: its number in `SERIES_OF`
+    law: Any  #: its number in `SERIES_OF`, or the empty tuple of its kind
     is_entire: bool
 
 
@@ -50,8 +50,9 @@ class Model(NamedTuple):
         if weakening is not None:
             share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
             require_form(weakening, "recurrence", "coulomb")
-            number = SERIES_OF.index(type(weakening))
-            weakens = SpeedWeakening(share, weakening.steepness, number, weakening.is_entire)
+            law = type(weakening)
+            known = SERIES_OF.index(law) if law in SERIES_OF else kind_of(law)()
+            weakens = SpeedWeakening(share, weakening.steepness, known, weakening.is_entire)
         return cls(
             system.columns,
             pairs,

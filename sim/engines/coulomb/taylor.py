@@ -15,7 +15,7 @@ then respond by linear equations.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.panels import SINGLE_ERROR
 from stickslip.sim.numerics.products import two_products, two_single_products
+from stickslip.sim.systems.weakening import LAW_OF
 
 UNDECIDED = 2  #: in the place of a mode
 
@@ -86,7 +87,12 @@ class Expansion(NamedTuple):
         return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
 
 
-_recurrence, _shape_of = one_of([law.recurrence for law in SERIES_OF]), one_of([law.shape for law in SERIES_OF])
+def _of_laws(form: str) -> Any:
+    """A form of a law, for kernels, by what stands for the law in `SpeedWeakening`."""
+    return one_of([getattr(law, form) for law in SERIES_OF], lambda kind: getattr(LAW_OF[kind], form))
+
+
+_recurrence, _shape_of = _of_laws("recurrence"), _of_laws("shape")
 
 
 @inner

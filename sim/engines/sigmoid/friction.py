@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.lanes import Lane, absolute, exponential, less, on_number, where
-from stickslip.sim.systems.weakening import LAWS
+from stickslip.sim.systems.weakening import LAW_OF
 
 
 class Plain(NamedTuple):
@@ -28,9 +28,6 @@ class Steady(NamedTuple):
 
 #: A friction law: one of these, or the kind of one that weakens, `open_sign` with its shape.
 Law: TypeAlias = type[tuple[Any, ...]]
-
-#: The shapes of laws that weaken, and their derivatives.
-SHAPES = {law.kind: law.on_lanes for law in LAWS.values() if law.on_lanes is not None}
 
 
 def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
@@ -53,8 +50,8 @@ def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: La
     force, and w - v = delta x tends to 0 with delta: no block slips to that side.
     """
     value, slope = peaked_sign(x, c)
-    if law in SHAPES:
-        shape, slope_of_shape = SHAPES[law](absolute(x) * weakening)
+    if law in LAW_OF:
+        shape, slope_of_shape = LAW_OF[law].on_lanes(absolute(x) * weakening)
         rest = 1.0 - far
         slope = slope * (far + rest * shape) + absolute(value) * (rest * weakening * slope_of_shape)
         value = value * (far + rest * shape)

@@ -24,7 +24,7 @@ from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import require_form
+from stickslip.sim.systems.weakening import kind_of, require_form
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.sigmoid.settings import Sigmoid
@@ -222,7 +222,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     law: NamedTuple = Peaked() if system.is_static_above else Plain()
     if weakening is not None:
         require_form(weakening, "on_lanes", "sigmoid")
-        law = weakening.kind()
+        law = kind_of(type(weakening))()
     elif not system.back_slip:
         law = Steady()
     if not system.back_slip and (friction[system.closed != 0] == 0).any():

@@ -1,12 +1,12 @@
 """Laws by which kinetic friction falls with the speed of slip; `law` says what one is."""
 
-from stickslip.sim.systems.weakening.law import Weakening
+from stickslip.sim.systems.weakening.law import LAW_OF, Weakening, kind_of, parameter
 from stickslip.sim.systems.weakening.rational import Rational
 from stickslip.sim.systems.weakening.stribeck import Stribeck
 
-__all__ = ["LAWS", "Rational", "Stribeck", "Weakening", "require_form"]
+__all__ = ["LAWS", "LAW_OF", "Rational", "Stribeck", "Weakening", "kind_of", "parameter", "require_form"]
 
-#: All there are, by name: a file and a line here make one known to systems, engines and scenes.
+#: Those that scenes know, by name: a file and a line here make one known to them.
 LAWS: dict[str, type[Weakening]] = {
     law.name: law
     for law in (
@@ -17,8 +17,10 @@ LAWS: dict[str, type[Weakening]] = {
 
 
 def require_form(weakening: Weakening, form: str, engine: str) -> None:
-    """TypeError if a system's law is not in `LAWS`, or lacks the form that an engine needs."""
-    if type(weakening) not in LAWS.values() or getattr(weakening, form) is None:
+    """TypeError if a system's law lacks the form that an engine needs."""
+    if getattr(weakening, form) is None:
         known = " or ".join(law.__name__ for law in LAWS.values() if getattr(law, form) is not None)
-        missing = f", which has no `{form}`" if type(weakening) in LAWS.values() else ""
-        raise TypeError(f"weakening: expected {known}, all that engine={engine!r} knows, got {weakening!r}{missing}")
+        raise TypeError(
+            f"weakening: expected a law with the form `{form}`, which engine={engine!r} needs and {known} has, got"
+            f" {weakening!r} without; write it"
+        )

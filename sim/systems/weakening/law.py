@@ -6,27 +6,33 @@ near is the kinetic friction of a block that begins to slip, far that at the lim
 from S(0) = 1 to 0. S and its first two derivatives are at most about one, and the poles of S are about 1 + x or more
 away from x: the quadrature of `stickslip.sim.energy` and the longest steps of the exact engine depend on it.
 
-A law is a subclass of `Weakening` in a file of its own, and a line in `LAWS`. Its forms are plain functions that the
-engines compile with their kernels. An engine refuses a law that lacks the form it needs, and one that is not in
-`LAWS`: compiled kernels are kept by a digest of the sources of `sim`.
+A law is a subclass of `Weakening`. Its forms are plain functions that the engines compile with their kernels, and an
+engine refuses a law that lacks the form it needs. A law that scenes know by name has a file here and a line in
+`LAWS`. One from elsewhere is passed to `System`; its kernels are kept by a digest of its forms and what these use.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import namedtuple
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from typing import Any, ClassVar, Self
 
+import numpy as np
+
+from stickslip.sim.kernels.digest import code_digest
 from stickslip.sim.numerics.arguments import Floats, number
 
 
-def parameter(words: str, column: str, example: float) -> Any:
+def parameter(words: str = "", column: str = "", example: float = 1.0, *, power: int) -> Any:
     """A field of a law, a number > 0: its words in a scene's keys and in a dataset's columns, and an example.
 
-    The laws share a table of a scene, and its keys say which of them it means: no two have a parameter of one name.
+    `power` is that of a speed in its unit: 1 for a speed, -1 for what multiplies one, 0 for a plain number. The laws
+    share a table of a scene, and its keys say which of them it means: no two have a parameter of one name.
     """
-    return field(metadata={"words": words, "column": column, "example": example})
+    return field(metadata={"said": {"words": words, "column": column, "example": example}, "power": power})
 
 
 @dataclass(frozen=True)
@@ -35,15 +41,13 @@ class Weakening(ABC):
 
     Attributes
     ----------
-    name : str
-        Its name in scenes.
-    formula : str
-        Kinetic friction, in the words of scenes.
+    name, formula : str
+        Its name in scenes, and kinetic friction in their words; of a law of `LAWS`.
     falls_from_static : bool
         Whether it needs a static friction to fall from.
     on_lanes : function or None
         For the sigmoid engine: S and its derivative, of a `Lane` x >= 0. It imports from
-        `stickslip.sim.numerics.lanes` inside, since systems load no numba.
+        ``stickslip.sim.numerics.lanes`` inside, since systems load no numba.
     recurrence : function or None
         For the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the Taylor coefficients S_k of all blocks,
         k >= 1, into ``series[0, k]``. `series` has shape (n_series, orders, n); the law may keep others behind the
@@ -54,8 +58,6 @@ class Weakening(ABC):
         The number of series that `recurrence` keeps.
     is_entire : bool
         Whether S has no pole at all, as exp(-x): its terms may then rise before they fall.
-    kind : empty named tuple
-        The type that stands for the law in kernels of the sigmoid engine, which are compiled for it.
     """
 
     name: ClassVar[str]
@@ -65,16 +67,15 @@ class Weakening(ABC):
     recurrence: ClassVar[Any] = None
     n_series: ClassVar[int] = 1
     is_entire: ClassVar[bool] = False
-    kind: ClassVar[type[Any]]
 
     def __init_subclass__(cls) -> None:
-        kind = namedtuple(cls.__name__, (), module=cls.__module__)  # type: ignore[misc]
-        kind.__qualname__ = f"{cls.__qualname__}.kind"  # where a kernel that is loaded finds it
-        cls.kind = kind
+        if "shape" in vars(cls):  # an inherited form is that of another shape
+            for form in {"on_lanes", "recurrence"} - vars(cls).keys():
+                setattr(cls, form, None)
 
     def __post_init__(self) -> None:
-        for name in self.parameters():
-            number(name, getattr(self, name), above=0)
+        for one in fields(self):
+            number(one.name, getattr(self, one.name), above=0)
 
     @property
     @abstractmethod
@@ -93,7 +94,18 @@ class Weakening(ABC):
     @classmethod
     def parameters(cls) -> dict[str, dict[str, Any]]:
         """Words, column and example of each parameter, by name."""
-        return {one.name: dict(one.metadata) for one in fields(cls)}
+        return {one.name: one.metadata["said"] for one in fields(cls)}
+
+    def in_units(self, speed: float) -> Self:
+        """The same law, where speeds are measured in units of `speed`; TypeError if its powers do not say how."""
+        powers = {one.name: one.metadata.get("power", 0) for one in fields(self)}
+        law = replace(self, **{name: getattr(self, name) / speed**power for name, power in powers.items()})
+        if not math.isclose(law.steepness, self.steepness * speed, rel_tol=1e-9):
+            raise TypeError(
+                f"weakening: expected powers of a speed that make the steepness one over a speed, got {powers} of"
+                f" {type(self).__name__}; correct them, each in a field `rate: float = parameter(power=-1)`"
+            )
+        return law
 
     @classmethod
     def require_static(cls, static: object) -> None:
@@ -103,3 +115,52 @@ class Weakening(ABC):
                 f"static: expected with the law of {cls.__name__}, which falls from the static friction to the"
                 " kinetic, found nothing; add e.g. `static = 1.3`"
             )
+
+
+#: The laws for which kernels are compiled, by the types that stand for them there.
+LAW_OF: dict[type[Any], type[Weakening]] = {}
+
+
+@cache
+def kind_of(law: type[Weakening]) -> type[Any]:
+    """The type, an empty named tuple, that stands for a law in kernels that are compiled for it alone.
+
+    Its name, which is part of the key of a kept kernel, has a digest of the law's forms; and a kernel that is loaded
+    finds it here.
+
+    Raises
+    ------
+    TypeError
+        If a form uses something of which it cannot be said whether it changes.
+    ValueError
+        If S(0) is not 1, or `recurrence` does not give the series of `shape`.
+    """
+    _check_shape(law)
+    try:
+        name = f"{law.__name__}_{code_digest(law.shape, law.on_lanes, law.recurrence)}"
+    except TypeError as error:
+        raise TypeError(f"weakening: {law.__name__}: {error}; give the forms what they use as a number") from None
+    if name not in globals():  # else the law is defined a second time, as in a notebook
+        kind = globals()[name] = namedtuple(name, (), module=__name__)
+        LAW_OF[kind] = law
+    return globals()[name]
+
+
+def _check_shape(law: type[Weakening]) -> None:
+    """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
+    start, x0, t, orders = float(law.shape(np.array([0.0]))[0]), np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
+    if start != 1.0:
+        raise ValueError(f"weakening: expected a law with S(0) = 1, got {start:g} from the shape of {law.__name__}")
+    if law.recurrence is None:
+        return
+    z, series = np.zeros((orders + 1, len(x0))), np.full((law.n_series, orders, len(x0)), np.nan)
+    z[2], series[0, 0] = 0.5, law.shape(x0)  # x(t) = x0 + t
+    for k in range(1, orders):
+        law.recurrence(k, z, x0, np.ones(len(x0)), series)
+    found, expected = np.polynomial.polynomial.polyval(t, series[0]), law.shape(x0 + t)
+    if not np.allclose(found, expected, rtol=1e-9, atol=1e-12):
+        k = int(np.argmax(~np.isclose(found, expected, rtol=1e-9, atol=1e-12)))
+        raise ValueError(
+            f"weakening: expected a `recurrence` of {law.__name__} that gives the series of its shape, got"
+            f" {found[k]:.12g} for S({x0[k] + t:g}) = {expected[k]:.12g}; correct it, or the shape"
+        )

@@ -34,6 +34,7 @@ class Rational(Weakening):
         "rate of the law `rational`",
         column="rate at which friction falls with slip; null if not rational",
         example=3.0,
+        power=-1,
     )
 
     @property

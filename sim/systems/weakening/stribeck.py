@@ -35,6 +35,7 @@ class Stribeck(Weakening):
         "speed of the law `stribeck`",
         column="speed of slip over which it falls; null if not Stribeck's",
         example=0.5,
+        power=1,
     )
 
     @property
