@@ -15,9 +15,13 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-# Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
-CYCLE = (BLUE, ORANGE, GREEN, PURPLE, "#E69F00", "#56B4E9")
+from stickslip.sim.runs.pictures import BLUE as BLUE
+from stickslip.sim.runs.pictures import CYCLE as CYCLE
+from stickslip.sim.runs.pictures import GREEN as GREEN
+from stickslip.sim.runs.pictures import GREY as GREY
+from stickslip.sim.runs.pictures import ORANGE as ORANGE
+from stickslip.sim.runs.pictures import PURPLE as PURPLE
+
 STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9,
