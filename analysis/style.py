@@ -10,6 +10,7 @@ from typing import Any, Concatenate, ParamSpec
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -59,6 +60,21 @@ def pdf(figure: Figure) -> bytes:
         FigureCanvasPdf(figure)
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as PNG, for slides and pages that take no other."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        FigureCanvasAgg(figure)
+        figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+#: By the ending of a file: what makes its contents of a figure.
+FORMS: Mapping[str, Callable[[Figure], bytes]] = {
+    ".svg": lambda figure: svg(figure).encode(), ".pdf": pdf, ".png": png,
+}  # fmt: skip
 
 
 def blank(height: float) -> Figure:

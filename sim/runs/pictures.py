@@ -31,7 +31,7 @@ CYCLE = (BLUE, ORANGE, GREEN, PURPLE, "#E69F00", "#56B4E9")
 _MODES = {0: ("sticks", "#E3E3E3"), 1: ("slips right", BLUE), -1: ("slips left", ORANGE)}
 
 #: More intervals than this are drawn as an image of so many columns and at most so many rows.
-_VECTORS, _COLUMNS, _ROWS = 5000, 1500, 750
+_VECTORS, _COLUMNS, _ROWS = 4000, 1500, 750
 
 #: Blocks whose time series are drawn if none are named: lines of more cross each other too often to be told apart.
 _FIRST = 3
@@ -115,7 +115,7 @@ def space_time(
     else:
         stays.rectangles(ax, seen)
     ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
-    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
     if width is not None:
         _rows(ax, events.n, integer("width", width, 1, None))
@@ -173,7 +173,8 @@ def phase(
     state, block = _state("phase", samples), _block("block", block, events.n)
     t, sticks = _with_ends(state.t, events, block, *_span(events, span))
     z, w = (np.interp(t, state.t, value[:, block]) for value in (state.z, state.w))
-    (line,) = ax.plot(z, w, **({"color": BLUE, "linewidth": 1.0} | style))
+    look: dict[str, Any] = {"color": BLUE, "linewidth": 1.0} | style
+    (line,) = ax.plot(z, w, **look)
     ax.plot(*(np.where(sticks, value, np.nan) for value in (z, w)), **_broad(line, ORANGE))
     (start,) = ax.plot(z[:1], w[:1], "o", color="black", markersize=4, label=f"t = {t[0]:g}")
     ax.set(xlabel=f"displacement z of block {block}", ylabel=f"velocity w of block {block}")
