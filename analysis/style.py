@@ -10,14 +10,19 @@ from typing import Any, Concatenate, ParamSpec
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-# Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
-CYCLE = (BLUE, ORANGE, GREEN, PURPLE, "#E69F00", "#56B4E9")
+from stickslip.sim.runs.pictures import BLUE as BLUE
+from stickslip.sim.runs.pictures import CYCLE as CYCLE
+from stickslip.sim.runs.pictures import GREEN as GREEN
+from stickslip.sim.runs.pictures import GREY as GREY
+from stickslip.sim.runs.pictures import ORANGE as ORANGE
+from stickslip.sim.runs.pictures import PURPLE as PURPLE
+
 STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -55,6 +60,21 @@ def pdf(figure: Figure) -> bytes:
         FigureCanvasPdf(figure)
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as PNG, for slides and pages that take no other."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        FigureCanvasAgg(figure)
+        figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+#: By the ending of a file: what makes its contents of a figure.
+FORMS: Mapping[str, Callable[[Figure], bytes]] = {
+    ".svg": lambda figure: svg(figure).encode(), ".pdf": pdf, ".png": png,
+}  # fmt: skip
 
 
 def blank(height: float) -> Figure:

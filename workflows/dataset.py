@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from distributed import Client
     from numpy.typing import NDArray
 
+    from stickslip.sim import EventSeries
+
 
 @dataclass(frozen=True)
 class Dataset:
@@ -53,6 +55,10 @@ class Dataset:
     def n_stick(self, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Times, and how many blocks of a member stick from each to the next; see `stickslip.n_stick`."""
         return query.n_stick(self.path, member_id)
+
+    def events(self, member_id: str) -> EventSeries:
+        """Every event of a member, where the scene records them; see `stickslip.pipeline.query.events`."""
+        return query.events(self.path, member_id)
 
     @property
     def episodes(self) -> pd.DataFrame:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 #: In the order of the page.
 QUESTIONS = (
     "sweep", "episodes", "cascades", "counting", "exponential", "definitions", "rhythm", "clustering", "fates",
-    "engines", "sensitivity", "robustness",
+    "engines", "sensitivity", "robustness", "one_run",
 )  # fmt: skip
 
 

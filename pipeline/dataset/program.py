@@ -25,7 +25,7 @@ _DETERMINING = (
 )
 
 #: Parts of these that no run needs: they explain, or draw.
-_OUTSIDE = ("sim/theory/", "sim/runs/show.py")
+_OUTSIDE = ("sim/theory/", "sim/runs/pictures.py", "sim/runs/show.py")
 
 
 @cache

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs import show
+from stickslip.sim.runs import pictures, show
 from stickslip.sim.runs.series import EventSeries
 
 if TYPE_CHECKING:
-    from stickslip.sim.runs.show import Axes
+    from stickslip.sim.runs.pictures import Axes
 
 Outcome = Literal["finished", "collapsed", "diverged"]
 
@@ -125,9 +125,40 @@ class Run:
         """Number of sticking blocks at given times; see `EventSeries.n_stick`."""
         return self.events.n_stick(times)
 
-    def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
-        """Draw n_stick(t) on the axes given or on new ones; returns them. `style` goes to `Axes.step`."""
-        return show.draw_n_stick(self.events, ax, style)
+    def plot(self, kind: str = "n_stick", ax: Axes | None = None, **options: Any) -> Axes:
+        """Draw a picture of the run with matplotlib.
+
+        Parameters
+        ----------
+        kind : str
+            - ``"n_stick"``: n_stick(t) as steps.
+            - ``"space_time"``: which block slips when, and which way, from the exact events. ``width``: length of the
+              rows of a grid, which are then set apart.
+            - ``"time"``: displacements, or ``of="w"`` velocities, of some ``blocks`` against time; default: the first
+              three.
+            - ``"phase"``: velocity against displacement of a ``block``; default: 0.
+            - ``"spectrum"``: power spectral density of n_stick, or of the velocity of a ``block``.
+
+            "time", "phase" and the spectrum of a block need samples, ``simulate(..., t_eval=times)``, that of a block
+            at equal distances.
+        ax : matplotlib Axes, optional
+            Where to draw; default: a new pyplot figure.
+        **options
+            Those of the kind, and ``span``, two times between which to draw, such as the start and end of an episode.
+            Other names are properties of the lines, such as ``color``.
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        ValueError
+            If the kind is unknown or needs samples that the run does not have, or an option has no such value.
+        TypeError
+            If an option is unknown to the kind, or of the wrong type.
+        """
+        return pictures.plot(self.events, self.samples, kind, ax, options)
 
     def __repr__(self) -> str:
         return f"Run({self._ended()}, n = {self.events.n}, {self.stats.n_events} events)"
@@ -143,4 +174,4 @@ class Run:
         rows |= {name.removeprefix("n_"): count for name, count in self.events.counts().items()}
         rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
         rows["products"] = self.stats.n_products
-        return f"<div>{show.table('run', rows)}{show.picture(self.events)}</div>"
+        return f"<div>{show.table('run', rows)}{pictures.html(self.events)}</div>"

@@ -33,9 +33,14 @@ def _ring(n: int, degree: float, rng: np.random.Generator) -> Pairs:
     return np.concatenate((_chain(n, degree, rng), closing))
 
 
+def grid_width(n: int) -> int:
+    """Blocks of a row of a grid of n: the least width whose square is at least n."""
+    return math.isqrt(n - 1) + 1
+
+
 def _grid(n: int, _degree: float, _rng: np.random.Generator) -> Pairs:
-    """Rows of the least width whose square is at least n, the last row maybe shorter; four neighbours each."""
-    width = math.isqrt(n - 1) + 1
+    """Rows of `grid_width` blocks, the last maybe shorter; four neighbours each."""
+    width = grid_width(n)
     block = np.arange(n)
     right, below = block[(block + 1) % width != 0], block[: max(0, n - width)]
     right = right[right < n - 1]

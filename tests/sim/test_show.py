@@ -123,8 +123,8 @@ def test_rectangles_are_the_stays(clean):
     """Area and place of each mode, by hand from the planted events."""
     ax = PLANTED.plot(ax=Figure().subplots())
     found = {
-        collection.get_label(): [path.get_extents().extents.tolist() for path in collection.get_paths()]
-        for collection in ax.collections
+        patch.get_label(): [[*one.min(axis=0), *one.max(axis=0)] for one in patch.get_path().to_polygons()]
+        for patch in ax.patches
     }
     assert found == {
         "sticks": [[0.0, -0.5, 1.0, 0.5], [3.0, -0.5, 4.0, 0.5]],

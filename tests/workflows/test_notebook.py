@@ -32,12 +32,13 @@ def shown(cell, kind):
 
 def test_the_cells_show_what_the_page_says(done):
     notebook, folder = done
-    about, run, query, _, more, _, alone = notebook.cells
+    about, run, query, _, more, _, alone, *pictures = notebook.cells
     assert shown(about, "text/plain") == "('2 belt_speed x 3 draws of the start', 24)"
     assert shown(run, "text/plain").splitlines()[0] == "belt_speed"
     assert "<table" in shown(query, "text/html")
     assert shown(more, "text/plain") == "36"
     assert "data:image/png;base64," in shown(alone, "text/html")
+    assert [len(re.findall("image/png", str(cell.outputs))) for cell in pictures] == [1, 3, 1]
     dataset = Dataset(folder / "runs" / "belt")
     assert (len(dataset.members), verify(dataset.path)) == (36, [])
     assert (folder / "runs" / "belt" / "report.html").exists()

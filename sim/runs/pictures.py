@@ -1,0 +1,429 @@
+"""Pictures of a run on matplotlib axes: `KINDS` names them, and `plot` draws one.
+
+Only this module of `sim` uses matplotlib, and it loads it only when something is drawn.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.numerics.arguments import Floats, did_you_mean, floats, integer
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.lines import Line2D
+
+    from stickslip.sim.runs.run import Samples
+    from stickslip.sim.runs.series import EventSeries
+
+# Okabe and Ito's palette: distinguishable with every common form of colour blindness, and in grey.
+BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, "#E69F00", "#56B4E9")
+
+#: Mode -> what the block does, and its colour: what slips stands out.
+_MODES = {0: ("sticks", "#E3E3E3"), 1: ("slips right", BLUE), -1: ("slips left", ORANGE)}
+
+#: More intervals than this are drawn as an image of so many columns and at most so many rows.
+_VECTORS, _COLUMNS, _ROWS = 4000, 1500, 750
+
+#: Blocks whose time series are drawn if none are named: lines of more cross each other too often to be told apart.
+_FIRST = 3
+
+#: At most so many rows of a grid are numbered.
+_TICKS = 12
+
+#: Means of n_stick over so many equal times make its spectrum; the spectrum averages windows of a quarter of the run.
+_MEANS, _WINDOW = 8192, 4
+
+_TIME = "time t (dimensionless)"
+
+
+def plot(
+    events: EventSeries, samples: Samples | None, kind: str, ax: Axes | None, options: Mapping[str, Any]
+) -> Axes:
+    """Draw one of `KINDS` on the axes given, or on a new pyplot figure, which a notebook shows; returns the axes.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown, needs samples and there are none, or an option has no such value.
+    TypeError
+        If an option is unknown to the kind, or of the wrong type.
+    """
+    if kind not in tuple(KINDS):
+        raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}{did_you_mean(kind, KINDS)}")
+    draw = KINDS[kind]
+    _check_names(draw, kind, options)
+    if ax is not None:
+        return draw(ax, events, samples, **options)
+    import matplotlib.pyplot as plt
+
+    figure, ax = plt.subplots(layout="constrained")
+    try:
+        return draw(ax, events, samples, **options)
+    except BaseException:
+        plt.close(figure)  # else a notebook would show it, empty
+        raise
+
+
+def n_stick(
+    ax: Axes, events: EventSeries, _: Samples | None, *, span: Sequence[float] | None = None, **style: Any
+) -> Axes:
+    """n_stick(t) as steps; `style` goes to `Axes.step`."""
+    return steps(ax, *events.change_points(), events.t_end, _span(events, span), **style)
+
+
+def steps(
+    ax: Axes, t: Floats, count: NDArray[np.int32], t_end: float, span: tuple[float, float], **style: Any
+) -> Axes:
+    """n_stick(t) as steps between the times of `span`; `count[k]` holds on [t[k], t[k+1]), the last to t_end."""
+    from matplotlib.ticker import MaxNLocator
+
+    ax.step(np.append(t, t_end), np.append(count, count[-1]), where="post", **style)
+    ax.set(xlabel=_TIME, ylabel="$n_{stick}$", xlim=_wide(span))
+    ax.set_ylim(bottom=0)
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    return ax
+
+
+def space_time(
+    ax: Axes,
+    events: EventSeries,
+    _: Samples | None = None,
+    *,
+    span: Sequence[float] | None = None,
+    width: int | None = None,
+) -> Axes:
+    """One row a block, coloured by what it does: which block slips when, and which way."""
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
+
+    since, until = _span(events, span)
+    stays = _Stays(events, since, until)
+    seen = [mode for mode in _MODES if (stays.mode == mode).any()]
+    if len(stays.mode) > _VECTORS and since < until:
+        image, per = stays.image()
+        top = image.shape[0] * per - 0.5
+        ax.imshow(image, extent=(since, until, -0.5, top), origin="lower", aspect="auto")
+    else:
+        stays.rectangles(ax, seen)
+    ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
+    if width is not None:
+        _rows(ax, events.n, integer("width", width, 1, None))
+    return _explain(ax, [Patch(color=_MODES[mode][1], label=_MODES[mode][0]) for mode in seen])
+
+
+def _rows(ax: Axes, n: int, width: int) -> None:
+    """Set the rows of a grid apart, and number them in the place of the blocks."""
+    firsts = range(0, n, width)
+    for first in firsts[1:]:
+        ax.axhline(first - 0.5, color="white", linewidth=0.8)
+    every = -(-len(firsts) // _TICKS)
+    ax.set_yticks([first + (width - 1) / 2 for first in firsts[::every]], [*map(str, range(len(firsts))[::every])])
+    ax.set_ylabel(f"row of the grid, {width} blocks each")
+
+
+def time(
+    ax: Axes,
+    events: EventSeries,
+    samples: Samples | None,
+    *,
+    blocks: int | Sequence[int] | None = None,
+    of: str = "z",
+    span: Sequence[float] | None = None,
+    **style: Any,
+) -> Axes:
+    """Displacements z or velocities w of some blocks against time, with a broad line where a block sticks."""
+    state = _state("time", samples)
+    if of not in ("z", "w"):
+        raise ValueError(f"of: expected 'z' or 'w', got {of!r}")
+    since, until = _span(events, span)
+    chosen = range(min(events.n, _FIRST)) if blocks is None else np.atleast_1d(np.asarray(blocks, dtype=object))
+    handles = []
+    for k, block in enumerate(_block("blocks", one, events.n) for one in chosen):
+        look = {"color": CYCLE[k % len(CYCLE)], "label": f"block {block}"} | style
+        t, sticks = _with_ends(state.t, events, block, since, until)
+        value = np.interp(t, state.t, (state.z if of == "z" else state.w)[:, block])
+        handles += ax.plot(t, value, **look)
+        ax.plot(t, np.where(sticks, value, np.nan), **_broad(handles[-1]))
+    name = {"z": "displacement z", "w": "velocity w"}[of]
+    ax.set(xlabel=_TIME, ylabel=name, xlim=_wide((since, until)))
+    return _explain(ax, [*handles, _sticks(GREY)])
+
+
+def phase(
+    ax: Axes,
+    events: EventSeries,
+    samples: Samples | None,
+    *,
+    block: int = 0,
+    span: Sequence[float] | None = None,
+    **style: Any,
+) -> Axes:
+    """Velocity w of a block against its displacement z, with a broad line where it sticks and a dot at the start."""
+    state, block = _state("phase", samples), _block("block", block, events.n)
+    t, sticks = _with_ends(state.t, events, block, *_span(events, span))
+    z, w = (np.interp(t, state.t, value[:, block]) for value in (state.z, state.w))
+    look: dict[str, Any] = {"color": BLUE, "linewidth": 1.0} | style
+    (line,) = ax.plot(z, w, **look)
+    ax.plot(*(np.where(sticks, value, np.nan) for value in (z, w)), **_broad(line, ORANGE))
+    (start,) = ax.plot(z[:1], w[:1], "o", color="black", markersize=4, label=f"t = {t[0]:g}")
+    ax.set(xlabel=f"displacement z of block {block}", ylabel=f"velocity w of block {block}")
+    return _explain(ax, [_sticks(ORANGE), start])
+
+
+def spectrum(
+    ax: Axes,
+    events: EventSeries,
+    samples: Samples | None,
+    *,
+    block: int | None = None,
+    span: Sequence[float] | None = None,
+    **style: Any,
+) -> Axes:
+    """Power spectral density of n_stick, or of a block's velocity, against frequency in cycles a unit of time.
+
+    By Welch (1967): windows of a quarter of the time, tapered by Hann's and overlapping by half, are averaged. Its
+    integral is the variance. Of n_stick are taken its means over equal times, exact from the events.
+    """
+    from scipy.signal import welch
+
+    since, until = _span(events, span)
+    if block is None:
+        every, value = (until - since) / _MEANS, _means(events, since, until)
+        name = "$n_{stick}$"
+    else:
+        state, block = _state("spectrum", samples), _block("block", block, events.n)
+        inside = (state.t >= since) & (state.t <= until)
+        every, value = _every(state.t[inside]), state.w[inside, block]
+        name = f"w of block {block}"
+    if np.ptp(value) <= 1e-12 * np.abs(value).max():
+        raise ValueError(f"kind: 'spectrum' is of what varies, and {name} does not on [{since:g}, {until:g}]")
+    frequency, density = welch(value, 1.0 / every, nperseg=len(value) // _WINDOW)
+    ax.loglog(frequency[1:-1], density[1:-1], **({"color": BLUE, "linewidth": 1.0} | style))
+    ax.set(xlabel="frequency (cycles a unit of time)", ylabel=f"power density of {name}")
+    return ax
+
+
+#: All there are, by name. A line here makes one known to `Run.plot`, `EventSeries.plot` and the command.
+KINDS: dict[str, Callable[..., Axes]] = {
+    "n_stick": n_stick,
+    "space_time": space_time,
+    "time": time,
+    "phase": phase,
+    "spectrum": spectrum,
+}
+
+
+def html(events: EventSeries) -> str:
+    """n_stick(t) above the space-time diagram, as an HTML image."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    n_stick(above, events, None)
+    space_time(below, events)
+    above.set_xlabel("")
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    return f'<img alt="n_stick and modes" src="data:image/png;base64,{b64encode(stream.getvalue()).decode()}"/>'
+
+
+class _Stays:
+    """Intervals of a block in one mode between two times, block by block: `block`, `mode`, `start`, `stop`."""
+
+    def __init__(self, events: EventSeries, since: float, until: float) -> None:
+        block = np.concatenate((np.arange(events.n), events.block))
+        mode = np.concatenate((events.initial_mode, events.mode))
+        start = np.concatenate((np.full(events.n, events.t_start), events.t))
+        order = np.argsort(block, kind="stable")
+        block, mode, start = block[order], mode[order], start[order]
+        stop = np.append(start[1:], events.t_end)
+        stop[np.append(block[1:] != block[:-1], True)] = events.t_end
+        start, stop = np.maximum(start, since), np.minimum(stop, until)
+        inside = (start < stop) | ((start == stop) & (since == until))
+        self.block, self.mode, self.start, self.stop = block[inside], mode[inside], start[inside], stop[inside]
+        self.n, self.since, self.until = events.n, since, until
+
+    def rectangles(self, ax: Axes, modes: Iterable[int]) -> None:
+        """A rectangle each, those of one mode in one patch, which is a third of the bytes of one patch each."""
+        from matplotlib.patches import PathPatch
+        from matplotlib.path import Path
+
+        for value in modes:
+            here = self.mode == value
+            left, right, low = self.start[here], self.stop[here], self.block[here] - 0.5
+            corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=-1).reshape(-1, 4, 2)
+            label, colour = _MODES[value]
+            path = Path.make_compound_path_from_polys(corners)
+            ax.add_patch(PathPatch(path, facecolor=colour, linewidth=0, label=label))
+
+    def image(self) -> tuple[NDArray[np.float64], int]:
+        """Colours, shape (rows, columns, 3), and how many blocks are one row.
+
+        A pixel has the mean colour of its time and blocks: what is too short to be seen still counts.
+        """
+        from matplotlib.colors import to_rgb
+
+        per = -(-self.n // _ROWS)
+        blocks = np.bincount(np.arange(self.n) // per)
+        colours = {mode: np.array(to_rgb(colour)) for mode, (_, colour) in _MODES.items()}
+        image = np.broadcast_to(colours[0], (len(blocks), _COLUMNS, 3)).copy()
+        for mode in (1, -1):
+            share = self._share(mode, len(blocks), per) / blocks[:, None]
+            image += share[..., None] * (colours[mode] - colours[0])
+        return np.clip(image, 0.0, 1.0), per
+
+    def _share(self, mode: int, rows: int, per: int) -> Floats:
+        """The sum over the blocks of a row of the share of a column's time that each spends in a mode."""
+        here = self.mode == mode
+        change = np.zeros(rows * (_COLUMNS + 2))
+        for sign, t in ((1.0, self.start[here]), (-1.0, self.stop[here])):
+            x = (t - self.since) / (self.until - self.since) * _COLUMNS
+            first = np.minimum(
+                x.astype(np.int64), _COLUMNS
+            )  # a step at x fills a part of this column, later ones whole
+            at = self.block[here] // per * (_COLUMNS + 2) + first
+            change += np.bincount(at, sign * (first + 1 - x), len(change))
+            change += np.bincount(at + 1, sign * (x - first), len(change))
+        found: Floats = np.cumsum(change.reshape(rows, -1), axis=1)[:, :_COLUMNS]
+        return found
+
+
+def _means(events: EventSeries, since: float, until: float) -> Floats:
+    """Means of n_stick over `_MEANS` equal times between two."""
+    if since == until:
+        raise ValueError(f"span: expected a time that passes, got none: both ends are {since:g}")
+    t, count = events.change_points()
+    ends = np.append(t, events.t_end)
+    total = np.concatenate(([0.0], np.cumsum(count * np.diff(ends))))
+    at = np.linspace(since, until, _MEANS + 1)
+    found: Floats = np.diff(np.interp(at, ends, total)) / (at[1] - at[0])
+    return found
+
+
+def _every(t: Floats) -> float:
+    """The time between samples, which has to be the same."""
+    gaps = np.diff(t)
+    if len(t) < 8 * _WINDOW or np.ptp(gaps) > 1e-6 * gaps.mean():
+        raise ValueError(
+            f"samples: expected at least {8 * _WINDOW} equally spaced times for a spectrum, got {len(t)}"
+            f"{' that are not' if len(t) > 2 else ''}; sample the run at numpy.linspace(t_start, t_end, 4096) by"
+            " simulate(..., t_eval=...)"
+        )
+    return float(gaps.mean())
+
+
+def _with_ends(
+    sampled: Floats, events: EventSeries, block: int, since: float, until: float
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Times of samples and of a block's events within a span, and whether it sticks; one more in each slip.
+
+    So a line that is left out where the block slips ends at the event, even if no sample lies in the slip.
+    """
+    stays = _Stays(events, since, min(until, sampled[-1]))
+    here = stays.block == block
+    mode, start, stop = stays.mode[here], stays.start[here], stays.stop[here]
+    ends = np.concatenate((start, stop, (start + stop)[mode != 0] / 2))
+    t = np.unique(np.concatenate((sampled[(sampled >= since) & (sampled <= until)], ends)))
+    t = t[t >= sampled[0]]
+    if not len(t):
+        raise ValueError(f"span: expected times with samples, which are kept on [{sampled[0]:g}, {sampled[-1]:g}]")
+    start, stop = start[mode == 0], stop[mode == 0]
+    first, last = np.searchsorted(sampled, start), np.searchsorted(sampled, stop, side="right") - 1
+    inside = last > first  # from sample to sample: at the ends, interpolation has a part of the slip in it
+    start[inside], stop[inside] = sampled[first[inside]], sampled[last[inside]]
+    stop = np.append(stop, -np.inf)
+    last = np.searchsorted(start, t, side="right") - 1
+    return t, t <= stop[last]  # before the first, `last` is -1, and so is the last of `stop`
+
+
+def _state(kind: str, samples: Samples | None) -> Samples:
+    """The samples, of which there has to be one."""
+    if samples is None or not len(samples):
+        raise ValueError(
+            f"kind: {kind!r} draws the state at given times, and none are kept; run again with their times,"
+            f" simulate(..., t_eval=numpy.linspace(t_start, t_end, 4096)), and plot that run"
+        )
+    return samples
+
+
+def _span(events: EventSeries, span: Sequence[float] | None) -> tuple[float, float]:
+    """The times to draw: all, or those from one to another."""
+    if span is None:
+        return events.t_start, events.t_end
+    expected = f"two times, rising, within [{events.t_start:g}, {events.t_end:g}]"
+    found = floats("span", span, expected)
+    if found.shape != (2,) or not events.t_start <= found[0] < found[1] <= events.t_end:
+        raise ValueError(f"span: expected {expected}, got {span!r}")
+    return float(found[0]), float(found[1])
+
+
+def _wide(span: tuple[float, float]) -> tuple[float, float]:
+    """Limits of an axis: a span that is not empty."""
+    return span[0], max(span[1], float(np.nextafter(span[0], np.inf)))
+
+
+def _block(name: str, block: Any, n: int) -> int:
+    return integer(name, block, 0, n - 1)
+
+
+def _check_names(draw: Callable[..., Axes], kind: str, options: Mapping[str, Any]) -> None:
+    """Refuse what is neither an option of a kind nor, where it draws lines, a property of a line."""
+    parameters = inspect.signature(draw).parameters.values()
+    takes = [one.name for one in parameters if one.kind is one.KEYWORD_ONLY]
+    known, more = set(takes), ""
+    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+        from matplotlib.artist import ArtistInspector
+        from matplotlib.lines import Line2D
+
+        properties = ArtistInspector(Line2D)
+        known |= {*properties.get_setters(), *(name for some in properties.aliasd.values() for name in some)}
+        more = " and properties of a line"
+    for name in options:
+        if name not in known:
+            remedy = did_you_mean(name, sorted(known)) or "; leave it out"
+            raise TypeError(f"{name}: unknown to the kind {kind!r}, which takes {', '.join(takes)}{more}{remedy}")
+
+
+def _broad(line: Line2D, colour: str | None = None) -> dict[str, Any]:
+    """The look of the same line where a block sticks."""
+    return {
+        "color": colour or line.get_color(), "linewidth": 3.5 * line.get_linewidth(), "alpha": 0.45,
+        "solid_capstyle": "butt", "label": "_sticks",
+    }  # fmt: skip
+
+
+def _sticks(colour: str) -> Line2D:
+    """Its entry in a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, linewidth=4.0, alpha=0.45, solid_capstyle="butt", label="sticks")
+
+
+def _explain(ax: Axes, handles: Sequence[Any]) -> Axes:
+    """A legend in one line inside the axes, above all that is drawn: outside it would overlap, or be cut off."""
+    legend = ax.legend(
+        handles=handles,
+        loc="upper left",
+        ncols=len(handles),
+        frameon=False,
+        borderaxespad=0.0,
+        fontsize="small",
+        handlelength=1.0,
+        handletextpad=0.4,
+        columnspacing=1.0,
+    )
+    share = min(legend.get_window_extent().height / ax.get_window_extent().height, 0.5)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, low + (high - low) / (1.0 - share))
+    return ax

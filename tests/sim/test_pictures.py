@@ -1,0 +1,193 @@
+"""Pictures of a run: what is drawn is what the run says, and a wrong question is answered in a line."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from stickslip.sim import EventSeries, System, draw_system, simulate
+from stickslip.sim.runs import pictures
+
+T = np.linspace(0.0, 40.0, 2001)
+SYSTEM = System(np.array([[2.0, -1.0], [-1.0, 2.0]]), 0.1, static=1.5, belt_speed=0.3)
+RUN = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0, t_eval=T)
+BARE = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0)
+
+
+def draw_run(coupling, n):
+    return simulate(draw_system(coupling, n=n, seed=3), -0.7, -0.4, 5.0)
+
+
+def axes():
+    return Figure().subplots()
+
+
+def random_series(rng, n, m, t_end=10.0):
+    """Blocks that change between modes at random; the same mode never twice in a row."""
+    t, block = np.sort(rng.uniform(2.0, t_end, m)), rng.integers(n, size=m)
+    initial = rng.choice([-1, 0, 1], n)
+    mode, now = np.empty(m, dtype=np.int8), initial.copy()
+    for k in range(m):
+        mode[k] = now[block[k]] = rng.choice([one for one in (-1, 0, 1) if one != now[block[k]]])
+    return EventSeries(t, block.astype(np.int32), mode, initial.astype(np.int8), 2.0, t_end)
+
+
+@pytest.mark.parametrize("rows", [750, 4])
+def test_an_image_has_the_mean_colour_of_its_pixels(rng, monkeypatch, rows):
+    """Against modes at many times of each pixel, looked up one by one."""
+    monkeypatch.setattr(pictures, "_VECTORS", 0)
+    monkeypatch.setattr(pictures, "_COLUMNS", 5)
+    monkeypatch.setattr(pictures, "_ROWS", rows)
+    series = random_series(rng, 7, 120)
+    ax = series.plot(ax=axes(), span=(3.0, 8.0))
+    (shown,) = ax.images
+    drawn = np.asarray(shown.get_array())
+    per = 1 if rows == 750 else 2
+    fine = 4000
+    modes = np.array([series.mode_at(t) for t in 3.0 + (np.arange(5 * fine) + 0.5) / fine])
+    colours = np.array([to_rgb(pictures._MODES[mode][1]) for mode in (-1, 0, 1)])[modes + 1]  # times, blocks, 3
+    for row in range(drawn.shape[0]):
+        seen = colours[:, row * per : (row + 1) * per].mean(axis=1).reshape(5, fine, 3).mean(axis=1)
+        np.testing.assert_allclose(drawn[row], seen, atol=120 / fine)
+    assert shown.get_extent() == [3.0, 8.0, -0.5, 6.5 if per == 1 else 7.5]
+    assert drawn.shape == (7 if per == 1 else 4, 5, 3)
+
+
+def test_a_span_cuts_rectangles(rng):
+    series = random_series(rng, 4, 30)
+    ax = series.plot(ax=axes(), span=(4.0, 5.0))
+    boxes_of = {
+        patch.get_label(): [[*one.min(axis=0), *one.max(axis=0)] for one in patch.get_path().to_polygons()]
+        for patch in ax.patches
+    }
+    boxes = [box for some in boxes_of.values() for box in some]
+    assert sum((right - left) * (top - low) for left, low, right, top in boxes) == pytest.approx(4.0, rel=1e-12)
+    assert {ax.get_xlim(), (min(b[0] for b in boxes), max(b[2] for b in boxes))} == {(4.0, 5.0)}
+    middle = series.mode_at(4.5)
+    for mode, (label, _) in pictures._MODES.items():
+        here = {round((low + top) / 2) for left, low, right, top in boxes_of.get(label, []) if left <= 4.5 < right}
+        assert here == set(np.flatnonzero(middle == mode))
+
+
+def test_a_grid_is_numbered_by_rows():
+    ax = draw_run("grid", 12).plot("space_time", ax=axes(), width=4)
+    ticks = dict(zip((tick.get_text() for tick in ax.get_yticklabels()), ax.get_yticks(), strict=True))
+    assert ticks == {"0": 1.5, "1": 5.5, "2": 9.5}  # blocks 0 to 3, 4 to 7, 8 to 11
+    assert sorted(line.get_ydata()[0] for line in ax.lines) == [3.5, 7.5]
+
+
+@pytest.mark.parametrize("of", ["z", "w"])
+def test_time_series_are_the_samples_and_broad_where_the_block_sticks(of):
+    ax = RUN.plot("time", ax=axes(), of=of, blocks=[1, 0])
+    lines = [line for line in ax.lines if not line.get_label().startswith("_")]
+    assert [line.get_label() for line in lines] == ["block 1", "block 0"]
+    for block, line in zip((1, 0), lines, strict=True):
+        t, value = line.get_data()
+        at = np.isin(t, T)
+        np.testing.assert_array_equal(value[at], (RUN.samples.z if of == "z" else RUN.samples.w)[:, block])
+        assert at.sum() == len(T)
+    for block, broad in zip((1, 0), (line for line in ax.lines if line.get_label() == "_sticks"), strict=True):
+        t, value = broad.get_data()
+        ends = np.isin(t, np.concatenate((RUN.events.t, [0.0, 40.0])))
+        sticks = np.array([RUN.events.mode_at(one)[block] == 0 for one in t[~ends]])
+        np.testing.assert_array_equal(~np.isnan(value[~ends]), sticks)
+        assert sticks.any()
+        assert not sticks.all()
+
+
+def test_a_slip_between_two_samples_is_not_bridged():
+    """Block 0 of `RUN` sampled at so few times that whole slips lie between them."""
+    coarse = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0, t_eval=[0.0, 40.0])
+    ax = coarse.plot("time", ax=axes(), blocks=0)
+    broad = next(line for line in ax.lines if line.get_label() == "_sticks")
+    pieces = np.diff(np.isnan(broad.get_ydata()), prepend=True) & ~np.isnan(broad.get_ydata())
+    stays = np.concatenate(([RUN.events.initial_mode[0]], RUN.events.mode[RUN.events.block == 0])) == 0
+    assert pieces.sum() == stays.sum() > 1
+
+
+def test_a_phase_portrait_is_on_the_ellipse_of_a_block_that_slips_freely():
+    """Without friction worth a word and without damping, w^2 + K z^2 is kept: K = 4, from z = 1 at rest."""
+    run = simulate(
+        System(np.array([[4.0]]), 0.0, friction=1e-12, belt_speed=-5.0), 1.0, 0.0, 6.0, t_eval=np.linspace(0, 6, 601)
+    )
+    line, _, start = run.plot("phase", ax=axes()).lines
+    z, w = line.get_data()
+    np.testing.assert_allclose(w**2 + 4 * z**2, 4.0, rtol=1e-9)
+    assert (start.get_xdata()[0], start.get_ydata()[0]) == (1.0, 0.0)
+
+
+def test_the_spectrum_of_a_vibration_is_a_peak_of_its_power():
+    """A block without friction worth a word vibrates at sqrt(K) / (2 pi) with the variance A^2 / 2 of its speed."""
+    frequency, amplitude = 2.0, 0.3
+    stiffness = (2 * np.pi * frequency) ** 2
+    run = simulate(
+        System(np.array([[stiffness]]), 0.0, friction=1e-12, belt_speed=-5.0), 0.0, amplitude, 64.0,
+        t_eval=np.linspace(0.0, 64.0, 4097),
+    )  # fmt: skip
+    (line,) = run.plot("spectrum", ax=axes(), block=0).lines
+    f, density = line.get_data()
+    assert f[np.argmax(density)] == pytest.approx(frequency, abs=f[1] - f[0])
+    assert density.sum() * (f[1] - f[0]) == pytest.approx(amplitude**2 / 2, rel=0.01)
+
+
+def test_the_spectrum_of_n_stick_is_that_of_a_square_wave():
+    """One block sticks and slips by turns of 0.5: variance 1/4, line at 1 and its odd multiples k as 1 / k^2."""
+    t = np.arange(1, 128) * 0.5
+    mode = (np.arange(1, 128) % 2).astype(np.int8)
+    series = EventSeries(t, np.zeros(127, np.int32), mode, np.zeros(1, np.int8), 0.0, 64.0)
+    (line,) = series.plot("spectrum", ax=axes()).lines
+    f, density = line.get_data()
+    step = f[1] - f[0]
+    power = {k: density[np.abs(f - k) < 0.3].sum() * step for k in (1, 2, 3, 5)}
+    for k in (1, 3, 5):  # 2 / (pi k)^2, each
+        assert power[k] == pytest.approx(2 / (np.pi * k) ** 2, rel=0.01)
+    assert power[2] < 1e-6
+    assert density.sum() * step == pytest.approx(0.25, rel=0.02)
+
+
+WRONG = [
+    (RUN, "space-time", {}, ValueError, "kind: expected one of n_stick, .*; did you mean 'space_time'?"),
+    (RUN, None, {}, ValueError, "kind: expected one of"),
+    (BARE, "time", {}, ValueError, r"'time' draws the state .* simulate\(..., t_eval="),
+    (BARE, "phase", {}, ValueError, "t_eval="),
+    (BARE, "spectrum", {"block": 0}, ValueError, "t_eval="),
+    (RUN.events, "phase", {}, ValueError, "t_eval="),
+    (RUN, "time", {"block": 0}, TypeError, "block: unknown to the kind 'time', .* did you mean 'blocks'?"),
+    (RUN, "space_time", {"color": "red"}, TypeError, "color: unknown .*, which takes span, width"),
+    (RUN, "phase", {"colour": "red"}, TypeError, "did you mean 'color'?"),
+    (RUN, "phase", {"block": 2}, ValueError, "block: expected an integer from 0 to 1, got 2"),
+    (RUN, "time", {"blocks": [0, 1.5]}, TypeError, "blocks: expected an integer, got 1.5"),
+    (RUN, "time", {"of": "v"}, ValueError, "of: expected 'z' or 'w', got 'v'"),
+    (RUN, "n_stick", {"span": (5.0, 3.0)}, ValueError, r"span: expected two times, rising, within \[0, 40\]"),
+    (draw_run("chain", 2), "spectrum", {"span": (4.0, 5.0)}, ValueError, r"'spectrum' is of what varies"),
+    (RUN, "n_stick", {"span": 5.0}, ValueError, "span: expected two times"),
+    (RUN, "space_time", {"width": 0}, ValueError, "width: expected an integer at least 1, got 0"),
+    (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1, 3]), "spectrum", {"block": 0}, ValueError, "equally spaced"),
+    (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1]), "time", {"span": (2, 3)}, ValueError, r"kept on \[0, 1\]"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("run", "kind", "options", "error", "says"), WRONG)
+def test_what_cannot_be_drawn_is_refused_and_leaves_no_figure(run, kind, options, error, says):
+    before = plt.get_fignums()
+    with pytest.raises(error, match=says):
+        run.plot(kind, **options)
+    assert plt.get_fignums() == before
+
+
+@pytest.mark.parametrize("kind", pictures.KINDS)
+def test_every_kind_is_drawn_where_it_is_told_with_or_without_a_span(kind):
+    for options in ({}, {"span": (10.0, 30.0)}):
+        ax = axes()
+        assert RUN.plot(kind, ax, **options) is ax
+        assert ax.has_data()
+        ax.figure.savefig("/dev/null", format="png")
+
+
+def test_a_run_of_no_time_is_drawn():
+    run = simulate(SYSTEM, 0.0, 0.0, 0.0, t_eval=[0.0])
+    for kind in set(pictures.KINDS) - {"spectrum"}:
+        run.plot(kind, axes()).figure.savefig("/dev/null", format="png")
+    with pytest.raises(ValueError, match="span: expected a time that passes"):
+        run.plot("spectrum", axes())
