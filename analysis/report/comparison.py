@@ -21,6 +21,7 @@ from stickslip.analysis.contrast import (
 )
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.groups import Group
+from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
@@ -87,10 +88,13 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         return _report(facts, {})
     one, other = (_study(each, settings, first.name) for each in (first, second))
     matches, *left = matched(first.name, one.groups, second.name, other.groups)
+    measured = _both(one, other)
+    asked = [*(mine.statistic for mine, _ in measured), *statistics(one.margins), *shares()]
     found: list[tuple[Match, list[Row]]] = []
     for match in matches:
         pair = sample(match.first), sample(match.second)
-        asked = statistics(one.margins) + shares()
+        for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
+            held.sums.update({measure.name: measure.of(group).sums for measure in some})
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
     rows = [
         row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired}
@@ -121,6 +125,12 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     }  # fmt: skip
     facts["unit"] = one.unit
     return _report(facts, {"compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched)})
+
+
+def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
+    """What two studies both measure, beyond n_stick, of which more is compared."""
+    theirs = {measure.name: measure for measure in measures(other, one)}
+    return [(mine, theirs[mine.name]) for mine in measures(one, other) if mine.name in {*theirs} - {*KEYS}]
 
 
 def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
