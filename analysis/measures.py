@@ -185,7 +185,7 @@ def _column(numbers: Mapping[str, float | None], group: Group) -> Values:
 
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
     """Mean n_stick and gamma of what is in motion, where a margin is declared for them."""
-    of = {MEAN: of_mean, GAMMA: partial(of_gamma, study.settings.confidence)}
+    of: dict[str, Callable[[Group], Values]] = {MEAN: of_mean, GAMMA: partial(of_gamma, study.settings.confidence)}
     for one in contrast.statistics(study.margins, KEYS.values()):
         yield Measure(one, KEYS[one.name], one.name, "", AXES[one.name], of[one.name], is_recorded=False)
 

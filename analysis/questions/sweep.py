@@ -452,8 +452,8 @@ def heat_map(
     ax.set_facecolor("#d8d8d8")
     known = shown[np.isfinite(shown)]
     is_log = may_be_log and bool(len(known)) and _spans_decades(known)
-    look = {"norm": LogNorm()} if is_log else {}
-    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", **look)
+    norm = LogNorm() if is_log else None
+    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", norm=norm)
     if shown.size <= 80:
         ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
         middle = np.sqrt(ends[0] * ends[1]) if is_log else 0.5 * (ends[0] + ends[1])

@@ -82,7 +82,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     """
     facts: dict[str, Any] = {
         "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
-        "matches": [], "tested": [],
+        "matches": [], "tested": [], "from_zero": [],
     }  # fmt: skip
     if _is_same(first, second):
         return _report(facts, {})
@@ -101,9 +101,13 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         for match, some in found
         for row in some
     ]
+    names = {mine.name for mine, _ in measured}
+    from_zero = [row for row in rows if row["quantity"] in names and row["relative"] is None and row["difference"]]
+    for row in from_zero:
+        row |= {"p_equivalent": 1.0, "p_different": row["p_absolute"]}
     judge(rows, 1 - settings.confidence)
     shown = told(rows)
-    verdicts = {row["verdict"] for row in shown} or {UNKNOWN}
+    verdicts = {row["verdict"] for row in (*shown, *from_zero)} or {UNKNOWN}
     unmatched = [
         {"dataset": which.name, "setting": group.label, "members": len(group.members)}
         for which, some in zip((first, second), left, strict=True)
@@ -117,6 +121,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
              "is_paired": match.is_paired, "rows": [row for row in shown if row["setting"] == match.first.label]}
             for match in matches
         ],
+        "from_zero": from_zero,
         "n_paired": sum(match.is_paired for match in matches),
         "unmatched": unmatched,
         "other_margins": sorted(
@@ -145,10 +150,16 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:
-    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick."""
+    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick.
+
+    What records of one name keep must be the same too.
+    """
     if first.digest and first.digest == second.digest:
         return True
     one, two = (each.data.members.set_index("member_id")["outcome"].to_dict() for each in (first, second))
+    mine, theirs = first.data.recorded, second.data.recorded
+    if any(mine[name].values != theirs[name].values for name in mine.keys() & theirs.keys()):
+        return False
     return one == two and all(
         all(np.array_equal(a, b) for a, b in zip(points, second.data.series[name], strict=True))
         for name, points in first.data.series.items()
