@@ -178,7 +178,7 @@ def test_rate_size_and_b_of_episodes_lead(recorded, settings, rng):
     assert list(table["b of episodes"]) == pytest.approx([0.8] * 3, rel=0.25)
     assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == sweep.FALLS
     assert sentence(answer).startswith("The rate of episodes (per unit of time) falls from 1.")
-    few = replace(data, episodes=data.episodes[data.episodes.index % 40 == 0])
+    few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
     said = sentence(sweep.answer(Study(few, settings)), "alerts")
     assert "b of the episodes is not given at 3 of 3 points of the sweep: fewer than 200 episodes" in said
 
