@@ -186,7 +186,8 @@ def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
             row[f"{name}_holm"] = float(adjusted)
     for row in tested:
         p_values = row["p_equivalent_holm"], row["p_different_holm"]
-        row |= {"verdict": verdict(*p_values, alpha, row["relative"], row["margin"], words), "n_tests": len(tested)}
+        size = np.copysign(np.inf, row["difference"]) if row["relative"] is None else row["relative"]  # from zero
+        row |= {"verdict": verdict(*p_values, alpha, size, row["margin"], words), "n_tests": len(tested)}
 
 
 def told(rows: Iterable[Row]) -> list[Row]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,6 +23,13 @@ from stickslip.analysis.stats import enough
 Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
 Separation = tuple[np.ndarray, np.ndarray]
+
+
+class Recorded(NamedTuple):
+    """A number that a record keeps of every run: what it is, and its values by member_id; None where it has none."""
+
+    words: str
+    values: Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Data:
         n_stick of a sigmoid run under further definitions of sticking, |w - v| < threshold r_i eps, by threshold.
     episodes : DataFrame, optional
         One row an episode: member_id, start, end, size, moment. None if the scene does not record them.
+    recorded : mapping of str to Recorded
+        Every number that a record keeps of a run, by the name of its column.
     """
 
     members: pd.DataFrame
@@ -52,6 +61,7 @@ class Data:
     separations: Mapping[str, Separation] = field(default_factory=dict)
     thresholds: Mapping[str, Mapping[float, ChangePoints]] = field(default_factory=dict)
     episodes: pd.DataFrame | None = None
+    recorded: Mapping[str, Recorded] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "members", completed(self.members))

@@ -13,15 +13,13 @@ from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group, label
+from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
-from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, over_matrices
-from stickslip.analysis.stats.quantities import QUANTITIES
 
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
-MEAN, GAMMA = QUANTITIES["mean"].label, QUANTITIES["gamma"].label
 #: Keys that separate settings and are not swept.
 _FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
@@ -52,12 +50,13 @@ class Axis:
 
 @dataclass
 class Point:
-    """A group on the grid: its value on each axis, the sums of its units, and its runs by fate."""
+    """A group on the grid: its value on each axis, the sums of its units, its runs by fate, its values by measure."""
 
     group: Group
     at: dict[Axis, tuple[Value, ...]]
     sample: Sample = field(default_factory=Sample)
     fates: dict[str, int] = field(default_factory=dict)
+    values: dict[str, Values] = field(default_factory=dict)
 
     def rank(self) -> list[list[tuple[bool, float, str]]]:
         """Sorts points along the axes, in the order of their values."""
@@ -127,16 +126,16 @@ def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
     return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
 
 
-def point_of(study: Study, group: Group, axes: Sequence[Axis]) -> Point:
-    """The point of a group, with what its runs give."""
+def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:
+    """The point of a group, with what its runs give, measured by `of` too."""
     found = Point(group, _place(axes, group), fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
     for unit, how in zip(group.members["unit"], group.fates, strict=True):
         if how != FAILED:
             found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])
             found.sample.add(AT_MOST, int(unit), [how in (*MOVING, QUIET), 1.0])
-    found.sample.sums[MEAN] = dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True))
-    if group.basis(study.settings.confidence).code in enough.JUDGED:
-        found.sample.sums[GAMMA] = dict(zip(group.units, group.sums, strict=True))
+    found.values |= {one.name: one.of(group) for one in of}
+    n_stick = {MEAN: of_mean(group), GAMMA: of_gamma(study.settings.confidence, group)}
+    found.sample.sums.update({name: values.sums for name, values in (n_stick | found.values).items()})
     return found
 
 

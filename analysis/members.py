@@ -44,6 +44,8 @@ REQUIRED = (
     "reason",
     "t_stop",
 )
+#: Columns of records that the analysis takes for itself.
+READ = ("growth_rate",)
 
 
 def completed(members: pd.DataFrame) -> pd.DataFrame:

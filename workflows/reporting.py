@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pandas as pd
+
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
+from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.members import READ
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
@@ -34,6 +38,8 @@ def study_of(path: Where | Opened) -> Study:
 def _data(opened: Opened) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     table, scene = members(opened), opened.scene
+    recorded = _recorded(scene, table)
+    table = table.drop(columns=[name for name in recorded if name not in READ])  # analysis may add one of that name
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
     if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
@@ -49,7 +55,19 @@ def _data(opened: Opened) -> Data:
         separations=separations(opened),
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
+        recorded=recorded,
     )
+
+
+def _recorded(scene: Scene, table: pd.DataFrame) -> dict[str, Recorded]:
+    """Every number that the scene's records keep of a run, with the words of its column."""
+    columns = [column for record in scene.records for column in record.columns if column.is_number]
+    plain = table[[column.name for column in columns]].astype(object)
+    found = plain.where(plain.notna(), None)
+    return {
+        one.name: Recorded(printable(one.words), dict(zip(table["member_id"], found[one.name], strict=True)))
+        for one in columns
+    }
 
 
 def _drawable(text: str) -> str:

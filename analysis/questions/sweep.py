@@ -1,4 +1,4 @@
-"""What changes along the keys that a scene sweeps: mean n_stick, gamma and the fates of runs, value by value.
+"""What changes along the keys that a scene sweeps: what `analysis.measures` knows of its runs, and their fates.
 
 Every value of a key is compared with its first, within each unit and each point of the other swept keys, since all
 share the random draws. A row of a comparison is a unit, with its runs at all points of the grid.
@@ -15,6 +15,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.ticker import MaxNLocator
 
 from stickslip.analysis import contrast
@@ -23,9 +24,7 @@ from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.grid import (
     AT_MOST,
-    GAMMA,
     IN_MOTION,
-    MEAN,
     Axis,
     Point,
     Value,
@@ -36,21 +35,30 @@ from stickslip.analysis.grid import (
     points_at,
     settings,
 )
+from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import WITHIN, Words
-from stickslip.analysis.stats.estimates import Estimate, ratio
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
 RISES, FALLS = "rises", "falls"
 MOST_LINES = 6  # in one figure
+MOST_COLUMNS = 5  # of measures in the table of values
+MOST_FIGURES = 8  # of statistics along a key
+DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
     "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*WATCHED, FAILED)},
     **_ESTIMATES, "basis": S,
 }  # fmt: skip
+_MEASURES: Mapping[str, str] = {
+    "setting": S, "group": S, "measure": S, "words": S, "estimate": F, "estimate_low": F, "estimate_high": F,
+    "n_units": I, "n_runs": I, "n_without": I, "reason": S,
+}  # fmt: skip
+_MISSING: Mapping[str, str] = {"setting": S, "measure": S, "member_id": S, "reason": S}
 _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
 
 
@@ -61,17 +69,27 @@ def answer(study: Study) -> Answer | None:
     if not axes:
         return None
     level = study.settings.confidence
-    points = {name: sorted((point_of(study, group, axes) for group in some), key=Point.rank)
+    asked = measures(study)
+    points = {name: sorted((point_of(study, group, axes, asked) for group in some), key=Point.rank)
               for name, some in found.items()}  # fmt: skip
-    rows = [_value_row(point, name, axes, level) for name, some in points.items() for point in some]
-    contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, study)]
+    rows = [_value_row(point, name, axes, asked, level) for name, some in points.items() for point in some]
+    contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, asked, study)]
+    subjects = {one.name: (one.subject, one.words) for one in asked if one.name not in KEYS}
     for row in contrasts:  # a change from zero is a change, although it has no ratio
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
+        if row["relative"] is None and row["difference_low"] == row["difference_high"] == 0.0:
+            row["p_equivalent"] = 0.0  # zero in every run
+        row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
+        row.setdefault("is_few", False)
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
+    recorded = [one for one in asked if one.is_recorded]
+    if recorded:
+        tables["sweep_measures"] = frame({**_MEASURES, **keys}, _measured(rows, asked))
+        tables["sweep_missing"] = frame(_MISSING, _missing(points, asked))
     lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
-    own = [row for row in contrasts if row["setting"] == lead and row["p_different"] is not None]
+    own = [row for row in contrasts if row["setting"] == lead and (row["p_different"] is not None or row["is_few"])]
     facts: dict[str, Any] = {
         "setting": lead,
         "n_settings": len(points),
@@ -84,38 +102,41 @@ def answer(study: Study) -> Answer | None:
         "n_tests": sum(row["p_different"] is not None for row in contrasts),
         "n_quiet": sum(row[f"n_{QUIET}"] for row in rows),
         "n_runs": sum(row["n_runs"] for row in rows),
+        "n_members": sum(len(point.group.members) for some in points.values() for point in some),
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
+        **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
     }
     if not own:
         few = max(rows, key=lambda row: row["n_units"])
         return Answer(facts | {"few": few}, lack=enough.FEW_MATRICES, tables=tables)
-    leading = _leading(own)
-    told = _told(own, axes, leading)
+    leading = (*_by_change(asked, own), IN_MOTION) if recorded else _leading(own)
+    told = _told(own, axes, leading, bool(recorded))
     for row in own:
         row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
-    figures = _figures(points, lead, sorted(axes, key=lambda axis: in_order.index(axis.name)), leading, level)
+    in_order = sorted(axes, key=lambda axis: in_order.index(axis.name))
+    figures = _figures(points, lead, in_order, leading, asked, level)
     facts |= {
         "changes": _ends(own, axes),
         "ends": [row for row in contrasts if row["is_last"]],
         "told": told,
         "figures": list(figures),
         "along": most,
+        "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
     }
     return Answer(facts, tables=tables, figures=figures)
 
 
-def _statistics(study: Study) -> list[Statistic]:
-    return [*contrast.statistics(study.margins, ("mean", "gamma")),
-            Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]  # fmt: skip
-
-
-def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], study: Study) -> Iterator[Row]:
+def _contrasts(
+    setting: str, axes: Sequence[Axis], points: Sequence[Point], asked: Sequence[Measure], study: Study
+) -> Iterator[Row]:
     """Contrasts of each value of each axis with the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
-    for axis, one in product(axes, _statistics(study)):
+    level, recorded = study.settings.confidence, {one.name for one in asked} - {*KEYS}
+    statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
+    for axis, one in product(axes, statistics):
         known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
         base, *others = known if len(known) > 1 else axis.values
         for value in others:
@@ -127,9 +148,11 @@ def _contrasts(setting: str, axes: Sequence[Axis], points: Sequence[Point], stud
                         _add_common(name, by_place[before], point, first, second)
             if one.is_share and not _differ(first, second, one.name):
                 continue
-            row = contrast.contrast(one, first, second, paired=True, confidence=study.settings.confidence)
+            row = contrast.contrast(one, first, second, paired=True, confidence=level)
             if one.is_share:
-                row |= _either_way(row, one, first, second, study.settings.confidence)
+                row |= _either_way(row, one, first, second, level)
+            if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
+                row |= _of_few(one, first, second, level)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
                 "is_last": value == others[-1],
@@ -153,6 +176,16 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
         found["p_absolute"] = 1.0
     return found | {"p_equivalent": max((_known(corner["p_equivalent"], corner["p_absolute"]) for corner in corners),
                                         key=lambda p: -1.0 if p is None else p)}  # fmt: skip
+
+
+def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
+    """Values for a contrast of too few units, which has no test; nothing where there is no unit at all."""
+    before, after = (over_matrices(one.of, some.rows(one.name)[1], confidence) for some in (first, second))
+    if before.value is None or after.value is None:
+        return {}
+    return (
+        named("first", before) | named("second", after) | {"difference": after.value - before.value, "is_few": True}
+    )
 
 
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
@@ -181,12 +214,16 @@ def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:
     return [row for axis in axes for row in rows if row["key"] == axis.name and row["is_last"]]
 
 
-def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str]) -> list[Row]:
-    """One contrast a key, the largest change first: that of its ends or, if they show none, one that is shown."""
+def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str], is_recorded: bool) -> list[Row]:
+    """One contrast a key, the largest change first: that of its ends or, if they show none, one that is shown.
+
+    Where something is recorded, it is that of the first of `leading`, whatever changes besides.
+    """
 
     def order(row: Row) -> tuple[Any, ...]:
         is_shown = row["verdict"] in (RISES, FALLS)
-        return not is_shown, leading.index(row["quantity"]), not row["is_last"], -_weight(row)
+        place = leading.index(row["quantity"])
+        return place if is_recorded else 0, not is_shown, place, not row["is_last"], -_weight(row)
 
     by_axis = [[row for row in rows if row["key"] == axis.name] for axis in axes]
     found = [min(some, key=order) for some in by_axis if some]
@@ -208,7 +245,9 @@ def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
 
 
 def _weight(row: Row) -> float:
-    """Size of a change in units of its margin; infinite for a change from zero."""
+    """Size of a change in units of its margin; infinite for a change from zero, 0 where it was not tested."""
+    if row["p_different"] is None or row["difference"] == 0.0:
+        return 0.0
     return np.inf if row["relative"] is None else contrast.weight(row)
 
 
@@ -217,13 +256,20 @@ def _known(*p: float | None) -> float | None:
     return p[0] if p[0] is not None or p[1] is None else 1.0
 
 
+def _by_change(asked: Sequence[Measure], rows: Sequence[Row]) -> list[str]:
+    """Measures in order, last those that are the same everywhere, as the energy of a start."""
+    moved = {row["quantity"] for row in rows if row["difference"] or row["difference_low"] != row["difference_high"]}
+    return sorted((one.name for one in asked), key=lambda name: name not in moved)
+
+
 def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
     """The statistics in order: shares of runs come first if one changes beyond its margin, else mean n_stick."""
     moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
     return (IN_MOTION, MEAN, GAMMA) if moved else (MEAN, GAMMA, IN_MOTION)
 
 
-def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: float) -> Row:
+def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence[Measure], confidence: float) -> Row:
+    """What is known at a point: its place, its runs by fate, and its estimates; of measures, by their place."""
     names = [key for axis in axes for key in axis.keys]
     keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
@@ -233,11 +279,59 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], confidence: flo
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
+        **ChainMap(*(named(_cell(k), estimate(one.statistic, [point], confidence)) for k, one in enumerate(asked))),
+        "values": [point.values[one.name] for one in asked],
     }  # fmt: skip
 
 
-#: How the axes of figures are named.
-_AXIS = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$", IN_MOTION: IN_MOTION}
+def _cell(k: int) -> str:
+    """Where a row has the estimate of the k-th measure; no key of a scene has a space."""
+    return f"measure {k}"
+
+
+def _measured(rows: Sequence[Row], asked: Sequence[Measure]) -> Iterator[Row]:
+    """Rows of the table `sweep_measures`: each measure at each point."""
+    for row in rows:
+        for k, (one, values) in enumerate(zip(asked, row["values"], strict=True)):
+            yield row | {f"estimate{end}": row[f"{_cell(k)}{end}"] for end in ("", "_low", "_high")} | {
+                "measure": one.name, "words": one.words or None, "n_units": len(values.sums),
+                "n_without": len(values.missing), "reason": values.withheld or None,
+            }  # fmt: skip
+
+
+def _missing(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> Iterator[Row]:
+    """Rows of the table `sweep_missing`: each run without a value, and why."""
+    for setting, some in points.items():
+        for point, one in product(some, asked):
+            for member_id, reason in point.values[one.name].missing.items():
+                yield {"setting": setting, "measure": one.name, "member_id": member_id, "reason": reason}
+
+
+def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> dict[str, Any]:
+    """Measures in words, and the runs and the points that have no value of one."""
+    every = [point for some in points.values() for point in some]
+    gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for one in asked:
+        missing = tuple(found for point in every for found in point.values[one.name].missing.items())
+        gaps.setdefault(missing, []).append(one.axis)
+    shown = [(one.name, _cell(k)) for k, one in enumerate(asked[:MOST_COLUMNS])]
+    return {
+        "measures": [
+            {"subject": one.subject, "words": one.words, "axis": one.axis, "figure": _figure(one)}
+            for one in asked
+            if one.name not in KEYS
+        ],
+        "gaps": [{"of": of, "runs": runs} for runs, of in gaps.items() if runs],
+        "withheld": [
+            {"subject": one.subject, "why": some[0].values[one.name].withheld, "n": len(some)}
+            for one in asked
+            if (some := [point for point in every if point.values[one.name].withheld])
+        ],
+        "cells": [cell for name, key in shown
+                  for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"))],
+    }  # fmt: skip
+
+
 _OF = {
     "mean": Statistic(MEAN, ratio, 0.0),
     "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0),
@@ -245,33 +339,41 @@ _OF = {
 }
 
 
+def _figure(one: Measure) -> str:
+    """Name of the figure of a measure along a key."""
+    return f"sweep_{one.key}" if one.name in KEYS else f"sweep_of_{one.key}"
+
+
 def _figures(
-    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str], level: float
-) -> dict[str, Any]:
+    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str],
+    asked: Sequence[Measure], level: float,
+) -> dict[str, Any]:  # fmt: skip
     """A map over the first two axes, and the statistics along the first, in the order of `leading`."""
     main = points[lead]
     ticks = axes[0].x, [as_text(value) for value in axes[0].values]
+    statistics = {of.name: of for of in _OF.values()} | {one.name: one.statistic for one in asked}
+    names = {name: f"sweep_{key}" for name, key in KEYS.items()} | {one.name: _figure(one) for one in asked}
+    labels = {**AXES, IN_MOTION: IN_MOTION} | {one.name: one.axis for one in asked}
+    may_be_log = any(one.is_recorded for one in asked)
     found: dict[str, Any] = {}
     if len(axes) > 1:
-        of = _OF["moving" if leading[0] == IN_MOTION else "mean"]
+        of = statistics[leading[0] if may_be_log or leading[0] == IN_MOTION else MEAN]
         cells = [
             [estimate(of, points_at(points_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
             for y in axes[1].values
         ]
         across, up = ((axis.name, [as_text(value) for value in axis.values]) for axis in axes[:2])
-        found["sweep_map"] = partial(heat_map, _AXIS[of.name], across, up, cells)
-    for name in leading:
+        found["sweep_map"] = partial(heat_map, labels[of.name], across, up, cells, may_be_log)
+    for name in leading[:MOST_FIGURES]:
         if name == IN_MOTION:
             at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].values]
             counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in FATES}
             if any(any(some) for end, some in counts.items() if end not in MOVING):
                 found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
             continue
-        lines = _lines(points, lead, axes, next(of for of in _OF.values() if of.name == name), level)
+        lines = _lines(points, lead, axes, statistics[name], level)
         if any(one is not None for _, some in lines for one in some):
-            found["sweep_gamma" if name == GAMMA else "sweep_mean"] = partial(
-                curves, _AXIS[name], axes[0].name, *ticks, lines
-            )
+            found[names[name]] = partial(curves, labels[name], axes[0].name, *ticks, lines, may_be_log)
     return found
 
 
@@ -296,13 +398,17 @@ def _lines(
 @panel()
 def curves(
     ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
-    lines: Sequence[tuple[str, Sequence[Estimate | None]]],
+    lines: Sequence[tuple[str, Sequence[Estimate | None]]], may_be_log: bool = False,
 ) -> None:  # fmt: skip
     """A statistic against a key, with intervals, one line for each value of another key.
 
-    `x` is None if the key's values are not numbers, and they are then evenly spaced.
+    `x` is None if the key's values are not numbers, and they are then evenly spaced. An axis whose values span
+    decades is logarithmic, if it may be.
     """
     at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
+    is_log = may_be_log and x is not None and _spans_decades(at * np.sign(at[0]))
+    if is_log and at[0] < 0:  # such as the speed of a belt
+        at, key = -at, f"|{key}|"
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
     for k, (name, line) in enumerate(lines):
         seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
@@ -313,12 +419,23 @@ def curves(
                     color=colours[k], label=name)  # fmt: skip
     if x is None:
         ax.set_xticks(at, ticks)
-    else:
+    elif not is_log:
         ax.xaxis.set_major_locator(MaxNLocator(nbins=6))
     margin = 0.05 * (at.max() - at.min())
     ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
+    if is_log:
+        ax.set(xscale="log", xlim=(at.min() / 1.2, 1.2 * at.max()))
+    values = np.array([one.value for _, line in lines for one in line if one is not None])
+    if may_be_log and _spans_decades(values):  # an interval that reaches zero goes down to the axis
+        ax.set_yscale("log", nonpositive="clip")
+        ax.set_ylim(values.min() / 2, 2 * values.max())
     if len(lines) > 1:
         ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
+
+
+def _spans_decades(values: np.ndarray) -> bool:
+    """Whether values are positive and some `DECADES` apart."""
+    return bool(values.min() > 0 and values.max() >= DECADES * values.min())
 
 
 @panel()
@@ -328,13 +445,18 @@ def heat_map(
     across: tuple[str, Sequence[str]],
     up: tuple[str, Sequence[str]],
     cells: Sequence[Sequence[float | None]],
+    may_be_log: bool = False,
 ) -> None:
     """A statistic at each point of a grid of two keys, one row for each value of `up`; grey where it has no value."""
     shown = np.array(cells, dtype=float)
     ax.set_facecolor("#d8d8d8")
-    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower")
+    known = shown[np.isfinite(shown)]
+    is_log = may_be_log and bool(len(known)) and _spans_decades(known)
+    norm = LogNorm() if is_log else None
+    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", norm=norm)
     if shown.size <= 80:
-        middle = 0.5 * (np.nanmin(shown) + np.nanmax(shown)) if np.isfinite(shown).any() else 0.0
+        ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        middle = np.sqrt(ends[0] * ends[1]) if is_log else 0.5 * (ends[0] + ends[1])
         for (row, column), value in np.ndenumerate(shown):
             if np.isfinite(value):
                 colour = "white" if value < middle else "black"
@@ -343,7 +465,8 @@ def heat_map(
         axis.set_label_text(name)
         axis.set_ticks(range(len(ticks)), ticks)
     bar = ax.figure.colorbar(image, ax=ax, label=what)
-    bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
+    if not is_log:
+        bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
     bar.outline.set_edgecolor(GREY)
 
 

@@ -21,6 +21,7 @@ from stickslip.analysis.contrast import (
 )
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.groups import Group
+from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
@@ -88,25 +89,32 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     """
     facts: dict[str, Any] = {
         "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
-        "matches": [], "tested": [],
+        "matches": [], "tested": [], "from_zero": [],
     }  # fmt: skip
     if _is_same(first, second):
         return _report(facts, {})
     one, other = (_study(each, settings, first.name) for each in (first, second))
     matches, *left = matched(first.name, one.groups, second.name, other.groups)
+    measured = _both(one, other)
+    asked = [*(mine.statistic for mine, _ in measured), *statistics(one.margins), *shares()]
     found: list[tuple[Match, list[Row]]] = []
     for match in matches:
         pair = sample(match.first), sample(match.second)
-        asked = statistics(one.margins) + shares()
+        for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
+            held.sums.update({measure.name: measure.of(group).sums for measure in some})
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
     rows = [
         row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired}
         for match, some in found
         for row in some
     ]
+    names = {mine.name for mine, _ in measured}
+    from_zero = [row for row in rows if row["quantity"] in names and row["relative"] is None and row["difference"]]
+    for row in from_zero:
+        row |= {"p_equivalent": 1.0, "p_different": row["p_absolute"]}
     judge(rows, 1 - settings.confidence)
     shown = told(rows)
-    verdicts = {row["verdict"] for row in shown} or {UNKNOWN}
+    verdicts = {row["verdict"] for row in (*shown, *from_zero)} or {UNKNOWN}
     unmatched = [
         {"dataset": which.name, "setting": group.label, "members": len(group.members)}
         for which, some in zip((first, second), left, strict=True)
@@ -129,6 +137,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
              "is_paired": match.is_paired, "rows": [row for row in shown if row["setting"] == match.first.label]}
             for match in matches
         ],
+        "from_zero": from_zero,
         "n_paired": sum(match.is_paired for match in matches),
         "unmatched": unmatched,
         "alone": [[row["member_id"] for row in alone if row["dataset"] == one.name] for one in (first, second)],
@@ -140,6 +149,12 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     return _report(facts, {
         "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
     })  # fmt: skip
+
+
+def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
+    """What two studies both measure, beyond n_stick, of which more is compared."""
+    theirs = {measure.name: measure for measure in measures(other, one)}
+    return [(mine, theirs[mine.name]) for mine in measures(one, other) if mine.name in {*theirs} - {*KEYS}]
 
 
 def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
@@ -154,10 +169,16 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:
-    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick."""
+    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick.
+
+    What records of one name keep must be the same too.
+    """
     if first.digest and first.digest == second.digest:
         return True
     one, two = (each.data.members.set_index("member_id")["outcome"].to_dict() for each in (first, second))
+    mine, theirs = first.data.recorded, second.data.recorded
+    if any(mine[name].values != theirs[name].values for name in mine.keys() & theirs.keys()):
+        return False
     return one == two and all(
         all(np.array_equal(a, b) for a, b in zip(points, second.data.series[name], strict=True))
         for name, points in first.data.series.items()

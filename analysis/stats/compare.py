@@ -112,7 +112,7 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
 def relative_difference(
     of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool
 ) -> tuple[float, float, float]:
-    """second / first - 1 of a statistic, its standard error and degrees of freedom, as `mean_difference`.
+    """(second - first) / |first| of a statistic, its standard error and degrees of freedom, as `mean_difference`.
 
     Independent errors are propagated to the quotient to first order.
     """
@@ -120,7 +120,7 @@ def relative_difference(
     def quotient(after: np.ndarray, before: np.ndarray) -> np.ndarray:
         if (before == 0).any():
             raise Undefined("the first value is zero, so there is no relative difference")
-        return after / before - 1.0
+        return (after / before - 1.0) * np.sign(before)
 
     if paired:
         value, error = jackknife(lambda s: quotient(of(s[:, 2:]), of(s[:, :2])), np.hstack([first, second]))

@@ -35,3 +35,8 @@ class Column(NamedTuple):
     def is_list(self) -> bool:
         """Whether it holds a list a member."""
         return self.kind not in ("number", "whole", "count", "text")
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it holds one number a member."""
+        return self.kind in ("number", "whole", "count")

@@ -1,0 +1,205 @@
+"""What sweeps and comparisons measure of runs: one registry, `SOURCES`, of what an ensemble may hold.
+
+What the scene records comes first: the episodes, then every numeric column of a record, without a line here for any
+of them. Mean n_stick and gamma are measured where nothing else is recorded, or where the scene asks for cascades.
+
+A measure gives every unit two sums, and its value on some units is a statistic of the total of these sums: intervals
+and differences are those of `analysis.contrast`. A run without a value is in no sum; `Values.missing` says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from stickslip.analysis import contrast
+from stickslip.analysis.catalogues import MARGIN, Catalogues, read
+from stickslip.analysis.contrast import Statistic
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import READ
+from stickslip.analysis.models.episodes import B_VALUE, QUANTITIES, RATE, SIZE, completeness
+from stickslip.analysis.models.fates import FAILED
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.estimates import ratio
+from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
+
+MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
+MEAN_SIZE, B = "mean size of episodes", "b of episodes"
+#: Names under which margins are declared, and of axes.
+KEYS = {MEAN: "mean", GAMMA: "gamma"}
+AXES = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$"}
+NO_VALUE, NO_EPISODE = "no value", "no episode"  # reasons, beside the outcomes of runs
+
+
+@dataclass(frozen=True)
+class Values:
+    """A measure's values on a group.
+
+    Attributes
+    ----------
+    sums : dict of int to ndarray, shape (2,)
+        By unit.
+    missing : dict of str to str
+        Why a run has no value, by member_id: its outcome, or a reason.
+    withheld : str
+        Why the group has no value although its runs have; empty if it has one.
+    """
+
+    sums: dict[int, np.ndarray] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    withheld: str = ""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A thing that is measured of runs.
+
+    Attributes
+    ----------
+    statistic : Statistic
+        Its name in tables, how it follows from sums, and its margin.
+    key : str
+        In names of figures.
+    subject : str
+        What a sentence about it begins with: "the rate of episodes".
+    words : str
+        What it is; empty if the name says it.
+    axis : str
+        How an axis of a figure is named.
+    of : callable
+        Maps a group to its `Values`.
+    is_recorded : bool
+        Whether it is what the scene records for its own sake; if nothing is, n_stick and gamma are all that is
+        measured, and otherwise they are left out, unless the scene asks for cascades.
+    """
+
+    statistic: Statistic
+    key: str
+    subject: str
+    words: str
+    axis: str
+    of: Callable[[Group], Values]
+    is_recorded: bool = True
+
+    @property
+    def name(self) -> str:
+        return self.statistic.name
+
+
+def measures(study: Study, beside: Study | None = None) -> list[Measure]:
+    """What is measured of a study, the first of which leads; `beside` is the study that it is compared with."""
+    found = [one for source in SOURCES for one in source(study, beside)]
+    if not any(one.is_recorded for one in found):
+        return [one for one in found if one.name in KEYS]
+    left_out = () if "cascades" in study.settings.question else KEYS
+    return sorted((one for one in found if one.name not in left_out), key=lambda one: not one.is_recorded)
+
+
+# ------------------------------------------------------------------------------------------------- episodes
+
+
+def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
+    """Rate, mean size and b of episodes; b from the completeness of every group that has enough episodes for it."""
+    if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
+        return
+    found = read(study, study.data.episodes)
+    rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
+    magnitudes = [one.magnitudes() for one in (*found, *rivals)]
+    least = max((completeness(some) for some in magnitudes if len(some) >= enough.LEAST_CASCADES), default=-np.inf)
+    by_label = {one.label: one for one in found}
+    beyond = f"from M = {least:.3g} on" if np.isfinite(least) else ""
+    for name, quantity, key, subject, words, axis in (
+        (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
+        (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
+        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}".strip(), f"{B} {beyond}".strip()),
+    ):
+        of = partial(_episodes, by_label, quantity, least)
+        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN), key, subject, words, axis, of)
+
+
+def _episodes(by_label: dict[str, Catalogues], name: str, least: float, group: Group) -> Values:
+    """The sums of a quantity of episodes over the runs of a group that reached t_end."""
+    missing, sums = _unfinished(group), dict[int, np.ndarray]()
+    if group.label not in by_label:
+        return Values(sums, missing)
+    found = by_label[group.label]
+    if name == B_VALUE and np.count_nonzero(found.magnitudes() >= least) < enough.LEAST_CASCADES:
+        beyond = f" from M = {least:.3g} on" if np.isfinite(least) else ""
+        return Values(sums, missing, f"fewer than {enough.LEAST_CASCADES} episodes{beyond}")
+    of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members
+    for unit, member_id in zip(group.finished["unit"], group.finished["member_id"], strict=True):
+        row = np.array(QUANTITIES[name].sums(next(of_unit[int(unit)]), least), dtype=np.float64)
+        if row[1] > 0:
+            sums[int(unit)] = sums.get(int(unit), np.zeros(2)) + row
+        else:
+            missing[str(member_id)] = NO_EPISODE
+    return Values(sums, missing)
+
+
+def _unfinished(group: Group) -> dict[str, str]:
+    some = group.members[group.members["outcome"] != "finished"]
+    return dict(zip(some["member_id"], some["outcome"], strict=True))
+
+
+# ---------------------------------------------------------------------------------------- columns of records
+
+
+def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
+    """The mean over runs of every numeric column of a record.
+
+    A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about.
+    """
+    members = study.data.members
+    for name, column in study.data.recorded.items():
+        is_own = name in READ
+        numbers = dict(zip(members["member_id"], members[name], strict=True)) if is_own else column.values
+        if (beside is not None and name not in beside.data.recorded) or (is_own and members[name].isna().all()):
+            continue
+        words = column.words.partition(";")[0]
+        yield Measure(
+            Statistic(f"mean {name}", ratio, MARGIN), name, f"mean {name}", words, name, partial(_column, numbers),
+            is_recorded=not is_own,
+        )  # fmt: skip
+
+
+def _column(numbers: Mapping[str, float | None], group: Group) -> Values:
+    """The mean over the runs of each unit, so that every unit has the same weight, and 1."""
+    of_unit: dict[int, list[float]] = {}
+    missing: dict[str, str] = {}
+    columns = (group.members[name] for name in ("unit", "member_id", "outcome"))
+    for unit, member_id, outcome in zip(*columns, strict=True):
+        number = numbers[member_id]
+        if number is not None and np.isfinite(number):
+            of_unit.setdefault(int(unit), []).append(float(number))
+        else:
+            missing[str(member_id)] = outcome if outcome == FAILED else NO_VALUE
+    return Values({unit: np.array([np.mean(some), 1.0]) for unit, some in of_unit.items()}, missing)
+
+
+# ------------------------------------------------------------------------------------------------- n_stick
+
+
+def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
+    """Mean n_stick and gamma of what is in motion, where a margin is declared for them."""
+    of: dict[str, Callable[[Group], Values]] = {MEAN: of_mean, GAMMA: partial(of_gamma, study.settings.confidence)}
+    for one in contrast.statistics(study.margins, KEYS.values()):
+        yield Measure(one, KEYS[one.name], one.name, "", AXES[one.name], of[one.name], is_recorded=False)
+
+
+def of_mean(group: Group) -> Values:
+    """Mean n_stick of a filled group's runs in motion, every unit with the same weight."""
+    return Values(dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True)))
+
+
+def of_gamma(confidence: float, group: Group) -> Values:
+    """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
+    is_judged = group.basis(confidence).code in enough.JUDGED
+    return Values(dict(zip(group.units, group.sums, strict=True)) if is_judged else {})
+
+
+#: What an ensemble may hold that can be measured, in the order in which measures lead.
+SOURCES: tuple[Callable[[Study, Study | None], Iterator[Measure]], ...] = (_of_episodes, _of_columns, _of_n_stick)

@@ -1,0 +1,215 @@
+"""What a sweep measures beyond n_stick: planted trends of recorded numbers and of episodes are found and told."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.questions import sweep
+from stickslip.analysis.report.comparison import Ensemble, compare
+from stickslip.analysis.report.formats import environment
+from stickslip.analysis.stats.compare import UNKNOWN
+from tests.chance import agrees
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+SPEEDS = [-0.3, -0.2, -0.1]
+WORDS = "share of blocks that never slipped; null if failed"
+
+
+@pytest.fixture
+def settings(settings):
+    return replace(settings, margins={"mean": 0.02, "gamma": 0.05})
+
+
+@pytest.fixture
+def recorded(planted, rng):
+    """Of each matrix a run at each point of a grid, and the numbers `columns` = {name: f(rng, matrix, *values)}."""
+
+    def make(columns, n_matrices=8, axes=None, changes=(), **data):
+        axes = axes or {"belt_speed": SPEEDS}
+        grid = np.array(np.meshgrid(*axes.values(), indexing="ij")).reshape(len(axes), -1).T
+        rows, series, found = [], {}, {name: {} for name in columns}
+        for matrix in range(n_matrices):
+            one = planted.runs(rng, 400, 0.7)
+            for k, values in enumerate(grid):
+                name = f"m{matrix}-{k}"
+                point = dict(zip(axes, values.tolist(), strict=True))
+                rows.append(planted.member(name, matrix, **point | dict(changes).get(name, {})))
+                if rows[-1]["outcome"] != "failed":
+                    series[name] = one
+                for column, of in columns.items():
+                    found[column][name] = None if rows[-1]["outcome"] == "failed" else of(rng, matrix, *values)
+        own = {name: Recorded(WORDS, values) for name, values in found.items()}
+        return Data(pd.DataFrame(rows), series, recorded=own, **data)
+
+    return make
+
+
+def rows_of(answer, quantity):
+    table = answer.tables["sweep_changes"]
+    return table[table["quantity"] == quantity].set_index("second_value")
+
+
+def sentence(answer, macro="answer"):
+    words = str(vars(environment().get_template("sweep.html").module)[macro](answer.facts))
+    return re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", words)).strip()
+
+
+def test_a_recorded_number_leads_in_its_words(recorded, settings):
+    """The matrices differ by 1, the change is 0.5 and alternates by 0.01: only pairs of a matrix show it."""
+    data = recorded({"never_left": lambda rng, matrix, v: 10 + matrix + 2.5 * v + 0.01 * (matrix % 2) * (v > -0.2)})
+    answer = sweep.answer(Study(data, settings))
+    row = rows_of(answer, "mean never_left").loc["-0.1"]
+    assert row["difference"] == pytest.approx(0.505)
+    assert row["difference_low"] < 0.505 < row["difference_high"] < 0.52
+    assert row["verdict"] == sweep.WITHIN
+    assert set(answer.tables["sweep_changes"]["quantity"]) == {"mean never_left"}, "neither n_stick nor gamma"
+    steep = recorded({"never_left": lambda rng, matrix, v: 10 + matrix + 50 * v})
+    said = sentence(sweep.answer(Study(steep, settings)))
+    assert re.match(r"Mean never_left \(share of blocks that never slipped\) rises from -?\S+ to \S+ \(by", said)
+    assert said.endswith("as belt_speed goes from −0.3 to −0.1.")
+    page = build(steep, settings, "Own", "", {})
+    assert next(iter(page.figures)) == "sweep_of_never_left"
+    assert page.headline[1].startswith("Mean never_left")
+    assert "mean n<sub>stick</sub> against" not in page.html
+
+
+def test_cascades_are_measured_too_where_they_are_asked_for(recorded, settings):
+    data = recorded({"amplitude": lambda rng, matrix, v: 1 + matrix})
+    names = [one.name for one in measures.measures(Study(data, replace(settings, question=("cascades",))))]
+    assert names == ["mean amplitude", measures.MEAN, measures.GAMMA]
+    assert [one.name for one in measures.measures(Study(data, settings))] == ["mean amplitude"]
+    bare = replace(data, recorded={})
+    assert [one.name for one in measures.measures(Study(bare, settings))] == [measures.MEAN, measures.GAMMA]
+
+
+def test_the_growth_rate_stands_behind_what_is_recorded_for_its_own_sake(recorded, settings):
+    data = recorded({"growth_rate": lambda rng, matrix, v: -v, "amplitude": lambda rng, matrix, v: 1.0 + matrix})
+    members = data.members.assign(growth_rate=-data.members["belt_speed"])
+    data = Data(members, data.series, recorded=data.recorded)
+    found = measures.measures(Study(data, settings))
+    assert [one.name for one in found] == ["mean amplitude", "mean growth_rate"]
+    alone = replace(data, recorded={"growth_rate": data.recorded["growth_rate"]})
+    assert [one.name for one in measures.measures(Study(alone, settings))] == [measures.MEAN, measures.GAMMA]
+
+
+@pytest.mark.parametrize(
+    ("values", "verdict"),
+    [((0.0, 0.5, 1.0), sweep.RISES), ((-2.0, -1.5, -1.0), sweep.RISES), ((-1.0, 0.0, 1.0), sweep.RISES),
+     ((3.0, 0.0, 0.0), sweep.FALLS), ((-1.0, -2.0, -3.0), sweep.FALLS), ((0.0, 0.0, 0.0), sweep.WITHIN)],
+)  # fmt: skip
+def test_a_change_has_the_sign_of_the_difference(recorded, settings, values, verdict):
+    """From zero, below zero and through it, where a ratio has no sign of its own or no value."""
+    at = dict(zip(SPEEDS, values, strict=True))
+    data = recorded({"work": lambda rng, matrix, v: at[v] * (1 + 0.01 * matrix)})
+    answer = sweep.answer(Study(data, settings))
+    assert rows_of(answer, "mean work").loc["-0.1", "verdict"] == verdict
+    said = sentence(answer)
+    assert verdict in said or "is the same" in said
+    assert not re.search(r"\b(nan|inf|none)\b", said + sentence(answer, "main"), re.IGNORECASE)
+
+
+def test_runs_without_a_value_are_counted_and_named(recorded, settings):
+    lost = {"m2-1": {"outcome": "failed", "reason": "no more memory", "t_stop": None}}
+    holes = {(0, -0.3): None, (1, -0.3): np.nan, (4, -0.3): np.inf}
+    data = recorded({"period": lambda rng, matrix, v: holes.get((matrix, v), 2.0 + v)}, changes=lost)
+    answer = sweep.answer(Study(data, settings))
+    missing = answer.tables["sweep_missing"].set_index("member_id")["reason"].to_dict()
+    assert missing == {"m0-0": "no value", "m1-0": "no value", "m4-0": "no value", "m2-1": "failed"}
+    table = answer.tables["sweep_measures"]
+    assert list(table["n_without"]) == [3, 1, 0]
+    assert list(table["n_units"]) == [5, 7, 8]
+    assert list(table["estimate"]) == pytest.approx([1.7, 1.8, 1.9])
+    assert table.notna().all()[["estimate", "estimate_low", "estimate_high"]].all()
+    assert "4 of 24 runs have no period and are left out there: m0-0 (no value), " in sentence(answer, "alerts")
+
+
+@pytest.mark.parametrize("n_matrices", [1, 3])
+def test_of_few_systems_the_values_are_told_and_that_they_are_few(recorded, settings, n_matrices):
+    data = recorded({"amplitude": lambda rng, matrix, v: 5 * abs(v) + 0.01 * matrix}, n_matrices)
+    answer = sweep.answer(Study(data, settings))
+    assert answer.lack == ""
+    assert "too few for an interval" in sentence(answer)
+    row = rows_of(answer, "mean amplitude").loc["-0.1"]
+    assert row["difference"] == pytest.approx(-1.0)
+    assert row["verdict"] == UNKNOWN
+    assert pd.isna(row["p_different"])
+    assert "sweep_of_amplitude" in answer.figures
+
+
+def test_two_swept_keys_are_told_apart(recorded, settings):
+    axes = {"kappa": [0.01, 0.1, 1.0], "belt_speed": [-0.2, -0.1]}
+    data = recorded({"speed": lambda rng, matrix, kappa, v: 100 * kappa + 1e-3 * matrix + 0.02 * v}, axes=axes)
+    answer = sweep.answer(Study(data, settings))
+    assert list(answer.figures)[:2] == ["sweep_map", "sweep_of_speed"]
+    found = {row["key"]: row["verdict"] for row in answer.facts["changes"] if row["quantity"] == "mean speed"}
+    assert found == {"kappa": sweep.RISES, "belt_speed": sweep.WITHIN}
+    along = answer.figures["sweep_of_speed"]().axes[0]
+    assert (along.get_xscale(), along.get_yscale()) == ("log", "log"), "both span two decades"
+    assert len(answer.tables["sweep_measures"]) == 6
+
+
+def planted_episodes(rng, members, rates, b):
+    """Poisson episodes at a rate by belt speed, sizes of mean 3, moments of a Pareto law with exponent b."""
+    table = []
+    for name, v, t_end in zip(members["member_id"], members["belt_speed"], members["t_end"], strict=True):
+        start = np.cumsum(rng.exponential(1 / rates[v], int(3 * rates[v] * t_end) + 60))
+        start = start[start < t_end]
+        m = len(start)
+        table.append(pd.DataFrame({
+            "member_id": name, "start": start, "end": start, "size": 1 + rng.poisson(2, m),
+            "moment": rng.uniform(size=m) ** (-1 / b), "first_block": 0,
+        }))  # fmt: skip
+    return pd.concat(table, ignore_index=True)
+
+
+def test_rate_size_and_b_of_episodes_lead(recorded, settings, rng):
+    rates = {-0.3: 1.5, -0.2: 1.0, -0.1: 0.5}
+    data = recorded({})
+    data = replace(data, episodes=planted_episodes(rng, data.members, rates, 0.8))
+    answer = sweep.answer(Study(data, settings))
+    table = answer.tables["sweep_measures"].pivot_table(index="belt_speed", columns="measure", values="estimate")
+    assert table["rate of episodes"].to_dict() == pytest.approx(rates, rel=0.15)
+    assert list(table["mean size of episodes"]) == pytest.approx([3.0] * 3, rel=0.1)
+    assert list(table["b of episodes"]) == pytest.approx([0.8] * 3, rel=0.25)
+    assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == sweep.FALLS
+    assert sentence(answer).startswith("The rate of episodes (per unit of time) falls from 1.")
+    few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
+    said = sentence(sweep.answer(Study(few, settings)), "alerts")
+    assert "b of the episodes is not given at 3 of 3 points of the sweep: fewer than 200 episodes" in said
+
+
+def test_two_datasets_are_compared_in_what_both_record(recorded, settings):
+    def ensemble(name, **columns):
+        data = recorded({key: lambda rng, matrix, v, x=x: x + 0.01 * matrix * (x != 0) for key, x in columns.items()})
+        data.members["seed"] = 0
+        return Ensemble(name, data, settings.t_burn, settings.margins, {})
+
+    first, second = ensemble("a", amplitude=1.0, gone=2.0, left=0.0), ensemble("b", amplitude=1.5, left=0.3)
+    found = compare(first, second, settings)
+    table = found.tables["compared"].groupby("quantity")["verdict"].unique()
+    assert list(table["mean amplitude"]) == ["differ"]
+    assert list(table["mean left"]) == ["differ"], "from zero there is no ratio, but a difference"
+    assert "mean gone" not in table
+    assert "mean left is 0 in a and 0.335" in found.headline[0]
+    ones = Recorded(WORDS, dict.fromkeys(first.data.members["member_id"], 1.0))
+    other = replace(first, name="c", data=replace(first.data, recorded={"left": ones}))
+    assert compare(first, replace(first, name="d"), settings).headline[0].startswith("Yes: a and d hold the same")
+    assert not compare(first, other, settings).headline[0].startswith("Yes"), "the same runs, another record"
+
+
+@pytest.mark.long
+def test_intervals_of_a_change_cover_it(recorded, settings, rng):
+    """Of 400 ensembles with a random change by matrix, 95% of intervals hold its mean, -0.4."""
+    inside = []
+    for _ in range(400):
+        own = rng.normal(5, 1, 8)
+        slope = rng.normal(2, 1, 8)
+        data = recorded({"x": lambda rng, m, v: own[m] + slope[m] * v})  # noqa: B023  drawn at once
+        row = rows_of(sweep.answer(Study(data, settings)), "mean x").loc["-0.1"]
+        inside.append(row["difference_low"] <= 0.4 <= row["difference_high"])
+    assert agrees(sum(inside), len(inside), 0.95)

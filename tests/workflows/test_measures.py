@@ -1,0 +1,54 @@
+"""A dataset with episodes and energy, swept: its report says what SQL finds in the same rows."""
+
+import numpy as np
+import pytest
+
+from stickslip.analysis.questions import sweep
+from stickslip.pipeline import parse_scene, query, run_ensemble
+from stickslip.workflows.reporting import study_of
+
+SCENE = """
+[system]
+coupling = "chain"
+n = 6
+kappa = 4.0
+leaf = 1.0
+rho = 0.2
+static = 1.4
+belt_speed = -0.1
+weakening = {law = "rational", rate = [0.5, 5.0]}
+[start]
+z = {uniform = [-0.2, 0.2]}
+w = "belt"
+[run]
+t_end = 120.0
+matrices = 5
+[record]
+episodes = true
+energy = true
+[[engine]]
+name = "coulomb"
+[analysis]
+t_burn = 20.0
+dt = 0.5
+"""
+
+
+def test_a_swept_chain_tells_of_its_episodes_and_then_of_its_energy(tmp_path):
+    place = str(tmp_path / "chain")
+    run_ensemble(parse_scene(SCENE.encode()), place, workers=0)
+    answer = sweep.answer(study_of(place))
+    table = answer.tables["sweep_measures"].set_index(["measure", "weakening_rate"])
+    members, episodes = query.members(place), query.episodes(place)
+    rate_of = members.set_index("member_id")["weakening_rate"]
+    counted = episodes[episodes["start"] >= 20.0]["member_id"].map(rate_of).value_counts()
+    for rate, some in members.groupby("weakening_rate"):
+        assert table.loc[("rate of episodes", rate), "estimate"] == pytest.approx(counted.get(rate, 0) / (5 * 100.0))
+        lost = some["friction_loss"].to_numpy(float)
+        row = table.loc[("mean friction_loss", rate)]
+        assert row["estimate"] == pytest.approx(lost.mean())
+        half = 2.776445 * lost.std(ddof=1) / np.sqrt(5)  # Student's t with four degrees of freedom, 97.5%
+        assert row["estimate_high"] - row["estimate"] == pytest.approx(half, rel=1e-5)
+        assert row["words"] == "what slip on the belt took, as heat"
+    assert [row["quantity"] for row in answer.facts["told"]] == ["rate of episodes"]
+    assert next(iter(answer.figures)) == "sweep_of_episode_rate"
