@@ -38,9 +38,9 @@ _NULL = 1e-12
 _EXACT = 1e-12
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
-#: How often the last event must recur before a run is called irregular, and the most events over which its growth
-#: rate is taken.
-_FEW, _FOLLOWED = 30, 512
+#: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
+#: taken, and the logarithm of what a deviation grows by over them.
+_FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
 
@@ -53,8 +53,8 @@ class Attractor:
     ----------
     kind : str
         "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
-        "irregular": neither, as a chaotic motion or one with several frequencies; "escaping": the run diverged;
-        "undecided": the run is too short to tell.
+        "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
+        tell, or has several frequencies.
     reason : str
         How it is known, or why it is not.
     period : float or None
@@ -65,7 +65,7 @@ class Attractor:
         take too long.
     growth_rate : float or None
         Of an irregular run: the largest rate at which a small deviation grows, but for shifts in time, over the
-        events in `events`; above zero the run is chaotic. Of an undecided one that still settles: its rate.
+        events in `events`. Of an undecided one that has many events: the same.
     drift : float64, shape (n,), or None
         Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
     events : EventSeries or None
@@ -127,8 +127,8 @@ def attractor(
     Rest, sliding and escape are proved. A run is periodic if its last events, their blocks, modes and the times
     between them, repeat those of the period before, and in the period that follows, which is run, the state at an
     event comes back, within 1e4 `tol` of the largest number in it. It is irregular if the last event recurs at least
-    30 times without that, and deviations do not decay. Cycles may be seen from the times and the few periods at
-    the end of a run alone: it costs two runs of one or two periods, or of at most 512 events if there is none.
+    30 times without that, and a deviation grows by e^2 and more over as many events as after `t_burn`, but at most
+    512, that follow. This costs two runs of one or two periods, or two over these events.
 
     Parameters
     ----------
@@ -153,10 +153,10 @@ def attractor(
     if series.n != system.n:
         raise ValueError(f"run: expected one of the system, of {system.n} blocks, got one of {series.n}")
     t_burn = number("t_burn", t_burn)
-    if not series.t_start <= t_burn <= run.t_end:
-        raise ValueError(f"t_burn: expected a time in [{series.t_start:g}, {run.t_end:g}], got {t_burn:g}")
     if run.outcome == "diverged":
         return Attractor("escaping", run.reason)
+    if not series.t_start <= t_burn <= run.t_end:
+        raise ValueError(f"t_burn: expected a time in [{series.t_start:g}, {run.t_end:g}], got {t_burn:g}")
     bends = [float(x.times[-1]) for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise)]
     if max(bends, default=-math.inf) > run.t_end:
         return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
@@ -205,9 +205,8 @@ class _End:
         self._mode = run.events.mode_at(run.t_end)
         self._w = np.where(self._mode == 0, self._v, run.w)
         waves = (x for x in system.force if isinstance(x, Harmonic))
-        self._frequencies = np.unique(
-            [f for x in waves for f in np.abs(x.frequency[x.amplitude * x.frequency != 0.0])]
-        )
+        #: of the forces, each once
+        self._frequencies = sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
         #: where what follows begins: the time matters only where the drive depends on it
         self._start = run.t_end if system.changes else 0.0
 
@@ -217,7 +216,11 @@ class _End:
             return self._sliding(run.reason)
         if self._is_at_rest():
             return Attractor("rest", "all blocks stick, and nothing loads them", states=_alone(run.z, self._w))
-        if len(self._frequencies) == 0 and (why := steady_sliding(self._now, run.z, run.w, self._mode)):
+        if (
+            self._mode.all()
+            and not self._frequencies
+            and (why := steady_sliding(self._now, run.z, run.w, self._mode))
+        ):
             return self._sliding(why)
         first = int(np.searchsorted(run.events.t, self._since, side="right"))
         last = _in_order(run.events, first, self._together)
@@ -273,15 +276,15 @@ class _End:
 
     def _has_phase(self, period: float) -> bool:
         """Whether all forces are at the same phase after a period."""
-        turns = self._frequencies * (period / (2.0 * np.pi))
-        return bool((np.abs(turns - np.rint(turns)) <= self._back * np.maximum(turns, 1.0)).all())
+        turns = [f * period / (2.0 * math.pi) for f in self._frequencies]
+        return all(abs(x - round(x)) <= self._back * max(x, 1.0) for x in turns)
 
     def _without_events(self) -> Attractor:
         """A run without events, which may follow a force and have its period."""
         none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding")
         if len(self._frequencies) != 1:
             return none
-        period = 2.0 * np.pi / float(self._frequencies[0])
+        period = 2.0 * np.pi / self._frequencies[0]
         first = math.ceil(self._start / period) * period
         events = self._follow(first + period - self._start, np.empty(0)).events
         path = self._path(events, np.array([first, first + period]))
@@ -313,7 +316,7 @@ class _End:
         if drift is None or not self._has_phase(period):
             return None
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
-        multiplier = path.multiplier(drift, len(self._frequencies) > 0) if is_short else None
+        multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
@@ -332,7 +335,7 @@ class _End:
 
     def _not_periodic(self, last: EventSeries) -> Attractor:
         """Irregular, or too short to tell."""
-        symbols, window = _symbols(last), self._run.t_end - self._since
+        symbols = _symbols(last)
         n_again = int((symbols == symbols[-1]).sum()) - 1
         if n_again < _FEW:
             why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
@@ -342,12 +345,13 @@ class _End:
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         path = self._path(events, events.t)
-        rate = path.growth_rate(len(self._frequencies) > 0)
-        if rate * window < -1.0:
-            return Attractor(
-                "undecided", f"it still settles, at the rate {rate:.3g}; lengthen the run", growth_rate=rate
-            )
-        why = f"no cycle, while the last event recurs {n_again} times"
+        rate = path.growth_rate(bool(self._frequencies))
+        grown = rate * float(events.t[-1] - events.t[0])
+        if grown < _GROWN:
+            does = "decay" if grown < -_GROWN else "neither grow nor decay"
+            why = f"no cycle, and deviations {does}, at the rate {rate:.3g}; lengthen the run"
+            return Attractor("undecided", why, growth_rate=rate)
+        why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
         return Attractor("irregular", why, growth_rate=rate, events=events, states=path.states)
 
 
@@ -402,10 +406,9 @@ def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) 
     p = len(path.states) - 1
     t, block, mode = events.t[:p], events.block[:p], events.mode[:p]
     symbols = _symbols(events)[:p]
-    rolled = np.lib.stride_tricks.sliding_window_view(np.append(symbols, symbols), p)[:p]
-    places = np.flatnonzero(symbols == symbols.min())
-    lowest = min(places.tolist(), key=lambda k: (rolled[k].tolist(), path.states.z[k, block[k]]))
-    turn = np.roll(np.arange(p), -lowest)
+    places = np.flatnonzero(symbols == symbols.min()).tolist()
+    lowest = min(places, key=lambda k: (np.roll(symbols, -k).tolist(), path.states.z[k, block[k]]))
+    turn = (np.arange(p) + lowest) % p
     is_later = turn < lowest
     since = np.maximum.accumulate(t[turn] - t[lowest] + is_later * period)
     cycle = replace(events, t=since, block=block[turn], mode=mode[turn],
