@@ -178,15 +178,18 @@ def test_the_cycles_of_nussbaum_and_ruina_are_those_of_the_map_of_their_episodes
     for _ in range(8):
         pair = two_blocks.Pair(float(np.exp(rng.uniform(*np.log([0.1, 10.0])))), 0.3, 1e-3)
         difference = pair.widest * rng.uniform(-1, 1)
-        found = of_pair(pair, difference, 6e4)
+        found = of_pair(pair, difference, 3e5)
         known = two_blocks.end(pair, difference, 150)
         kinds[known.kind] += 1
         if known.kind == "none found":
             continue
         assert found.kind == "periodic", (pair, difference, found.reason)
-        # a cycle of two mirrored episodes, or more, is one of D: of events it may take twice as many
-        assert found.period == pytest.approx(known.period, rel=1e-6), pair
-        assert found.multiplier == pytest.approx(known.multiplier, abs=2e-3 * max(1.0, known.multiplier)), pair
+        # a map that settles from side to side looks like a cycle of two, just before its points agree
+        rounds = round(known.period / found.period)
+        assert rounds in (1, 2), pair
+        assert rounds * found.period == pytest.approx(known.period, rel=1e-6), pair
+        size = max(1.0, known.multiplier)
+        assert found.multiplier**rounds == pytest.approx(known.multiplier, abs=2e-3 * size), pair
     print(kinds)
 
 
