@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 
 import numpy as np
@@ -128,26 +129,30 @@ def test_bad_input_is_refused_by_name():
 
 def test_the_exponential_of_many_matrices_is_that_of_each(rng):
     matrices = rng.normal(size=(50, 6, 6)) * rng.uniform(0, 5, (50, 1, 1))
-    np.testing.assert_allclose(exponential(matrices), [expm(one) for one in matrices], rtol=1e-11, atol=1e-11)
+    for one, found in zip(matrices, exponential(matrices), strict=True):
+        np.testing.assert_allclose(found, expm(one), rtol=0, atol=1e-11 * np.abs(expm(one)).max())
 
 
 # ---------------------------------------------------------------------------------------------- sections and drift
 
 
 def test_starts_that_end_in_one_cycle_have_one_section(rng):
-    """Blocks of unequal friction, with damping: one cycle attracts all these starts."""
+    """Blocks of unequal friction, with damping, have a few cycles: those of one period are one."""
     system = System([[2.0, -1.0], [-1.0, 2.0]], 0.05, [1.0, 1.4], -0.1, static=[1.5, 1.8])
-    found = [settled(system, rng.uniform(-1, 1, 2), 0.0, 3000.0 + rng.uniform(0, 30), 500.0) for _ in range(6)]
-    same = [one for one in found if same_cycle(one, found[0])]
-    for one in same:
-        np.testing.assert_allclose(one.section, found[0].section, atol=1e-6)
-        np.testing.assert_allclose(one.at_exits(0), found[0].at_exits(0), atol=1e-6)
-    others = [one for one in found if not same_cycle(one, found[0])]
-    assert all(not same_cycle(found[0], one) for one in others)
-    assert len(same) >= 2
+    found = [settled(system, rng.uniform(-1, 1, 2), 0.0, 3000.0 + rng.uniform(0, 30), 500.0) for _ in range(10)]
+    found = [one for one in found if one.kind == "periodic"]
+    n_same = 0
+    for one, other in itertools.combinations(found, 2):
+        is_same = abs(one.period - other.period) < 1e-5
+        n_same += is_same
+        assert same_cycle(one, other) == same_cycle(other, one) == is_same
+        if is_same:
+            np.testing.assert_allclose(one.section, other.section, atol=1e-6)
+            np.testing.assert_allclose(one.at_exits(0), other.at_exits(0), atol=1e-6)
+    assert n_same >= 3
 
 
-def test_forty_stick_slip_cycles_of_other_systems_are_others():
+def test_cycles_of_other_systems_are_others():
     base = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
     one = settled(base, 0.3, 0.0, 100.0)
     for change in ({"static": 1.301}, {"belt_speed": -0.2001}, {"friction": 1.001}):
@@ -187,7 +192,9 @@ def test_the_cycles_of_nussbaum_and_ruina_are_those_of_the_map_of_their_episodes
         # a map that settles from side to side looks like a cycle of two, just before its points agree
         rounds = round(known.period / found.period)
         assert rounds in (1, 2), pair
-        assert rounds * found.period == pytest.approx(known.period, rel=1e-6), pair
+        # in a continuum of cycles errors before the end decide which one it is
+        near = 1e-3 if known.kind == "alone in turns" else 1e-6
+        assert rounds * found.period == pytest.approx(known.period, rel=near), pair
         size = max(1.0, known.multiplier)
         assert found.multiplier**rounds == pytest.approx(known.multiplier, abs=2e-3 * size), pair
     print(kinds)
