@@ -103,14 +103,19 @@ class Attractor:
         """
         return None if self.states is None or self.kind == "irregular" else (self.states.z[0], self.states.w[0])
 
+    @property
+    def busiest(self) -> int | None:
+        """The block with most exits in `events`, the lowest of several; None if there are no exits."""
+        if self.events is None or not (leaves := self.events.previous_mode == 0).any():
+            return None
+        return int(np.bincount(self.events.block[leaves]).argmax())
+
     def at_exits(self, block: int | None = None) -> Floats:
-        """z of a block at each of its exits in `events`, shape (m,); default: the block with most exits."""
-        if self.events is None or self.states is None:
+        """z of a block at each of its exits in `events`, shape (m,); default: the `busiest`."""
+        block = self.busiest if block is None else block
+        if block is None or self.events is None or self.states is None:
             return np.empty(0)
-        leaves = self.events.previous_mode == 0
-        if block is None:
-            block = int(np.bincount(self.events.block[leaves], minlength=1).argmax())
-        return np.asarray(self.states.z[leaves & (self.events.block == block), block])
+        return np.asarray(self.states.z[(self.events.previous_mode == 0) & (self.events.block == block), block])
 
     def __repr__(self) -> str:
         if self.kind == "periodic":
