@@ -150,6 +150,10 @@ def test_starts_that_end_in_one_cycle_have_one_section(rng):
             np.testing.assert_allclose(one.section, other.section, atol=1e-6)
             np.testing.assert_allclose(one.at_exits(0), other.at_exits(0), atol=1e-6)
     assert n_same >= 3
+    # a cycle that goes through the same events twice: its section does not depend on when the run ends
+    twice = [settled(system, [0.0, -0.4], 0.0, 1700.0 + 2.3 * k) for k in range(6)]
+    assert [(one.n_events, one.events.block[:4].tolist()) for one in twice] == [(8, [0, 1, 0, 1])] * 6
+    np.testing.assert_allclose([one.section for one in twice], [twice[0].section] * 6, atol=1e-6)
 
 
 def test_cycles_of_other_systems_are_others():
@@ -255,6 +259,18 @@ def test_the_basin_of_steady_sliding_has_the_published_share():
     share, undecided = share_of_sliding(10)
     assert undecided < 0.05
     assert share + undecided / 2 == pytest.approx(SHARE, abs=0.04)  # some 15 of 100 cells are cut by the edge
+
+
+def test_steady_sliding_is_not_certain_where_a_block_sticks_later(rng):
+    """Outside the unstable cycle: there friction falls so much that linear theory is no guide."""
+    later = Counter()
+    while later["periodic"] < 15:
+        z, w = rng.uniform(-2, 2), rng.uniform(0, 1.4)
+        found = settled(BSTAB, z, w, 300.0, tol=1e-8)
+        later[found.kind] += 1
+        if found.kind == "periodic":
+            for t_end in (0.5, 2.0, 4.0):
+                assert settled(BSTAB, z, w, t_end, tol=1e-8).kind != "sliding"
 
 
 @pytest.mark.long
