@@ -102,6 +102,43 @@ def divergence_reason(z: Floats, w: Floats, t: float, bound: float) -> str:
     return f"|z| or |w| of block {block} passed {bound:.3g} at t = {t:.6g}"
 
 
+def steady_sliding(system: System, z: Floats, w: Floats, mode: NDArray[np.int8]) -> str:
+    """Why blocks slip for ever from this state, w tending to 0, under the exact law; empty if that is not certain.
+
+    As in `Collapse`, but each block may have its own belt, of constant speed, and friction may fall with speed: A is
+    that at rest, and friction deviates from its tangent there by rho_k(r_k) at most while |w_k| <= r_k < |v_k|. Then
+    |w_i| stays below r_i if the eigenmodes and B rho(r) together are below.
+    """
+    speed = np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
+    slip = -np.sign(system.belt_speed_at(0.0))
+    if not (slip * mode > 0).all() or system.n > _EIGENVALUES_MAX:
+        return ""
+    unit = system.of_unit_mass
+    if system.weakening is None:
+        eigenmodes = _eigenmodes(unit)
+    else:
+        eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
+    if not eigenmodes.decay:
+        return ""
+    try:
+        rest = unit.rest_under(-unit.kinetic(speed) * slip)
+    except np.linalg.LinAlgError:
+        return ""
+    reach = eigenmodes.sizes[unit.n :] @ np.abs(eigenmodes.inverse @ np.concatenate((z - rest, w)))
+    bound = speed * _SHARES[:, np.newaxis]
+    if system.weakening is not None:
+        tangent = unit.kinetic_slope(speed) * bound
+        deviation = np.maximum(
+            *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
+        )
+        most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
+        bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
+    if not (is_below := (_CERTAIN * reach < bound).all(axis=1)).any():
+        return ""
+    within = float(_SHARES[is_below].min())
+    return f"all blocks slip; |w| stays below {within:.3g} of the belt's speed, as the all-slip system decays"
+
+
 @dataclass(frozen=True)
 class Flow:
     """The motion of blocks that slip for ever: x(t) = rest + T exp(Lambda t) c, x = (z, w), t from now."""

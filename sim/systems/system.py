@@ -223,6 +223,15 @@ class System:
             return near
         return far + (near - far) * self.weakening.shape(self.weakening.steepness * np.abs(slip))
 
+    def kinetic_slope(self, slip: ArrayLike) -> Floats:
+        """How `kinetic` changes with |w - v|, at the speeds of slip w - v, shape (..., n)."""
+        if self.weakening is None:
+            return np.zeros_like(slip, dtype=np.float64)
+        near, far = self.slip_friction
+        steepness, tiny = self.weakening.steepness, 1e-30  # a complex step, with no cancellation
+        shape = self.weakening.shape(steepness * np.abs(slip) + 1j * tiny)
+        return np.asarray((near - far) * steepness * (shape.imag / tiny))
+
     @cached_property
     def back_slip(self) -> bool:
         """Whether every block may slip either way."""

@@ -89,7 +89,10 @@ class Weakening(ABC):
     @staticmethod
     @abstractmethod
     def shape(x: Any) -> Any:
-        """S of x >= 0: an array of any shape or, in the exact engine's kernels, a number."""
+        """S of x >= 0: an array of any shape or, in the exact engine's kernels, a number.
+
+        `System.kinetic_slope` takes it at complex x, whose imaginary part is tiny.
+        """
 
     @classmethod
     def parameters(cls) -> dict[str, dict[str, Any]]:

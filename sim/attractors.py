@@ -1,0 +1,430 @@
+"""What a run of the exact law settles on.
+
+A run comes to rest, slides steadily, comes round to the same state again and again, or does none of these. Its last
+events, if they repeat, say after how long it may have come round; going on with the run for as long again shows
+whether the state comes back too, and gives the states at the events.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.deviations import Path
+from stickslip.sim.engines.certificates import steady_sliding
+from stickslip.sim.engines.coulomb.settings import Coulomb
+from stickslip.sim.numerics.arguments import Floats, number
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.simulation import simulate
+from stickslip.sim.systems.drive import Harmonic, Piecewise
+from stickslip.sim.systems.system import System
+
+Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
+
+#: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
+#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance.
+_BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
+#: Events within this share of that, in units of time, are at one instant: rounding decides their order.
+_TOGETHER = 1e-3
+#: Of K dz, over that of its terms: below, z has only moved along the null space of K.
+_NULL = 1e-12
+#: States within this share of a period from an event are those at the event.
+_EXACT = 1e-12
+#: Rounds of events that are tried as a cycle, the shortest first.
+_TRIED = 8
+#: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
+#: taken, and the logarithm of what a deviation grows by over them.
+_FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
+#: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
+_WORK = 2e9
+
+
+@dataclass(frozen=True, eq=False)
+class Attractor:
+    """What a run settles on (dimensionless).
+
+    Attributes
+    ----------
+    kind : str
+        "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
+        "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
+        tell, or has several frequencies.
+    reason : str
+        How it is known, or why it is not.
+    period : float or None
+        Of a periodic run.
+    multiplier : float or None
+        Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and along
+        its drift. Below one the cycle attracts; above, only symmetry or chance keeps the run on it. None if it would
+        take too long.
+    growth_rate : float or None
+        Of an irregular run: the largest rate at which a small deviation grows, but for shifts in time, over the
+        events in `events`. Of an undecided one that has many events: the same.
+    drift : float64, shape (n,), or None
+        Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
+    events : EventSeries or None
+        Of one period, from t = 0 on; of an irregular run, those that follow on its end.
+    states : Samples or None
+        The state at each of these events; of a period without events, the state at phase zero of the force; of rest
+        and sliding, the one state at which the run is, or to which it comes.
+    """
+
+    kind: Kind
+    reason: str = ""
+    period: float | None = None
+    multiplier: float | None = None
+    growth_rate: float | None = None
+    drift: Floats | None = None
+    events: EventSeries | None = None
+    states: Samples | None = None
+
+    @property
+    def n_events(self) -> int | None:
+        """Events a period; None if not periodic."""
+        return len(self.events) if self.kind == "periodic" and self.events is not None else None
+
+    @property
+    def n_exits(self) -> int | None:
+        """Exits a period; None if not periodic."""
+        return self.events.counts()["n_exits"] if self.kind == "periodic" and self.events is not None else None
+
+    @property
+    def section(self) -> tuple[Floats, Floats] | None:
+        """z and w, shape (n,) each, at one event of the cycle, the same whatever the start; None if irregular.
+
+        The events of a cycle begin where their (block, mode), in order, are lowest; where several places are alike,
+        where z of the event's block is lowest.
+        """
+        return None if self.states is None or self.kind == "irregular" else (self.states.z[0], self.states.w[0])
+
+    @property
+    def busiest(self) -> int | None:
+        """The block with most exits in `events`, the lowest of several; None if there are no exits."""
+        if self.events is None or not (leaves := self.events.previous_mode == 0).any():
+            return None
+        return int(np.bincount(self.events.block[leaves]).argmax())
+
+    def at_exits(self, block: int | None = None) -> Floats:
+        """z of a block at each of its exits in `events`, shape (m,); default: the `busiest`."""
+        block = self.busiest if block is None else block
+        if block is None or self.events is None or self.states is None:
+            return np.empty(0)
+        return np.asarray(self.states.z[(self.events.previous_mode == 0) & (self.events.block == block), block])
+
+    def __repr__(self) -> str:
+        if self.kind == "periodic":
+            multiplier = "" if self.multiplier is None else f", multiplier {self.multiplier:.4g}"
+            return f"Attractor(periodic, period {self.period:.9g}, {self.n_events} events{multiplier})"
+        return f"Attractor({self.kind}{'' if self.growth_rate is None else f', growth rate {self.growth_rate:.3g}'})"
+
+
+def attractor(
+    run: Run, system: System, t_burn: float = 0.0, *, engine: str = "coulomb", **settings: Any
+) -> Attractor:
+    """What a run of the exact engine settles on.
+
+    Rest, sliding and escape are proved. A run is periodic if its last events, their blocks, modes and the times
+    between them, repeat those of the period before, and in the period that follows, which is run, the state at an
+    event comes back, within 1e4 `tol` of the largest number in it. It is irregular if the last event recurs at least
+    30 times without that, and a deviation grows by e^2 and more over as many events as after `t_burn`, but at most
+    512, that follow. This costs two runs of one or two periods, or two over these events.
+
+    Parameters
+    ----------
+    run : Run
+        ``simulate(system, z0, w0, t_end, engine=engine, **settings)``
+    system : System
+    t_burn : float
+        Events up to then do not count, nor those before the last bend of a belt's speed or a force.
+    engine, **settings
+        Those of the run.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the engine has not the exact law, the run is not one of such a system, or `t_burn` no time of it.
+    """
+    if engine != Coulomb.name:
+        raise ValueError(
+            f"engine: expected {Coulomb.name!r}, whose events are exact, got {engine!r}; run it with that"
+        )
+    series = run.events
+    if series.n != system.n:
+        raise ValueError(f"run: expected one of the system, of {system.n} blocks, got one of {series.n}")
+    t_burn = number("t_burn", t_burn)
+    if run.outcome == "diverged":
+        return Attractor("escaping", run.reason)
+    if not series.t_start <= t_burn <= run.t_end:
+        raise ValueError(f"t_burn: expected a time in [{series.t_start:g}, {run.t_end:g}], got {t_burn:g}")
+    bends = [float(x.times[-1]) for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise)]
+    if max(bends, default=-math.inf) > run.t_end:
+        return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
+    settings = {name: value for name, value in settings.items() if name != "stop_early"}
+    back = min(max(_BACK * Coulomb(**settings).tol, _CLOSEST), _WIDEST)
+    return _End(run, system, max([t_burn, *bends]), back, {"engine": engine, **settings}).found()
+
+
+def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> bool:
+    """Whether two attractors are one: the same cycle, or rest or sliding at the same state.
+
+    Cycles are one if they have the same events, in order from some event on, and periods and the states at that event
+    agree, but for a shift along the drift.
+
+    Parameters
+    ----------
+    one, other : Attractor
+    tolerance : float
+        Of the states, over the largest number in them, and of the period, relative.
+    """
+    if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
+        return False
+    if one.states.z.shape != other.states.z.shape:
+        return False
+    if one.period is not None and abs(one.period - (other.period or 0.0)) > tolerance * one.period:
+        return False
+    along = np.zeros(one.states.z.shape[1])
+    if one.drift is not None and one.drift.any():
+        along = one.drift / np.linalg.norm(one.drift)
+    dz, dw = other.states.z - one.states.z[0], other.states.w - one.states.w[0]
+    dz = dz - np.outer(dz @ along, along)
+    allowed = tolerance * max(_size(one.states), _size(other.states))
+    agrees = (np.abs(dz) <= allowed).all(axis=1) & (np.abs(dw) <= allowed).all(axis=1)
+    if one.events is None or other.events is None:
+        return bool(agrees[0])
+    mine, its = _symbols(one.events), _symbols(other.events)
+    return any((np.roll(its, -k) == mine).all() for k in np.flatnonzero(agrees))
+
+
+class _End:
+    """The end of a run, and what follows on it."""
+
+    def __init__(self, run: Run, system: System, since: float, back: float, settings: dict[str, Any]) -> None:
+        self._run, self._system, self._since, self._back, self._settings = run, system, since, back, settings
+        self._v = system.belt_speed_at(run.t_end)
+        self._mode = run.events.mode_at(run.t_end)
+        self._w = np.where(self._mode == 0, self._v, run.w)
+        waves = (x for x in system.force if isinstance(x, Harmonic))
+        #: of the forces, each once
+        self._frequencies = sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
+        #: where what follows begins: the time matters only where the drive depends on it
+        self._start = run.t_end if system.changes else 0.0
+
+    def found(self) -> Attractor:
+        run = self._run
+        if run.outcome == "collapsed":
+            return self._sliding(run.reason)
+        if self._is_at_rest():
+            return Attractor("rest", "all blocks stick, and nothing loads them", states=_alone(run.z, self._w))
+        if (
+            self._mode.all()
+            and not self._frequencies
+            and (why := steady_sliding(self._now, run.z, run.w, self._mode))
+        ):
+            return self._sliding(why)
+        first = int(np.searchsorted(run.events.t, self._since, side="right"))
+        last = _in_order(run.events, first, self._together)
+        if len(last) == 0:
+            return self._without_events()
+        for cycle in _rounds(last, self._back):
+            if self._has_phase(cycle.period) and (found := self._once_more(cycle, last)) is not None:
+                return found
+        return self._not_periodic(last)
+
+    @property
+    def _now(self) -> System:
+        """The system with the belts and forces of the end."""
+        s = self._system
+        return s.changed(belt_speed=self._v, force=s.force_at(self._run.t_end)) if s.changes else s
+
+    @property
+    def _together(self) -> float:
+        return _TOGETHER * self._back
+
+    # ---------------------------------------------------------------------------------------------- rest and sliding
+
+    def _sliding(self, why: str) -> Attractor:
+        rest = self._now.rest_under(self._now.kinetic(self._v) * np.sign(self._v))
+        return Attractor("sliding", why, states=_alone(rest, np.zeros_like(rest)))
+
+    def _is_at_rest(self) -> bool:
+        """Whether all blocks stick, and neither belts nor forces ever load one enough to leave."""
+        s = self._system
+        if self._mode.any() or (np.abs(s.stiffness @ self._v) > _NULL * s.row_sums * s.fastest_belt).any():
+            return False
+        swing, steady = np.zeros(s.n), s.damping * self._v + s.stiffness @ self._run.z
+        for term in s.force:
+            if isinstance(term, Harmonic):
+                swing += np.abs(term.amplitude)
+            else:
+                steady -= term.at(self._run.t_end)
+        outward = np.where(s.closed == 0, np.abs(steady), s.closed * steady)
+        return not swing.any() or bool((outward + swing <= s.static).all())
+
+    # ---------------------------------------------------------------------------------------------- cycles
+
+    def _follow(self, length: float, times: Floats) -> Run:
+        """The run from the end on, with the states at some times."""
+        return simulate(
+            self._system, self._run.z, self._w, self._start + length, t_start=self._start, t_eval=times,
+            modes=self._mode, stop_early=False, **self._settings,
+        )  # fmt: skip
+
+    def _path(self, events: EventSeries, edges: Floats) -> Path:
+        length = float(edges[-1]) - self._start
+        return Path.of(self._system, events, edges, lambda times: self._follow(length, times).samples)
+
+    def _has_phase(self, period: float) -> bool:
+        """Whether all forces are at the same phase after a period."""
+        turns = [f * period / (2.0 * math.pi) for f in self._frequencies]
+        return all(abs(x - round(x)) <= self._back * max(x, 1.0) for x in turns)
+
+    def _without_events(self) -> Attractor:
+        """A run without events, which may follow a force and have its period."""
+        none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding")
+        if len(self._frequencies) != 1:
+            return none
+        period = 2.0 * np.pi / self._frequencies[0]
+        first = math.ceil(self._start / period) * period
+        events = self._follow(first + period - self._start, np.empty(0)).events
+        path = self._path(events, np.array([first, first + period]))
+        drift = self._drift(path.states)
+        if len(events) or drift is None:
+            return none
+        multiplier = path.multiplier(drift, is_forced=True)
+        events = replace(events, t_start=0.0, t_end=period)
+        why = "the state comes back after a period of the force"
+        return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
+
+    def _once_more(self, cycle: _Cycle, last: EventSeries) -> Attractor | None:
+        """The cycle, if the run goes round it once more; else None."""
+        p, begin = cycle.n_events, self._run.t_end - self._start
+        expected = np.append(last.t[-p:], last.t[-p] + cycle.period) + (cycle.period - begin)
+        expected = np.maximum.accumulate(np.maximum(expected, self._start))
+        length = float(expected[-1]) - self._start + 100.0 * self._back * cycle.period
+        after = self._follow(length, expected)
+        events = _in_order(after.events, 0, self._together)
+        symbols = _symbols(events)
+        if len(events) <= p or symbols[p] != symbols[0] or (symbols[:p] != _symbols(last)[-p:]).any():
+            return None
+        edges = events.t[: p + 1]
+        if self._system.weakening is None and (np.abs(edges - expected) <= _EXACT * cycle.period).all():
+            path = Path.of(self._system, events, edges, lambda _: after.samples)
+        else:
+            path = self._path(events, edges)
+        drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
+        if drift is None or not self._has_phase(period):
+            return None
+        is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
+        multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
+        round_, states = _from_lowest(path, events, period, drift)
+        why = f"{p} events, and the state at each, come back"
+        return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
+
+    def _drift(self, states: Samples) -> Floats | None:
+        """By what z has moved without a change of the forces, if the last of the states is otherwise the first."""
+        dz, dw = states.z[-1] - states.z[0], states.w[-1] - states.w[0]
+        allowed, s = self._back * _size(states), self._system
+        if (np.abs(dw) > allowed).any():
+            return None
+        if (np.abs(dz) <= allowed).all():
+            return np.zeros(s.n)
+        return dz if (np.abs(s.stiffness @ dz) <= _NULL * s.row_sums * np.abs(states.z).max()).all() else None
+
+    # ---------------------------------------------------------------------------------------------- no cycle
+
+    def _not_periodic(self, last: EventSeries) -> Attractor:
+        """Irregular, or too short to tell."""
+        symbols = _symbols(last)
+        n_again = int((symbols == symbols[-1]).sum()) - 1
+        if n_again < _FEW:
+            why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
+            return Attractor("undecided", f"{why}; lengthen the run")
+        length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
+        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._together)
+        if len(events) < _FEW:
+            return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
+        path = self._path(events, events.t)
+        rate = path.growth_rate(bool(self._frequencies))
+        grown = rate * float(events.t[-1] - events.t[0])
+        if grown < _GROWN:
+            does = "decay" if grown < -_GROWN else "neither grow nor decay"
+            why = f"no cycle, and deviations {does}, at the rate {rate:.3g}; lengthen the run"
+            return Attractor("undecided", why, growth_rate=rate)
+        why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
+        return Attractor("irregular", why, growth_rate=rate, events=events, states=path.states)
+
+
+class _Cycle(NamedTuple):
+    """A round of events that may be a cycle: how many there are, and the time that they take."""
+
+    n_events: int
+    period: float
+
+
+def _rounds(last: EventSeries, back: float) -> Iterator[_Cycle]:
+    """Rounds after which the last events repeat, the shortest first: their symbols, and the times between them."""
+    symbols, n = _symbols(last), len(last)
+    place = np.flatnonzero(symbols == symbols[-1])[::-1]
+    ago = last.t[-1] - last.t[place]
+    rounds = np.arange(1, (len(place) - 1) // 2 + 1)
+    period = ago[rounds]
+    again = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * back * period
+    again &= 2 * place[rounds] - (n - 1) >= 0
+    tried = 0
+    for k in rounds[again].tolist():
+        p, span = n - 1 - int(place[k]), float(ago[k])
+        one, before = slice(n - p, n), slice(n - 2 * p, n - p)
+        if (symbols[one] != symbols[before]).any():
+            continue
+        if (np.abs(last.t[one] - last.t[before] - span) <= 2.0 * back * span).all():
+            yield _Cycle(p, span)
+            tried += 1
+            if tried == _TRIED:
+                return
+
+
+def _symbols(events: EventSeries) -> NDArray[np.int64]:
+    """A number for the block and mode of each event."""
+    return events.block.astype(np.int64) * 3 + events.mode + 1
+
+
+def _in_order(events: EventSeries, first: int, together: float) -> EventSeries:
+    """The events from some event on, those of one instant by block: their order is otherwise one of rounding."""
+    t, block, mode = events.t[first:], events.block[first:], events.mode[first:]
+    start = events.initial_mode.copy()
+    start[events.block[:first]] = events.mode[:first]  # for a repeated block the last assignment holds
+    if (np.diff(t) <= together).any():
+        instant = np.cumsum(np.append(0, np.diff(t) > together))
+        order = np.lexsort((block, instant))
+        t, block, mode = t[order], block[order], mode[order]
+    return replace(events, t=t, block=block, mode=mode, initial_mode=start)
+
+
+def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) -> tuple[EventSeries, Samples]:
+    """The events of a cycle and the states there, from the place that `Attractor.section` names."""
+    p = len(path.states) - 1
+    t, block, mode = events.t[:p], events.block[:p], events.mode[:p]
+    symbols = _symbols(events)[:p]
+    places = np.flatnonzero(symbols == symbols.min()).tolist()
+    lowest = min(places, key=lambda k: (np.roll(symbols, -k).tolist(), path.states.z[k, block[k]]))
+    turn = (np.arange(p) + lowest) % p
+    is_later = turn < lowest
+    since = np.maximum.accumulate(t[turn] - t[lowest] + is_later * period)
+    cycle = replace(events, t=since, block=block[turn], mode=mode[turn],
+                    initial_mode=path.modes[lowest], t_start=0.0, t_end=period)  # fmt: skip
+    return cycle, Samples(since, path.states.z[turn] + np.outer(is_later, drift), path.states.w[turn])
+
+
+def _alone(z: Floats, w: Floats) -> Samples:
+    return Samples(np.zeros(1), z[np.newaxis], w[np.newaxis])
+
+
+def _size(states: Samples) -> float:
+    """The largest number in the states."""
+    return float(max(np.abs(states.z).max(), np.abs(states.w).max()))

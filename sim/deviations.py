@@ -1,0 +1,271 @@
+"""How small deviations move along a run of the exact law: from event to event, and round a cycle.
+
+Between events a deviation x = (dz, dw) moves as x' = A x, A the matrix of the blocks that slip; where friction falls
+with speed, A depends on time, and Magnus' expansion of order six is taken (S. Blanes, F. Casas, J. A. Oteo and
+J. Ros, Phys. Rep. 470 (2009) 151). At an event it is multiplied by the saltation matrix
+
+    S = 1 + (f+ - f-) n / (n f- + dg/dt),    g(x, t) = 0 the event, n its gradient, f-+ = (z', w') before and after
+
+(R. I. Leine and H. Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004). With this law an
+entry sets dw_i = 0; an exit adds (m_i - mu_i) s K_i dz / (K w - f')_i to it, m_i the static friction and s the side;
+a crossing multiplies it by w_i'+ / w_i'-. These commute, so the order of events at one instant does not matter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.systems.drive import Harmonic
+from stickslip.sim.systems.system import System
+
+#: Terms of the exponential series, of matrices up to this size: the next is 1e-16.
+_TERMS, _SIZE = 13, 0.5
+#: Steps where friction falls with speed, over its fastest rate: the error of each is some 1e-10.
+_STEP = 0.1
+#: Nodes of a step, of Gauss.
+_NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+#: Numbers in matrices that are kept at a time.
+_ROOM = 2**21
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps from edge to edge, over which friction that falls with speed is resolved.
+
+    Attributes
+    ----------
+    segment : int, shape (q,)
+        The edge before each.
+    length : float64, shape (q,)
+    t : float64, shape (q, 3)
+        Their nodes.
+    """
+
+    segment: NDArray[np.intp]
+    length: Floats
+    t: Floats
+
+    @classmethod
+    def of(cls, system: System, edges: Floats, modes: NDArray[np.int8]) -> Steps:
+        """Between edges, from the modes between them: one step where all blocks stick."""
+        assert system.weakening is not None
+        near, far = system.slip_friction
+        rate = system.rates.max() + system.weakening.steepness * (near - far).max()
+        lengths = np.diff(edges)
+        counts = np.where(modes.any(axis=1), np.ceil(lengths * (rate / _STEP)), 1.0)
+        counts = np.maximum(counts, 1.0).astype(np.intp)
+        segment = np.repeat(np.arange(len(lengths)), counts)
+        length = (lengths / counts)[segment]
+        number = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
+        since = edges[segment] + number * length
+        return cls(segment, length, since[:, None] + length[:, None] * _NODES)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A run between some of its events, with the states there.
+
+    Attributes
+    ----------
+    system : System
+        Of unit masses.
+    modes : int8, shape (m + 1, n)
+        Before the first edge, and from each but the last to the next.
+    states : Samples
+        At the m + 1 edges.
+    block : int, shape (m,)
+        Of the event at each edge but the last; empty: there are none.
+    steps : Steps or None
+        Between them, where friction falls with speed.
+    slip : float64, shape (q, 3, n)
+        w - v at the nodes of the steps.
+    """
+
+    system: System
+    modes: NDArray[np.int8]
+    states: Samples
+    block: NDArray[np.int32]
+    steps: Steps | None
+    slip: Floats
+
+    @classmethod
+    def of(cls, system: System, events: EventSeries, edges: Floats, follow: Callable[[Floats], Samples]) -> Path:
+        """From the events at all edges but the last, or from none; `follow` gives the states at any times."""
+        m, unit = len(edges) - 1, system.of_unit_mass
+        modes = np.repeat(events.initial_mode[np.newaxis], m + 1, axis=0)
+        for k, (block, mode) in enumerate(zip(events.block[:m].tolist(), events.mode[:m].tolist(), strict=True)):
+            modes[k + 1 :, block] = mode
+        steps = None if system.weakening is None else Steps.of(unit, edges, modes[1:])
+        times = edges if steps is None else np.concatenate([edges, steps.t.ravel()])
+        order = np.argsort(times, kind="stable")
+        samples, place = follow(times[order]), np.argsort(order, kind="stable")
+        z, w = samples.z[place], samples.w[place]
+        slip = (w[m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
+        return cls(unit, modes, Samples(edges, z[: m + 1], w[: m + 1]), events.block[:m], steps, slip)
+
+    def multiplier(self, drift: Floats, is_forced: bool) -> float:
+        """Largest modulus of the multipliers of a cycle, whose last state is the first.
+
+        Those of a shift in time, where no force depends on it, and of one along the drift do not count.
+        """
+        n = self.system.n
+        moved = np.identity(2 * n)
+        moved[n:][self.modes[0] == 0] = 0.0
+        for k, flow in enumerate(self._flows()):
+            self._pass(k, moved)
+            moved = flow @ moved
+        if not is_forced:
+            self._onto_section(0, moved)
+        if drift.any():
+            along = drift / np.linalg.norm(drift)
+            moved[:n] -= np.outer(along, along @ moved[:n])
+        moved[n:][self.modes[0] == 0] = 0.0
+        return float(np.abs(np.linalg.eigvals(moved)).max())
+
+    def growth_rate(self, is_forced: bool) -> float:
+        """The rate at which a deviation grows from the first edge to the last, apart from shifts in time.
+
+        Minus infinity if none is left; the first third, in which it turns to the direction that grows fastest, does
+        not count.
+        """
+        n, m = self.system.n, len(self.states) - 1
+        moved = np.random.default_rng(0).normal(size=(2 * n, 1))
+        moved[n:][self.modes[0] == 0] = 0.0
+        logs = np.zeros(m)
+        for k, flow in enumerate(self._flows()):
+            if not is_forced:
+                self._onto_section(k, moved)
+            self._pass(k, moved)
+            size = float(np.linalg.norm(moved))
+            if size == 0.0:
+                return -math.inf
+            logs[k] = math.log(size)
+            moved = flow @ (moved / size)
+        first = m // 3
+        return float(logs[first + 1 :].sum() / (self.states.t[m - 1] - self.states.t[first]))
+
+    # ------------------------------------------------------------------------------------------ events
+
+    @cached_property
+    def _slip_rates(self) -> Floats:
+        """w' before each edge, shape (m + 1, n)."""
+        s, (t, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
+        forces = -(s.stiffness @ z.T).T - s.damping * w - s.kinetic(w - s.belt_speed_at(t)) * self.modes
+        if s.force:
+            forces += s.force_at(t)
+        return np.where(self.modes == 0, 0.0, forces)
+
+    @cached_property
+    def _loads(self) -> Floats:
+        """Rates at which springs and forces load the blocks at each edge, (K w - f')_i, shape (m + 1, n)."""
+        loads = (self.system.stiffness @ self.states.w.T).T
+        for term in self.system.force:
+            if isinstance(term, Harmonic):
+                rate = Harmonic(term.amplitude * term.frequency, term.frequency, term.phase + np.pi / 2)
+                loads = loads - rate.at(self.states.t)
+        return np.asarray(loads)
+
+    @cached_property
+    def _rows(self) -> dict[int, Floats]:
+        """K_i of each block with an event, shape (n,)."""
+        k = self.system.stiffness
+        return {i: k[i] if isinstance(k, np.ndarray) else k[[i]].toarray()[0] for i in np.unique(self.block).tolist()}
+
+    def _pass(self, k: int, moved: Floats) -> None:
+        """Multiply deviations, the columns of an array, by the saltation matrix of the event at an edge, in place."""
+        if len(self.block) == 0:
+            return
+        s, i = self.system, int(self.block[k])
+        before, after, row = int(self.modes[k, i]), int(self.modes[k + 1, i]), moved[s.n + i]
+        if after == 0:
+            row[:] = 0.0
+        elif before == 0:
+            drop = s.static[i] - s.slip_friction[0][i]
+            row[:] = after * drop / self._loads[k, i] * (self._rows[i] @ moved[: s.n]) if drop > 0.0 else 0.0
+        else:
+            row *= 1.0 + s.slip_friction[0][i] * (before - after) / self._slip_rates[k, i]
+
+    def _onto_section(self, k: int, moved: Floats) -> None:
+        """Shift deviations in time, in place, until each has the event at an edge at the time of that edge."""
+        n, i = self.system.n, int(self.block[k])
+        if self.modes[k, i] == 0:
+            late = self._rows[i] @ moved[:n] / self._loads[k, i]
+        else:
+            late = moved[n + i] / self._slip_rates[k, i]
+        moved[:n] -= self.states.w[k][:, np.newaxis] * late
+        moved[n:] -= self._slip_rates[k][:, np.newaxis] * late
+
+    # ------------------------------------------------------------------------------------------ between events
+
+    def _flows(self) -> Iterator[Floats]:
+        """exp(A t) from each edge to the next, shape (2n, 2n)."""
+        n, m, lengths = self.system.n, len(self.states) - 1, np.diff(self.states.t)
+        at_a_time = max(_ROOM // (4 * n * n), 1)
+        if self.steps is None:
+            matrix = self.system.slip_matrix()
+            for first in range(0, m, at_a_time):
+                part = slice(first, first + at_a_time)
+                yield from exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
+            return
+        of, h = self.steps.segment, self.steps.length
+        matrix = self.system.slip_matrix()
+        for k in range(m):
+            first, last = np.searchsorted(of, [k, k + 1])
+            flow = np.identity(2 * n)
+            for begin in range(first, last, at_a_time):
+                part = slice(begin, min(begin + at_a_time, last))
+                for step in exponential(self._magnus(matrix, part, h[part], self.modes[k + 1])):
+                    flow = step @ flow
+            yield flow
+
+    def _magnus(self, matrix: Floats, part: slice, h: Floats, mode: NDArray[np.int8]) -> Floats:
+        """The exponents of some steps of one segment, shape (q, 2n, 2n)."""
+        n = self.system.n
+        drag = self.system.kinetic_slope(self.slip[part]) * (mode != 0)
+        a = np.tile(_held(matrix, mode[None]), (len(h), 3, 1, 1))
+        own = n + np.arange(n)
+        a[:, :, own, own] -= drag
+        a *= h[:, None, None, None]
+        one, two = a[:, 1], np.sqrt(15) / 3 * (a[:, 2] - a[:, 0])
+        three = 10 / 3 * (a[:, 2] - 2 * a[:, 1] + a[:, 0])
+        c = _commutator(one, two)
+        d = _commutator(one, 2 * three + c) / -60
+        return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
+
+
+def exponential(matrices: Floats) -> Floats:
+    """exp of each matrix of a stack, shape (m, k, k), by its series, scaled and squared.
+
+    Much faster than one by one, for many small ones; those of dissipative systems stay below one, and lose little.
+    """
+    size = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
+    squarings = max(math.ceil(math.log2(size / _SIZE)), 0) if size > 0.0 else 0
+    small = np.ldexp(matrices, -squarings)
+    total = term = np.broadcast_to(np.identity(matrices.shape[1]), matrices.shape)
+    for k in range(1, _TERMS + 1):
+        term = term @ small / k
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
+
+
+def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:
+    """A where blocks with mode 0 stick, for rows of modes (m, n), shape (m, 2n, 2n)."""
+    n = modes.shape[1]
+    matrices = np.repeat(matrix[np.newaxis], len(modes), axis=0)
+    matrices[:, n:][modes == 0] = 0.0
+    return matrices
+
+
+def _commutator(a: Floats, b: Floats) -> Floats:
+    return a @ b - b @ a

@@ -1,0 +1,422 @@
+"""What runs settle on: closed forms, published results, and a method that shares no code."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
+from stickslip.sim.attractors import attractor, same_cycle
+from stickslip.sim.deviations import exponential
+from stickslip.workflows.gallery.field import two_blocks
+from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle
+from stickslip.workflows.gallery.field.one_block import period
+from tests import independent
+
+TIGHT = 1e-13
+
+
+def settled(system, z0, w0, t_end, t_burn=0.0, **settings):
+    return attractor(simulate(system, z0, w0, t_end, **settings), system, t_burn, **settings)
+
+
+# ---------------------------------------------------------------------------------------------- closed forms
+
+
+def test_one_block_has_the_period_of_the_closed_form(rng):
+    """Its state at an entry does not depend on the cycle before, so the multiplier is zero."""
+    for _ in range(10):
+        drop, speed = rng.uniform(0.05, 0.6), rng.uniform(0.05, 0.5)
+        damping = rng.choice([0.0, rng.uniform(0.01, 0.1)])
+        system = System([[1.0]], damping, 1.0, -speed, static=1.0 + drop)
+        if np.hypot(drop - damping * speed, speed) * np.exp(-np.pi * damping) < 1.02 * speed:
+            continue  # damping may bring it to slide
+        found = settled(system, rng.uniform(-1, 1), -speed, 300.0, tol=TIGHT)
+        assert found.kind == "periodic"
+        assert (found.n_events, found.n_exits) == (2, 1)
+        assert found.period == pytest.approx(period(drop, speed, damping), rel=1e-10)
+        assert found.multiplier == pytest.approx(0.0, abs=1e-10)
+        # K z = -static - R v where it leaves
+        assert found.at_exits() == pytest.approx([-(1.0 + drop) + damping * speed], rel=1e-10)
+        assert found.section[1] == pytest.approx([-speed], rel=1e-10)  # the entry
+        assert found.events.mode.tolist() == [0, 1]
+
+
+def test_equal_blocks_that_go_together_are_unstable_as_the_closed_form_says(rng):
+    """Their difference leaves with a speed of drop omega^2 / v times itself, and swings at omega till both stick."""
+    for _ in range(10):
+        k, drop, speed = rng.uniform(0.5, 5), rng.uniform(0.1, 0.4), rng.uniform(0.2, 0.6)
+        system = System([[1 + k, -k], [-k, 1 + k]], 0.0, 1.0, -speed, static=1.0 + drop)
+        found = settled(system, 0.1, -speed, 3.5 * period(drop, speed), tol=TIGHT)
+        omega, slip = np.sqrt(1 + 2 * k), 2 * (np.pi - np.arctan(drop / speed))
+        multiplier = np.cos(omega * slip) - drop * omega / speed * np.sin(omega * slip)
+        assert found.period == pytest.approx(period(drop, speed), rel=1e-10)
+        assert found.multiplier == pytest.approx(abs(multiplier), rel=1e-9, abs=1e-9)
+
+
+def test_a_forced_block_without_stops_has_the_multiplier_of_the_closed_form(rng):
+    """Half a cycle turns (z, w) by pi / Omega and scales w by w'+ / w'-: its determinant and trace are known."""
+    tried = 0
+    while tried < 5:
+        frequency = rng.uniform(0.6, 1.6)
+        if abs(frequency - 1) < 0.1:
+            continue
+        tried += 1
+        block = Forced(frequency, 0.7 * most_friction(frequency))
+        start = sliding_cycle(block)
+        system = System([[1.0]], 0.0, block.friction, 0.0, force=Harmonic(1.0, frequency, start.phase))
+        found = settled(system, start.z, start.w, 4 * block.cycle, tol=TIGHT)
+        pull = start.z / shape(frequency)[0] - start.z
+        ratio = (pull + block.friction) / (pull - block.friction)
+        half = np.roots([1.0, -np.cos(np.pi / frequency) * (1 + ratio), ratio])
+        assert found.kind == "periodic"
+        assert found.period == pytest.approx(block.cycle, rel=1e-10)
+        assert found.multiplier == pytest.approx(np.abs(half).max() ** 2, rel=1e-8)
+
+
+def test_a_block_that_follows_a_force_without_events_has_its_period():
+    """Damping makes every deviation decay as exp(-R t / 2)."""
+    system = System([[1.0]], 0.4, 0.1, -2.0, force=Harmonic(0.3, 1.3))
+    found = settled(system, 0.0, 0.0, 200.0)
+    assert (found.kind, found.n_events) == ("periodic", 0)
+    assert found.period == pytest.approx(2 * np.pi / 1.3, rel=1e-14)
+    assert found.multiplier == pytest.approx(np.exp(-0.2 * found.period), rel=1e-10)
+
+
+def test_what_is_certain():
+    one = [[1.0]]
+    assert settled(System(one, 0.1, 0.0), 0.5, 0.0, 60.0).kind == "sliding"
+    assert settled(System(one, 0.1, 1.0, 0.0), 3.0, 0.0, 50.0).kind == "rest"
+    assert settled(System([[0.0]], 0.1, 1.0), 0.0, 0.0, 50.0).kind == "rest"  # on the belt, for ever
+    assert settled(System(one, -0.2, 0.1, 0.0), 3.0, 0.0, 500.0).kind == "escaping"
+    two = System([[1.0, 0.0], [0.0, 1.0]], 0.5, 0.5, [-1.0, 1.0])  # a belt each
+    found = settled(two, 0.0, 0.0, 50.0)
+    assert found.kind == "sliding"
+    np.testing.assert_allclose(found.section, [[-0.5, 0.5], [0.0, 0.0]], atol=1e-12)
+    rests = System(one, 0.1, 1.0, 0.0, static=1.2, force=Harmonic(0.5, 1.0))
+    assert settled(rests, 0.1, 0.0, 50.0).kind == "rest"
+    moved = rests.changed(force=Harmonic(1.5, 1.0, np.pi / 2))  # more than it can hold, later
+    assert settled(moved, 0.0, 0.0, 0.1).kind == "undecided"
+    assert settled(moved, 0.0, 0.0, 800.0).kind == "periodic"
+
+
+def test_it_is_undecided_with_a_reason():
+    system = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
+    assert "recurs" in settled(system, 0.3, 0.0, 8.0).reason
+    assert "no event after" in settled(system, -1.0, 0.0, 50.0).reason  # at its rest; undamped, nothing proves it
+    turning = System([[1.0]], 0.0, 1.0, Piecewise([0.0, 90.0], [-0.3, -0.2]), static=1.3)
+    assert settled(turning, 0.3, 0.0, 80.0).reason == "a force or a belt changes until t = 90; lengthen the run"
+    found = settled(turning, 0.3, 0.0, 200.0)
+    assert found.period == pytest.approx(period(0.3, 0.2), rel=1e-10)
+
+
+def test_bad_input_is_refused_by_name():
+    system = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
+    run = simulate(system, 0.3, 0.0, 50.0)
+    with pytest.raises(ValueError, match="engine: expected 'coulomb', whose events are exact, got 'sigmoid'"):
+        attractor(run, system, engine="sigmoid", eps=0.03)
+    with pytest.raises(ValueError, match=r"t_burn: expected a time in \[0, 50\], got 60"):
+        attractor(run, system, 60.0)
+    with pytest.raises(ValueError, match="run: expected one of the system, of 2 blocks, got one of 1"):
+        attractor(run, System(np.eye(2), 0.0))
+    with pytest.raises(TypeError, match="eps"):
+        attractor(run, system, eps=0.03)
+
+
+def test_the_exponential_of_many_matrices_is_that_of_each(rng):
+    matrices = rng.normal(size=(50, 6, 6)) * rng.uniform(0, 5, (50, 1, 1))
+    for one, found in zip(matrices, exponential(matrices), strict=True):
+        np.testing.assert_allclose(found, expm(one), rtol=0, atol=1e-11 * np.abs(expm(one)).max())
+
+
+# ---------------------------------------------------------------------------------------------- sections and drift
+
+
+def test_starts_that_end_in_one_cycle_have_one_section(rng):
+    """Blocks of unequal friction, with damping, have a few cycles: those of one period are one."""
+    system = System([[2.0, -1.0], [-1.0, 2.0]], 0.05, [1.0, 1.4], -0.1, static=[1.5, 1.8])
+    found = [settled(system, rng.uniform(-1, 1, 2), 0.0, 3000.0 + rng.uniform(0, 30), 500.0) for _ in range(10)]
+    found = [one for one in found if one.kind == "periodic"]
+    n_same = 0
+    for one, other in itertools.combinations(found, 2):
+        is_same = abs(one.period - other.period) < 1e-5
+        n_same += is_same
+        assert same_cycle(one, other) == same_cycle(other, one) == is_same
+        if is_same:
+            np.testing.assert_allclose(one.section, other.section, atol=1e-6)
+            np.testing.assert_allclose(one.at_exits(0), other.at_exits(0), atol=1e-6)
+    assert n_same >= 3
+    # a cycle that goes through the same events twice: its section does not depend on when the run ends
+    twice = [settled(system, [0.0, -0.4], 0.0, 1700.0 + 2.3 * k) for k in range(6)]
+    assert [(one.n_events, one.events.block[:4].tolist()) for one in twice] == [(8, [0, 1, 0, 1])] * 6
+    np.testing.assert_allclose([one.section for one in twice], [twice[0].section] * 6, atol=1e-6)
+
+
+def test_cycles_of_other_systems_are_others():
+    base = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
+    one = settled(base, 0.3, 0.0, 100.0)
+    for change in ({"static": 1.301}, {"belt_speed": -0.2001}, {"friction": 1.001}):
+        assert not same_cycle(one, settled(base.changed(**change), 0.3, 0.0, 100.0))
+    assert same_cycle(one, settled(base, -1.2, 0.4, 133.0))
+
+
+def test_blocks_that_no_spring_holds_drift_with_the_belts():
+    """Two blocks on belts of opposite speeds: K has the null vector (1, 1); the one that slips gives the drift."""
+    k = 1.5
+    system = System([[k, -k], [-k, k]], 0.0, [1.0, 1.2], [-0.2, 0.1], static=[1.3, 1.9])
+    found = settled(system, [0.3, 0.0], 0.0, 500.0, 100.0)
+    assert found.kind == "periodic"
+    assert found.drift[0] == pytest.approx(found.drift[1], rel=1e-8)
+    # block 1 sticks throughout, as block 0 lets go first
+    assert found.drift[1] == pytest.approx(0.1 * found.period, rel=1e-8)
+    other = settled(system, [5.3, 5.0], 0.0, 533.0, 100.0)
+    assert same_cycle(found, other)
+    assert not same_cycle(found, settled(system.changed(friction=[1.01, 1.2]), [0.3, 0.0], 0.0, 500.0, 100.0))
+
+
+# ---------------------------------------------------------------------------------------------- published
+
+
+def test_the_cycles_of_nussbaum_and_ruina_are_those_of_the_map_of_their_episodes(rng):
+    """Each random pair of equal blocks ends in a cycle; episodes, period and multiplier are of the one-number map."""
+    kinds = Counter()
+    for _ in range(8):
+        pair = two_blocks.Pair(float(np.exp(rng.uniform(*np.log([0.1, 10.0])))), 0.3, 1e-3)
+        difference = pair.widest * rng.uniform(-1, 1)
+        found = of_pair(pair, difference, 3e5)
+        known = two_blocks.end(pair, difference, 150)
+        kinds[known.kind] += 1
+        if known.kind == "none found":
+            continue
+        assert found.kind == "periodic", (pair, difference, found.reason)
+        # a map that settles from side to side looks like a cycle of two, just before its points agree
+        rounds = round(known.period / found.period)
+        assert rounds in (1, 2), pair
+        # in a continuum of cycles errors before the end decide which one it is
+        near = 1e-3 if known.kind == "alone in turns" else 1e-6
+        assert rounds * found.period == pytest.approx(known.period, rel=near), pair
+        size = max(1.0, known.multiplier)
+        assert found.multiplier**rounds == pytest.approx(known.multiplier, abs=2e-3 * size), pair
+    print(kinds)
+
+
+def of_pair(pair, difference, t_end, t_burn=0.5):
+    system = pair.system
+    z = 0.5 * difference * np.array([1.0, -1.0])
+    z += pair.speed - (system.static + system.stiffness @ z).min()
+    return settled(system, z, -pair.speed, t_end, t_burn * t_end, tol=1e-12, stop_early=False)
+
+
+@pytest.mark.long
+def test_unequal_blocks_become_chaotic_by_doubling_their_period():
+    """As Huang and Turcotte (1992) found for unequal blocks; equal ones are never chaotic (1 and 2 here).
+
+    Friction 2.25 to 1, static 1.25 of kinetic: from one cycle to its double the multiplier passes one, and then falls
+    from one again; chaos follows. The ratio of Feigenbaum is 4.669 in the limit.
+    """
+    couplings = np.arange(3.10, 3.42, 0.005)
+    found = [of_pair(two_blocks.Pair(float(k), 0.25, 1e-3, 2.25), 0.3 / (1 + 2 * k), 4e5, 0.25) for k in couplings]
+    for k, one in zip(couplings, found, strict=True):
+        print(f"{k:.3f} {one} {one.reason if one.kind == 'undecided' else ''}")
+    lengths = [one.n_exits for one in found if one.kind == "periodic"]
+    first = lengths[0]
+    assert lengths[:3] == [first] * 3
+    doublings = []
+    for n in (1, 2):
+        below = [(k, one.multiplier) for k, one in zip(couplings, found, strict=True) if one.n_exits == n * first]
+        (k0, m0), (k1, m1) = below[-2:]
+        doublings.append(k1 + (1 - m1) * (k1 - k0) / (m1 - m0))  # where the multiplier is one
+        above = next(k for k, one in zip(couplings, found, strict=True) if one.n_exits == 2 * n * first)
+        assert 0 < above - doublings[-1] < 0.02
+    print("period doublings at", doublings)
+    assert any(one.kind == "irregular" and one.growth_rate > 0 for one in found[-6:])
+    for k in couplings[::16]:
+        equal = of_pair(two_blocks.Pair(float(k), 0.25, 1e-3), 0.3 / (1 + 2 * k), 2e5)
+        assert equal.kind == "periodic"
+
+
+BSTAB = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
+#: The grid of Stender and Hoffmann (2021), converged.
+SHARE = 0.3071
+
+
+def share_of_sliding(per_side):
+    """Of starts at the centres of a grid over [-2, 2] x [0, 2]; and of those undecided."""
+    kinds = Counter()
+    for z in -2 + 4 * (np.arange(per_side) + 0.5) / per_side:
+        for w in 2 * (np.arange(per_side) + 0.5) / per_side:
+            kinds[settled(BSTAB, z, w, 300.0, 150.0, tol=1e-8).kind] += 1
+    print(kinds)
+    assert set(kinds) <= {"sliding", "periodic", "undecided"}
+    return kinds["sliding"] / per_side**2, kinds["undecided"] / per_side**2
+
+
+def test_the_basin_of_steady_sliding_has_the_published_share():
+    share, undecided = share_of_sliding(10)
+    assert undecided < 0.05
+    assert share + undecided / 2 == pytest.approx(SHARE, abs=0.04)  # some 15 of 100 cells are cut by the edge
+
+
+def test_steady_sliding_is_not_certain_where_a_block_sticks_later(rng):
+    """Outside the unstable cycle: there friction falls so much that linear theory is no guide."""
+    later = Counter()
+    while later["periodic"] < 15:
+        z, w = rng.uniform(-2, 2), rng.uniform(0, 1.4)
+        found = settled(BSTAB, z, w, 300.0, tol=1e-8)
+        later[found.kind] += 1
+        if found.kind == "periodic":
+            for t_end in (0.5, 2.0, 4.0):
+                assert settled(BSTAB, z, w, t_end, tol=1e-8).kind != "sliding"
+
+
+@pytest.mark.long
+def test_the_basin_of_steady_sliding_has_the_published_share_to_its_digits():
+    share, undecided = share_of_sliding(150)
+    assert undecided < 0.003
+    assert share + undecided / 2 == pytest.approx(SHARE, abs=0.0015)
+
+
+# ---------------------------------------------------------------------------------------------- another method
+
+
+def case(system, z, w):
+    falls = None
+    if isinstance(system.weakening, Stribeck):
+        falls = ("exponential", system.weakening.speed)
+    elif isinstance(system.weakening, Rational):
+        falls = ("rational", system.weakening.rate)
+    waves = [(x.amplitude, x.frequency, x.phase) for x in system.force]
+    return independent.Case.of(
+        system.stiffness, system.damping, system.friction, system.belt_speed, z, w, system.static,
+        mass=system.mass, waves=waves, falls=falls,
+    )  # fmt: skip
+
+
+def in_a_segment(system, found):
+    """The state in the middle of the longest stay between two events, and the modes there."""
+    events, states = found.events, found.states
+    k = int(np.argmax(np.diff(np.append(events.t, found.period))))
+    mode = events.mode_at(events.t[k])
+    stay = np.diff(np.append(events.t, found.period))[k]
+    w = np.where(mode == 0, system.belt_speed, states.w[k])
+    run = simulate(system, states.z[k], w, stay / 2, modes=mode, tol=TIGHT, stop_early=False)
+    return run.z, np.where(mode == 0, system.belt_speed, run.w), mode
+
+
+def jacobian(system, found, size=1e-6):
+    """Of the map over a period from the middle of a stay, by differences of the independent engine."""
+    z, w, mode = in_a_segment(system, found)
+    n = system.n
+    moves = [*np.eye(2 * n)[:n], *np.eye(2 * n)[n:][mode != 0]]
+    columns = []
+    for move in moves:
+        ends = []
+        for sign in (1, -1):
+            moved = case(system, z + sign * size * move[:n], w + sign * size * move[n:])
+            path = independent.follow(moved, found.period)
+            ends.append(np.concatenate([path.z, path.w]))
+        columns.append((ends[0] - ends[1]) / (2 * size))
+    return np.array([[column @ move for column in columns] for move in moves])
+
+
+def drawn(rng, n):
+    """Springs between all blocks and to the ground, static friction, most with damping."""
+    pairs = np.triu(rng.uniform(0, 2, (n, n)), 1)
+    pairs += pairs.T
+    stiffness = np.diag(rng.uniform(0.2, 1.5, n) + pairs.sum(axis=1)) - pairs
+    if rng.random() < 0.1:  # not springs alone: some of these escape
+        stiffness += rng.uniform(-1, 1, (n, n))
+    friction = rng.uniform(0.5, 1.5, n)
+    damping = rng.uniform(0, 0.3, n) * (rng.random() < 0.8)
+    return System(stiffness, damping, friction, -rng.uniform(0.05, 0.5), static=friction * rng.uniform(1.05, 1.6, n))
+
+
+def test_the_multiplier_is_that_of_another_method(rng):
+    """Of random cycles of two and three blocks whose state is not forgotten, and of some with weakening or masses."""
+    tried = 0
+    while tried < 4:
+        n = int(rng.integers(2, 4))
+        system = drawn(rng, n)
+        if tried == 2:
+            system = system.changed(weakening=Rational(rng.uniform(0.1, 0.5)))
+        if tried == 3:
+            system = system.changed(mass=rng.uniform(0.5, 2.0, n))
+        found = settled(system, rng.normal(size=n), 0.0, 1000.0, 200.0)
+        if found.kind != "periodic" or not 0.02 < found.multiplier < 0.97 or found.n_events > 30:
+            continue
+        tried += 1
+        values = np.linalg.eigvals(jacobian(system, found))
+        trivial = int(np.argmin(np.abs(values - 1)))
+        assert abs(values[trivial] - 1) < 1e-4
+        assert np.abs(np.delete(values, trivial)).max() == pytest.approx(found.multiplier, rel=1e-3), repr(system)
+
+
+def confirm(system, found, run):
+    """By another method, that a run does what it is said to."""
+    if found.kind == "sliding":
+        at = run.t_end if run.t_collapse is None else run.t_collapse
+        state = simulate(system, *run.start, run.t_end, t_eval=[at]).samples
+        path = independent.follow(case(system, state.z[0], state.w[0]), 100.0)
+        assert path.t == []
+        assert (np.abs(path.w) < np.abs(system.belt_speed)).all()
+        slip = -np.sign(system.belt_speed)
+        assert (np.abs(path.w) <= np.abs(path.at(np.linspace(0, 50, 200))[1]).max(axis=0)).all()
+        np.testing.assert_allclose(system.stiffness @ found.section[0], -system.friction * slip, atol=1e-10)
+    elif found.kind == "escaping":
+        growth = np.linalg.eigvals(system.slip_matrix()).real.max()
+        path = independent.follow(case(system, run.z, run.w), 5.0 / growth)
+        assert np.hypot(path.z, path.w).max() > 10.0 * np.hypot(run.z, run.w).max()
+    elif found.kind == "periodic":
+        z, w, _ = in_a_segment(system, found)
+        path = independent.follow(case(system, z, w), found.period * (1 + 1e-9))
+        assert len(path.t) == found.n_events
+        assert sorted(path.block) == sorted(found.events.block.tolist())
+        size = max(np.abs(z).max(), np.abs(w).max())
+        end = path.at(found.period)
+        assert max(np.abs(end[0][0] - z).max(), np.abs(end[1][0] - w).max()) < 1e-5 * size
+        # and no earlier: brute force over all states of the cycle
+        times = np.linspace(0, found.period, 2000)[20:-20]
+        z_there, w_there = path.at(times)
+        assert (np.abs(z_there - z).max(axis=1) + np.abs(w_there - w).max(axis=1) > 1e-6 * size).all()
+    elif found.kind == "irregular":
+        mode = run.events.mode_at(run.t_end)
+        path = independent.follow(case(system, run.z, np.where(mode == 0, system.belt_speed, run.w)), 100.0)
+        events = list(zip(path.block, path.mode, strict=True))
+        leaves = [t for t, event in zip(path.t, events, strict=True) if event == events[-1]]
+        states = np.hstack(path.at(np.array(leaves)))
+        apart = np.abs(states[:, None] - states[None]).max(axis=2)[np.triu_indices(len(leaves), 1)]
+        assert len(leaves) > 3
+        assert (apart > 1e-5 * np.abs(states).max()).all()
+
+
+def confirmed(rng, n_systems, t_end):
+    kinds, not_followed = Counter(), 0
+    for _ in range(n_systems):
+        n = int(rng.integers(1, 4))
+        system, start = drawn(rng, n), (rng.normal(size=n), np.zeros(n))
+        run = simulate(system, *start, t_end)
+        object.__setattr__(run, "start", start)
+        found = attractor(run, system, t_end / 10)
+        kinds[found.kind] += 1
+        try:
+            confirm(system, found, run)
+        except independent.Undecided:
+            not_followed += 1
+        except AssertionError as error:
+            raise AssertionError(f"{found!r} of {system!r} {system.stiffness!r} from {start!r}") from error
+    print(dict(kinds), "not followed:", not_followed, "share undecided:", kinds["undecided"] / n_systems)
+    assert not_followed <= 0.05 * n_systems
+    return kinds["undecided"] / n_systems
+
+
+def test_a_method_that_shares_no_code_confirms_the_class_of_random_systems(rng):
+    assert confirmed(rng, 12, 1000.0) <= 0.5
+
+
+@pytest.mark.long
+def test_a_method_that_shares_no_code_confirms_the_class_of_200_random_systems(rng):
+    assert confirmed(rng, 200, 2000.0) < 0.15
