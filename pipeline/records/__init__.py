@@ -1,5 +1,6 @@
 """What is kept of a run: a file and a line here make a record known to scenes, workers, datasets and the guide."""
 
+from stickslip.pipeline.records.attractor import AttractorRecord
 from stickslip.pipeline.records.end import End
 from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
 from stickslip.pipeline.records.episodes import EpisodesRecord
@@ -25,6 +26,7 @@ RECORDS: tuple[type[Record], ...] = (
     EpisodeEnergy,
     Separation,
     Thresholds,
+    AttractorRecord,
 )
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.

@@ -1,0 +1,98 @@
+"""What a run settles on: see `stickslip.sim.attractors`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord, is_exact
+from stickslip.sim.attractors import attractor
+from stickslip.sim.engines.coulomb.settings import Coulomb
+
+#: Values of z at exits that are kept, the last.
+_MOST = 64
+
+
+@dataclass(frozen=True)
+class AttractorRecord(WindowRecord):
+    """What a run of the exact engine settles on, and its cycle."""
+
+    name = "attractor"
+    words = (
+        "whether to keep what a run of the exact law settles on: rest, sliding, a cycle with its period and"
+        " multiplier, irregular motion"
+    )
+    asked_by = "`attractor = true` under [record]"
+    columns = (
+        Column(
+            "text",
+            "attractor",
+            "rest, sliding, periodic, irregular, escaping or undecided; null, as all below, if not the exact law",
+        ),
+        Column("text", "attractor_reason", "how that is known, or why it is undecided"),
+        Column("number", "period", "of a periodic run; null otherwise"),
+        Column("count", "exits_per_period", "exits in a period; null if not periodic"),
+        Column("count", "events_per_period", "entries, exits and crossings in a period; null if not periodic"),
+        Column(
+            "number",
+            "multiplier",
+            "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and along its"
+            " drift; below 1 the cycle attracts",
+        ),
+        Column(
+            "number",
+            "deviation_rate",
+            "rate at which a small deviation grows, of a run in no cycle with many events; above 0 if irregular",
+        ),
+        Column(
+            "numbers",
+            "section_z",
+            "displacement of each block at one event of the cycle, the same for all starts that end in it; at rest or"
+            " steady sliding, there",
+            along="block",
+            repeats=False,
+        ),
+        Column("numbers", "section_w", "velocity of each block then", along="block", repeats=False),
+        Column("whole", "exits_block", "the block with most exits in a period, or in an irregular run"),
+        Column(
+            "numbers",
+            "exits_z",
+            f"its displacement at each of these exits, at most the last {_MOST}, for bifurcation diagrams",
+            along="exit",
+            repeats=False,
+        ),
+    )
+    is_of_paths = True
+
+    def problem(self, facts: Facts) -> str:
+        if any(engine is Coulomb for engine in facts.engines):
+            return ""
+        return (
+            f"expected an engine of exact events, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+            f' "{Coulomb.name}", or remove it'
+        )
+
+    def cost(self, member: Member, sharing: Sharing) -> float:
+        return 0.2 * member.cost if is_exact(member) else 0.0
+
+    def of(self, made: Made) -> dict[str, Any]:
+        if made.member.engine != Coulomb.name:
+            return {}
+        # a run that is certain to escape may end before
+        t_burn = min(self.t_burn, made.run.t_end)
+        found = attractor(made.run, made.system, t_burn, engine=made.member.engine, **dict(made.member.settings))
+        kept: dict[str, Any] = {
+            "attractor": found.kind,
+            "attractor_reason": found.reason or None,
+            "period": found.period,
+            "exits_per_period": found.n_exits,
+            "events_per_period": found.n_events,
+            "multiplier": found.multiplier,
+            "deviation_rate": found.growth_rate,
+        }
+        if found.section is not None:
+            kept["section_z"], kept["section_w"] = found.section
+        if found.busiest is not None:
+            kept["exits_block"], kept["exits_z"] = found.busiest, found.at_exits()[-_MOST:]
+        return kept
