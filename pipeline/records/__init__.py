@@ -1,15 +1,21 @@
 """What is kept of a run: a file and a line here make a record known to scenes, workers, datasets and the guide."""
 
+from stickslip.pipeline.records.amplitude import Amplitude
 from stickslip.pipeline.records.attractor import AttractorRecord
 from stickslip.pipeline.records.end import End
 from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
 from stickslip.pipeline.records.episodes import EpisodesRecord
 from stickslip.pipeline.records.events import Events
+from stickslip.pipeline.records.first_exit import FirstExit
+from stickslip.pipeline.records.friction_power import FrictionPower
 from stickslip.pipeline.records.growth_rate import GrowthRate
 from stickslip.pipeline.records.outcome import OutcomeRecord
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.separation import Separation
+from stickslip.pipeline.records.slip_speed import SlipSpeed
+from stickslip.pipeline.records.stick_share import StickShare
 from stickslip.pipeline.records.thresholds import Thresholds
+from stickslip.pipeline.records.waiting import Waiting
 
 __all__ = ["ALWAYS", "RECORDS", "TABLES", "End", "Record"]
 
@@ -27,6 +33,12 @@ RECORDS: tuple[type[Record], ...] = (
     Separation,
     Thresholds,
     AttractorRecord,
+    Amplitude,
+    SlipSpeed,
+    StickShare,
+    FirstExit,
+    Waiting,
+    FrictionPower,
 )
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.

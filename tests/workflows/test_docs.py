@@ -310,7 +310,7 @@ def test_a_record_is_a_file_and_a_line(tree):
     (root / "pipeline" / "records" / "largest.py").write_text(blocks(page("extending"), "python")[1])
     file, before = root / "pipeline" / "records" / "__init__.py", "from stickslip.pipeline.records.outcome"
     text = file.read_text().replace(before, f"from stickslip.pipeline.records.largest import Largest\n{before}")
-    file.write_text(text.replace("    Thresholds,\n)", "    Thresholds,\n    Largest,\n)"))
+    file.write_text(text.replace("= (\n    End,", "= (\n    End,\n    Largest,"))
     scene = (ROOT / "workflows" / "scenes" / "quick.toml").read_text()
     (root / "mine.toml").write_text(scene.replace("[record]", "[record]\nlargest = true\n#"))
     python("-m", "stickslip", "run", "mine.toml", "--out", "out", "--no-report", "--workers", "1")

@@ -1,0 +1,29 @@
+"""When the first block lets go."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, Record
+
+
+class FirstExit(Record):
+    """The time of the first exit, and the block."""
+
+    name = "first_exit"
+    words = "whether to keep when the first block that sticks lets go, and which"
+    asked_by = "`first_exit = true` under [record]"
+    columns = (
+        Column("number", "first_exit", "time of the first exit; null, as below, if there is none"),
+        Column("whole", "first_exit_block", "the block that lets go first"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        events = made.run.events
+        exits = np.flatnonzero((events.mode != 0) & (events.previous_mode == 0))
+        if not len(exits):
+            return {}
+        return {"first_exit": events.t[exits[0]], "first_exit_block": int(events.block[exits[0]])}

@@ -1,0 +1,46 @@
+"""How much friction takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Facts, Made, StateRecord, is_exact
+from stickslip.sim.engines import ENGINES
+
+
+@dataclass(frozen=True)
+class FrictionPower(StateRecord):
+    """The power that slip turns into heat: sum over blocks of kinetic friction times |w - v|, by the exact law."""
+
+    name = "friction_power"
+    words = "whether to keep the power that friction turns into heat after t_burn, by the exact law"
+    asked_by = "`friction_power = true` under [record]"
+    columns = (
+        Column(
+            "number",
+            "friction_power",
+            "heat of all blocks by slip on the belt, mean in time after t_burn; null if the run"
+            " ended before, or is not of the exact law",
+        ),
+    )
+
+    def problem(self, facts: Facts) -> str:
+        if any(engine.is_exact for engine in facts.engines):
+            return ""
+        exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
+        return (
+            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+            f' "{exact}", or remove it'
+        )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        samples = made.samples(self.times(made.member))
+        if len(samples) < 2 or not is_exact(made.member):
+            return {}
+        slip = samples.w - made.system.belt_speed_at(samples.t)
+        power = (made.system.kinetic(slip) * np.abs(slip)).sum(1)
+        return {"friction_power": np.trapezoid(power, samples.t) / (samples.t[-1] - samples.t[0])}

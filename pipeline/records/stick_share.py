@@ -1,0 +1,43 @@
+"""How much of the time blocks stick, and which never slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, WindowRecord
+
+
+@dataclass(frozen=True)
+class StickShare(WindowRecord):
+    """The share of block time that sticks, and the share of blocks that never slip."""
+
+    name = "stick_share"
+    words = (
+        "whether to keep the share of time that blocks stick after t_burn, and the share of blocks that never slip"
+    )
+    asked_by = "`stick_share = true` under [record]"
+    columns = (
+        Column(
+            "number",
+            "stick_share",
+            "share of the time after t_burn that a block sticks, mean over the blocks; null if the run ended before",
+        ),
+        Column("number", "never_slipped", "share of the blocks that stick from t_burn to the end"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        events, end = made.run.events, made.run.t_end
+        if end <= self.t_burn:
+            return {}
+        t, n_stick = events.change_points()
+        edges = np.clip(np.append(t, end), self.t_burn, end)
+        sticks = events.mode_at(self.t_burn) == 0
+        sticks[events.block[events.t > self.t_burn]] = False  # a block that sticks leaves first
+        return {
+            "stick_share": np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n),
+            "never_slipped": sticks.mean(),
+        }

@@ -1,0 +1,37 @@
+"""How long blocks wait between two exits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, WindowRecord
+
+
+@dataclass(frozen=True)
+class Waiting(WindowRecord):
+    """The times between successive exits of the same block, over all blocks."""
+
+    name = "waiting"
+    words = "whether to keep the mean and the scatter of times between exits of the same block after t_burn"
+    asked_by = "`waiting = true` under [record]"
+    columns = (
+        Column("count", "waiting_times", "number of times between successive exits of the same block after t_burn"),
+        Column("number", "waiting_mean", "their mean; null if there are none"),
+        Column("number", "waiting_cv", "their standard deviation over their mean; null with fewer than two"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        events = made.run.events
+        exits = np.flatnonzero((events.mode != 0) & (events.previous_mode == 0) & (events.t >= self.t_burn))
+        order = exits[np.argsort(events.block[exits], kind="stable")]  # in time within a block
+        gaps = np.diff(events.t[order])[np.diff(events.block[order]) == 0]
+        kept: dict[str, Any] = {"waiting_times": len(gaps)}
+        if len(gaps):
+            kept["waiting_mean"] = gaps.mean()
+        if len(gaps) > 1:
+            kept["waiting_cv"] = gaps.std(ddof=1) / gaps.mean()
+        return kept
