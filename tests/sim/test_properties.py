@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
+from scipy.linalg import expm
 
 from stickslip.sim import EventSeries, System, draw_system, simulate
 from stickslip.sim.engines import certificates
@@ -67,6 +68,29 @@ def test_nothing_happens_after_a_certified_collapse(law, cross):
         np.testing.assert_allclose(run.z, full.z, rtol=0, atol=1e-5)
         np.testing.assert_allclose(run.w, full.w, rtol=0, atol=1e-5)
     assert n_collapsed > 60
+
+
+def test_the_bound_of_a_certificate_on_what_forces_do(rng):
+    """The response to any force of size 1 is at most the integral of the size of the impulse response."""
+    bound = certificates._eigenmodes(System([[2.0]], 3.0)).response()  # eigenvalues -1 and -2
+    np.testing.assert_allclose(bound[:, 0], [1.5, 2.0], rtol=1e-14)
+    bound = certificates._eigenmodes(System([[1.01]], 0.2)).response()  # -0.1 +- i: 1 / (0.1 x 1) of z
+    np.testing.assert_allclose(bound[0, 0], 10.0, rtol=1e-12)
+    n_stable = 0
+    while n_stable < 20:
+        system, _, _ = draw_run(rng, (1, 4), "antisymmetric", damping=(0.05, 2.0))
+        a, n = system.slip_matrix(), system.n
+        values = np.linalg.eigvals(a)
+        if values.real.max() > -0.02:
+            continue
+        n_stable += 1
+        t = np.arange(0.0, 12.0 / -values.real.max(), 0.1 / abs(values).max())
+        step, impulse = expm(a * t[1]), np.eye(2 * n)[:, n:]
+        sizes = np.empty((len(t), 2 * n, n))
+        for one in sizes:
+            one[:], impulse = abs(impulse), step @ impulse
+        least = trapezoid(sizes, t, axis=0)
+        assert (certificates._eigenmodes(system).response() > 0.99 * least).all()
 
 
 @pytest.mark.parametrize("law", [{"engine": "coulomb", "tol": 1e-10}, {"engine": "sigmoid", "eps": 0.03}])
