@@ -95,6 +95,8 @@ def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
     keys = [key for key in dict.fromkeys(key for point in points for key in point)
             if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
     keys = [key for key in keys if all(key in point for point in points)]
+    if all(point.get("w") == point.get("belt_speed") for point in points):
+        keys = [key for key in keys if key != "w"]  # all start on the belt
     together: list[list[str]] = []
     for key in keys:
         n_values = len({point[key] for point in points})

@@ -32,13 +32,13 @@ RECORDS: tuple[type[Record], ...] = (
     EpisodeEnergy,
     Separation,
     Thresholds,
-    AttractorRecord,
     Amplitude,
     SlipSpeed,
     StickShare,
     FirstExit,
     Waiting,
     FrictionPower,
+    AttractorRecord,
 )
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.

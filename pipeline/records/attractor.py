@@ -54,7 +54,9 @@ class AttractorRecord(WindowRecord):
             repeats=False,
         ),
         Column("numbers", "section_w", "velocity of each block then", along="block", repeats=False),
-        Column("whole", "exits_block", "the block with most exits in a period, or in an irregular run"),
+        Column(
+            "whole", "exits_block", "the block with most exits in a period, or in an irregular run", is_label=True
+        ),
         Column(
             "numbers",
             "exits_z",

@@ -22,6 +22,8 @@ class Column(NamedTuple):
         Of a list: what it has a value for, its dimension in NetCDF. Empty: it is not written there.
     repeats : bool
         Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
+    is_label : bool
+        Whether a number says which, as that of a block, so that no mean is taken.
     """
 
     kind: Kind
@@ -30,6 +32,7 @@ class Column(NamedTuple):
     nullable: bool = True
     along: str = ""
     repeats: bool = True
+    is_label: bool = False
 
     @property
     def is_list(self) -> bool:
@@ -38,5 +41,5 @@ class Column(NamedTuple):
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds one number a member."""
-        return self.kind in ("number", "whole", "count")
+        """Whether it holds one number a member, of which means can be taken."""
+        return self.kind in ("number", "whole", "count") and not self.is_label

@@ -18,7 +18,7 @@ class FirstExit(Record):
     asked_by = "`first_exit = true` under [record]"
     columns = (
         Column("number", "first_exit", "time of the first exit; null, as below, if there is none"),
-        Column("whole", "first_exit_block", "the block that lets go first"),
+        Column("whole", "first_exit_block", "the block that lets go first", is_label=True),
     )
 
     def of(self, made: Made) -> dict[str, Any]:
