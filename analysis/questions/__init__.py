@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 #: In the order of the page.
 QUESTIONS = (
-    "sweep", "episodes", "cascades", "counting", "exponential", "definitions", "rhythm", "clustering", "fates",
-    "engines", "sensitivity", "robustness", "one_run",
+    "sweep", "attractors", "episodes", "cascades", "counting", "exponential", "definitions", "rhythm", "clustering",
+    "fates", "engines", "sensitivity", "robustness", "one_run",
 )  # fmt: skip
 
 
