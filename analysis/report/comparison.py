@@ -91,7 +91,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     """
     facts: dict[str, Any] = {
         "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
-        "matches": [], "tested": [], "from_zero": [],
+        "matches": [], "tested": [], "from_zero": [], "unmatched": [],
     }  # fmt: skip
     if _is_same(first, second):
         return _report(facts, {})

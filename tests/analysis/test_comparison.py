@@ -127,6 +127,13 @@ def test_members_without_a_partner_are_named(planted):
     assert more.tables["alone"]["member_id"].tolist() == [f"sigmoid-{k:03d}" for k in range(4)]
 
 
+def test_settings_without_a_counterpart_are_in_the_answer(planted):
+    one, both = ensemble(planted, "one"), ensemble(planted, "both", engines=("coulomb", "sigmoid"))
+    report = compare(one, both, SETTINGS)
+    assert re.fullmatch(r"Yes, in what both have: .*; one setting of both has no counterpart\.", report.headline[0])
+    assert report.headline[0] in text_of(report)
+
+
 def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):
     first, second = (
         ensemble(planted, name, draw=draw, n_matrices=4) for draw, name in enumerate(("first", "second"))
