@@ -149,7 +149,12 @@ BAD = {
     "confidence in percent": (
         "t_burn = 1.0",
         "t_burn = 1.0\nconfidence = 95.0",
-        ["analysis.confidence", "less than 1"],
+        ["analysis.confidence", "less than or equal to 0.999999"],
+    ),
+    "confidence of certainty": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\nconfidence = 0.9999999999999999",
+        ["analysis.confidence", "less than or equal to 0.999999", "`confidence = 0.95`"],
     ),
     "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "1000000", "lower `matrices`"]),
     "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["1000000", "number of draws"]),
