@@ -173,7 +173,8 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
 def _is_same(first: Ensemble, second: Ensemble) -> bool:
     """Whether both hold the same runs, by the digests of their data or else by every change of n_stick.
 
-    What a member is and what records of one name keep must be the same too: runs that stick throughout change nothing.
+    What a member is must be the same too, as runs that stick throughout have no changes, and so must what records of
+    one name keep.
     """
     if first.digest and first.digest == second.digest:
         return True

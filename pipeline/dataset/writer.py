@@ -184,8 +184,8 @@ class Store:
             columns = [] if stored is None else lacked(stored, self.scene)
             if columns:
                 raise StoreError(
-                    f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some with "
-                    f"{', '.join(columns)}, which these data lack; run it into another directory"
+                    f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
+                    f"with {', '.join(columns)}, which these data lack; run it into another directory"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
