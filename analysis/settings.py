@@ -20,7 +20,7 @@ class AnalysisSettings:
     resamples : int
         Largest number of surrogates a member, for the values under chance; `analysis.series.nulls.DRAWS` are enough.
     confidence : float
-        Level of every interval, in (0, 1).
+        Level of every interval, from 0.5 to 0.999999.
     seed : int
         Seed from which all random numbers derive.
     map_dt : tuple of float
@@ -68,7 +68,7 @@ class AnalysisSettings:
             raise ValueError(f"smallest: expected an integer >= 1, got {self.smallest!r}")
         if self.resamples < 2:
             raise ValueError(f"resamples: expected an integer >= 2, got {self.resamples!r}; 200 is a usual choice")
-        if not 0 < self.confidence < 1:
-            raise ValueError(f"confidence: expected a number in (0, 1), got {self.confidence!r}; try 0.95")
+        if not 0.5 <= self.confidence <= 0.999999:  # near 1 the quantiles of an interval are infinite
+            raise ValueError(f"confidence: expected a number from 0.5 to 0.999999, got {self.confidence!r}; try 0.95")
         if self.seed < 0:
             raise ValueError(f"seed: expected an integer >= 0, got {self.seed!r}")

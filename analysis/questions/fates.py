@@ -91,6 +91,7 @@ def answer(study: Study) -> Answer:
         "moving": moving,
         "total": {**_counts(runs), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
         "share": _share(followed, MOVING, level),
+        "level": f"{100 * level:g}%",
         "n_systems": len({row["drawn"] for row in followed}),
         "has_copies": len(members) > len(runs),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),

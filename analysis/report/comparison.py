@@ -31,6 +31,8 @@ from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
 SHARED = ("n", "coupling")
+#: Columns that say what a member is, in addition to the numbers of draws that its name has.
+_IDENTITY = (*SYSTEM_KEYS, *ENGINE_KEYS, "seed", "z_start", "w_start", "twin_size", "perturbation_reading")
 SAME = "same"
 _TABLE: Mapping[str, str] = {"setting": S, "other": S, "is_paired": B, **SCHEMA}
 _UNMATCHED = {"dataset": S, "setting": S, "members": I}
@@ -89,7 +91,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     """
     facts: dict[str, Any] = {
         "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
-        "matches": [], "tested": [], "from_zero": [],
+        "matches": [], "tested": [], "from_zero": [], "unmatched": [],
     }  # fmt: skip
     if _is_same(first, second):
         return _report(facts, {})
@@ -171,15 +173,22 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
 def _is_same(first: Ensemble, second: Ensemble) -> bool:
     """Whether both hold the same runs, by the digests of their data or else by every change of n_stick.
 
-    What records of one name keep must be the same too.
+    What a member is must be the same too, as runs that stick throughout have no changes, and so must what records of
+    one name keep.
     """
     if first.digest and first.digest == second.digest:
         return True
-    one, two = (each.data.members.set_index("member_id")["outcome"].to_dict() for each in (first, second))
+    one, two = (each.data.members.set_index("member_id") for each in (first, second))
     mine, theirs = first.data.recorded, second.data.recorded
     if any(mine[name].values != theirs[name].values for name in mine.keys() & theirs.keys()):
         return False
-    return one == two and all(
+    if set(one.index) != set(two.index):
+        return False
+    for name in (*_IDENTITY, "outcome"):
+        a, b = one[name].astype(object), two[name].reindex(one.index).astype(object)
+        if not ((a == b) | (a.isna() & b.isna())).all():
+            return False
+    return all(
         all(np.array_equal(a, b) for a, b in zip(points, second.data.series[name], strict=True))
         for name, points in first.data.series.items()
     )

@@ -14,7 +14,7 @@ from types import TracebackType
 from stickslip.pipeline.dataset.opened import Opened, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
-from stickslip.pipeline.ensemble.pack import Task, grows, pack, tasks
+from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
@@ -181,6 +181,12 @@ class Store:
         with contextlib.suppress(SceneError):
             stored = stored_scene(self.place)
         if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
+            columns = [] if stored is None else lacked(stored, self.scene)
+            if columns:
+                raise StoreError(
+                    f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
+                    f"with {', '.join(columns)}, which these data lack; run it into another directory"
+                )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
                 f"it, got that of another (hash {manifest.scene_hash[:12]}){self._difference(stored)}; choose "

@@ -110,9 +110,22 @@ def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:
 
 
 def grows(stored: Scene, wanted: Scene) -> bool:
-    """Whether the wanted scene has all members of the stored one, unchanged, and more."""
+    """Whether the wanted scene has all members of the stored one, unchanged, and more, and keeps the same of them."""
     one, other = stored.recording, wanted.recording
-    if one != replace(other, scene_hash=one.scene_hash) or wanted.n_members <= stored.n_members:
+    return one == replace(other, scene_hash=one.scene_hash) and _adds_to(stored, wanted)
+
+
+def lacked(stored: Scene, wanted: Scene) -> list[str]:
+    """Columns that data of the stored scene lack, in words, if it is these that keep it from growing."""
+    there = {column.name: column for column in stored.recording.columns}
+    columns = [column for column in wanted.recording.columns if there.get(column.name) != column]
+    new = [column.name for column in columns if column.name not in there]
+    names = new or [f"{column.name} of another kind" for column in columns]
+    return names if names and _adds_to(stored, wanted) else []
+
+
+def _adds_to(stored: Scene, wanted: Scene) -> bool:
+    if wanted.n_members <= stored.n_members:
         return False
     members = expand(wanted)
     place = {name: k for k, name in enumerate(members.ids())}

@@ -110,6 +110,8 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
                 return _npy(key, stream, size, kinds)
 
         is_sparse = members.keys() >= _SPARSE.keys()
+        if not is_sparse and {"data", "shape", "format"} <= members.keys():  # SciPy's other formats
+            _format(read("format", "S", True))
         if len(members) == 1:
             return {"stiffness": read(next(iter(members)))}
         names = members.keys() - ({*_SPARSE, "_is_array"} if is_sparse else {"stiffness"})
@@ -128,21 +130,26 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         return arrays | {"stiffness": read("stiffness")}
 
 
+def _format(part: np.ndarray) -> str:
+    """The format that a sparse matrix was saved in."""
+    found = part.item().decode("ascii", "replace")
+    if found not in ("csc", "csr"):
+        raise ValueError(f"format: expected csc or csr, got {found}; save K.tocsc()")
+    return found
+
+
 def _compressed(parts: dict[str, np.ndarray]) -> Any:
     """A sparse matrix from its parts; that indices are in range is for `System` to see, wherever a K comes from."""
     from scipy import sparse  # takes a tenth of a second to load
 
-    kinds = {b"csc": sparse.csc_array, b"csr": sparse.csr_array}
-    kind = parts["format"].item()
-    if kind not in kinds:
-        raise ValueError(f"format: expected csc or csr, got {kind!r}")
+    kind = {"csc": sparse.csc_array, "csr": sparse.csr_array}[_format(parts["format"])]
     n, entries = _square(parts["shape"].tolist()), parts["data"].size
     for key, expected in (("data", (entries,)), ("indices", (entries,)), ("indptr", (n + 1,))):
         if parts[key].shape != expected:
             raise ValueError(f"{key}: expected the shape {expected}, got {parts[key].shape}")
     if parts["indptr"][-1] != entries:
         raise ValueError(f"indptr: expected {entries} at its end, the number of entries, got {parts['indptr'][-1]}")
-    return kinds[kind]((parts["data"], parts["indices"], parts["indptr"]), (n, n))
+    return kind((parts["data"], parts["indices"], parts["indptr"]), (n, n))
 
 
 def _square(shape: Sequence[int]) -> int:

@@ -218,6 +218,8 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
         If there is no such file, or it holds no system.
     """
     found = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
+    if not found and os.path.isdir(folder / pattern):
+        raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
     if not found:
         raise SceneError(f"system.path: expected a file, or several by a pattern such as K*.npz, got {pattern!r}, "
                          f"which names none in {folder.resolve()}; correct the path")  # fmt: skip

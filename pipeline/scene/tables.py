@@ -226,7 +226,9 @@ class AnalysisTable(StrictTable):
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
     resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
-    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.95, description="level of the intervals")
+    confidence: Annotated[float, Field(ge=0.5, le=0.999999)] = Field(
+        default=0.95, description="level of the intervals"
+    )
     margins: MarginsTable = MarginsTable()
     question: Annotated[
         tuple[QuestionName, ...],

@@ -282,7 +282,8 @@ def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str
         elif part in choices:  # the name that chose among several is no part of the path
             table, key, choices = choices[part], None, {}
         else:
-            path += f".{part}" if path else part
+            name = part or "''"  # as TOML writes an empty key
+            path += f".{name}" if path else name
             field = _keys(table).get(part)
             choices = _tables(field.annotation) if field else {}
             table, key = (choices.pop(""), None) if "" in choices else (table, part)

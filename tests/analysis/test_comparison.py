@@ -46,6 +46,26 @@ def test_equal_data_is_said_at_once(planted):
     assert "hold the same" not in compare(one, ensemble(planted, "third", draw=1), SETTINGS).headline[0]
 
 
+@pytest.mark.parametrize(
+    ("key", "values", "note"),
+    [
+        ("friction", (10.0, 20.0), "another setting: friction = 10 against 20."),
+        ("t_end", (1600.0, 1700.0), "another setting: t_end = 1600 against 1700."),
+        ("z0", (0.0, 0.1), "another setting: z0 = 0 against 0.1."),
+        ("seed", (0, 1), "drawn independently"),
+    ],
+)
+def test_runs_that_never_change_are_the_same_only_if_their_members_are(planted, key, values, note):
+    stuck = [ensemble(planted, name, n_matrices=4, **{key: value}) for name, value in zip("ab", values, strict=True)]
+    for one in stuck:
+        for member in one.data.series:
+            one.data.series[member] = np.zeros(1), np.array([200])
+    report = compare(*stuck, SETTINGS)
+    assert "hold the same" not in report.headline[0]
+    assert note in text_of(report)
+    assert "hold the same" in compare(stuck[0], replace(stuck[0], name="b"), SETTINGS).headline[0]
+
+
 def test_a_planted_gamma_is_found_and_named(planted):
     """Rates 0.69 and 0.55: gamma differs by 20%, against a margin of 5%."""
     for seed in (0, 1):  # paired, and with other random systems
@@ -105,6 +125,13 @@ def test_members_without_a_partner_are_named(planted):
     assert other.tables["alone"].empty
     more = compare(ensemble(planted, "more", n_matrices=4, engines=("coulomb", "sigmoid")), second, SETTINGS)
     assert more.tables["alone"]["member_id"].tolist() == [f"sigmoid-{k:03d}" for k in range(4)]
+
+
+def test_settings_without_a_counterpart_are_in_the_answer(planted):
+    one, both = ensemble(planted, "one"), ensemble(planted, "both", engines=("coulomb", "sigmoid"))
+    report = compare(one, both, SETTINGS)
+    assert re.fullmatch(r"Yes, in what both have: .*; one setting of both has no counterpart\.", report.headline[0])
+    assert report.headline[0] in text_of(report)
 
 
 def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):

@@ -252,6 +252,18 @@ def test_two_engines_on_one_matrix_are_one_system(planted):
     assert found.facts["share"].low == pytest.approx(0.839, abs=1e-3)
 
 
+@pytest.mark.parametrize("kinds", [[SUSTAINED] * 5, [COLLAPSED] * 5, [COLLAPSED] * 3 + [SUSTAINED] * 2])
+@pytest.mark.parametrize("unit", ["matrix", "start"])
+def test_intervals_are_called_by_their_level(planted, kinds, unit):
+    study = Study(data_of(planted, kinds), replace(SETTINGS, confidence=0.999))
+    words = environment()
+    words.globals["unit"] = unit
+    template, facts = words.get_template("fates.html").module, answer(study).facts
+    said = template.answer(facts) + template.main(facts)
+    assert "99.9%" in said
+    assert "95%" not in said
+
+
 def test_points_of_a_sweep_share_their_matrices(planted):
     data = data_of(planted, [SUSTAINED] * 20)
     other = data.members.assign(member_id="s" + data.members["member_id"], belt_speed=-0.4)

@@ -365,6 +365,8 @@ def test_contradictory_input_is_refused_by_name(planted, settings, spoil, named)
         ({"dt": (0.0,)}, "dt"),
         ({"resamples": 1}, "resamples"),
         ({"confidence": 95.0}, "confidence"),
+        ({"confidence": 0.9999999999999999}, "confidence: expected a number from 0.5 to 0.999999"),
+        ({"confidence": 0.49}, "confidence"),
         ({"seed": -1}, "seed"),
     ],
 )

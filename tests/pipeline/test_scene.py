@@ -40,6 +40,8 @@ def test_shipped_scenes_load_and_explain_each_key(name):
 BAD = {
     "unknown key": ("t_end = 8.0", "t_ned = 8.0\nt_end = 8.0", ["run.t_ned", "did you mean 't_end'"]),
     "unknown key, nothing like it": ("seed = 7", "colour = 7", ["run.colour", "t_end, matrices, seed"]),
+    "empty key": ("seed = 7", "seed = 7\n'' = 1", ["run.'': unknown key of [run]", "t_end, matrices, seed"]),
+    "empty key of the scene": ('title = "small"', "'' = 1", ["'': unknown key of a scene"]),
     "unknown table": ("[record]\nevents = true", "[recrod]\nevents = true", ["recrod", "did you mean 'record'"]),
     "unknown engine key": ("ratio_draws = 2", "ratio_drawz = 2", ["engine[1].ratio_drawz", "'ratio_draws'"]),
     "key of the other engine": ('name = "coulomb"', 'name = "coulomb"\neps = 0.1', ["engine[0].eps", "name, tol"]),
@@ -149,7 +151,12 @@ BAD = {
     "confidence in percent": (
         "t_burn = 1.0",
         "t_burn = 1.0\nconfidence = 95.0",
-        ["analysis.confidence", "less than 1"],
+        ["analysis.confidence", "less than or equal to 0.999999"],
+    ),
+    "confidence of certainty": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\nconfidence = 0.9999999999999999",
+        ["analysis.confidence", "less than or equal to 0.999999", "`confidence = 0.95`"],
     ),
     "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "1000000", "lower `matrices`"]),
     "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["1000000", "number of draws"]),

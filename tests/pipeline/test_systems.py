@@ -275,9 +275,17 @@ def test_a_file_that_is_none_is_refused_in_a_line(case, tmp_path, arrays, capsys
     assert sorted(one.name for one in tmp_path.iterdir()) == ["K.npz", "mine.toml"]
 
 
+@pytest.mark.parametrize("form", ["coo", "dia", "bsr"])
+def test_a_sparse_format_that_is_not_read_is_named(form, tmp_path, arrays):
+    file = written(tmp_path, arrays)
+    scipy.sparse.save_npz(tmp_path / "K.npz", scipy.sparse.eye_array(4, format=form))
+    with pytest.raises(SceneError, match=rf"expected csc or csr, got {form}; save K\.tocsc\(\)"):
+        load_scene(file)
+
+
 BAD_SCENES = {
     "no such file": ("K.npz", "none.npz", ["system.path", "'none.npz'", "names none in"]),
-    "a folder": ('"K.npz"', '"."', ["system.path", "'.'", "names none in"]),
+    "a folder": ('"K.npz"', '"."', ["system.path: expected a file, got the directory '.'"]),
     "another kind of file": (
         '"K.npz"',
         '"mine.toml"',

@@ -35,6 +35,7 @@ from stickslip.pipeline.places import directory, object_store
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running.worker import compute
+from tests.scenes import COULOMB, ensemble
 
 ROOT = Path(pipeline.__file__).parents[1]
 
@@ -554,6 +555,25 @@ def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_p
     shards(copy)[0].unlink()
     assert run_ensemble(grown, copy, workers=0).is_complete
     assert rows(copy) == rows(tmp_path / "anew")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "columns"),
+    [
+        ("friction = [1.0]", "friction = [1.0, {uniform = [0.8, 1.2]}]", "drawn, start_draw"),
+        ("[analysis]", '[[engine]]\nname = "moreau"\nstep = 0.1\n\n[analysis]', "step"),
+    ],
+)
+def test_what_needs_columns_that_the_data_lack_is_refused_for_that(old, new, columns, tmp_path):
+    text = ensemble("5\nfriction = [1.0]", 8.0, 1, COULOMB)
+    assert text.count(old) == 1
+    run_ensemble(parse_scene(text.encode()), tmp_path / "out", workers=0)
+    before = listing(tmp_path / "out")
+    words = f"a scene that adds some with {columns}, which these data lack; run it into another directory"
+    grown = parse_scene(text.replace(old, new).encode())
+    with pytest.raises(StoreError, match=words):
+        run_ensemble(grown, tmp_path / "out", workers=0)
+    assert listing(tmp_path / "out") == before
 
 
 def test_a_scene_that_somebody_put_there_is_not_what_a_dataset_grew_from(copy, source):

@@ -426,6 +426,29 @@ def test_a_directory_where_data_do_not_belong_is_refused(small_scene, tmp_path, 
     assert not (source / "workflows" / "scenes" / "data").exists()
 
 
+@pytest.mark.parametrize("name", [b"\xff", b"a\x1b[2Jb", b"a\nb"])
+def test_names_that_data_cannot_have_are_refused_before_anything_is_computed(
+    name, small_scene, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    scene = Path(os.fsdecode(name + b".toml"))
+    shutil.copy(small_scene, scene)
+    for argv, argument in (([str(scene)], "SCENE"), ([str(small_scene), "--out", os.fsdecode(name)], "--out")):
+        words = [f"{argument}: expected a name in UTF-8 without control characters, got ", ascii(scene.stem)[:-1]]
+        refused(["run", *argv], words, capsys)
+    assert list(tmp_path.iterdir()) == [tmp_path / scene]
+
+
+@pytest.mark.parametrize("name", ["..toml", "...toml"])
+def test_a_scene_whose_data_would_be_the_folder_of_all_data_is_refused(
+    name, small_scene, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(small_scene, name)
+    refused(["run", name], [f"SCENE: expected a name that data can have under runs/, got '{name}'"], capsys)
+    assert list(tmp_path.iterdir()) == [tmp_path / name]
+
+
 @pytest.mark.parametrize("argv", [["run", "no-such-scene"], ["run", "missing.toml"], ["status", "nowhere"]])
 def test_what_is_not_there(argv, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import unicodedata
 from collections.abc import Sized
 from contextlib import nullcontext
 from importlib import import_module
@@ -68,7 +69,12 @@ class Run(Command):
         from stickslip.workflows.asking import Asking
         from stickslip.workflows.scenes import chart_of, find, shipped
 
+        _check_name("SCENE", arguments.scene)
+        _check_name("--out", arguments.out or "")
         file = find(arguments.scene)
+        if arguments.out is None and not file.stem.strip("."):  # runs/ itself, or what it is in
+            raise Wrong(f"SCENE: expected a name that data can have under runs/, got {file.name!r}; rename it, or"
+                        " add --out DIR")  # fmt: skip
         if not file.exists() and file.suffix != ".toml":
             from stickslip.sim.numerics.arguments import did_you_mean
 
@@ -231,6 +237,12 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
     where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
     flags = [flag for flag in ("--retry-failed", "--no-report") if getattr(arguments, flag[2:].replace("-", "_"))]
     return command("run", arguments.scene, "--out", str(out), *where, *flags)
+
+
+def _check_name(argument: str, name: str) -> None:
+    """Refuse a name that data cannot be read under, or that a terminal would obey."""
+    if any(unicodedata.category(c) in ("Cc", "Cs") for c in name):
+        raise Wrong(f"{argument}: expected a name in UTF-8 without control characters, got {name!a}; rename it")
 
 
 def _check_directory(out: Path, file: Path) -> None:
