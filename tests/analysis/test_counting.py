@@ -121,7 +121,10 @@ def said(answer, macro="answer"):
 
 
 def test_independent_blocks_are_counting_alone(planted, rng):
-    leads = [question.answer(study_of(planted, (40,), 0.0, rng)).facts["lead"] for _ in range(8)]
+    found = [question.answer(study_of(planted, (40,), 0.0, rng)) for _ in range(8)]
+    leads = [one.facts["lead"] for one in found if not one.lack]
+    assert {one.lack for one in found if one.lack} <= {"drifts"}  # a false alarm of 5%: more than 3 of 8 are 4e-4
+    assert len(leads) > 4
     assert agrees(sum(lead["verdict"] in ("within", "cannot be told") for lead in leads), len(leads), 0.95, 1.0)
     lead = leads[0]
     assert lead["counting"] == pytest.approx(pool.gamma(40, lead["mean"]) / LN2 - 1)

@@ -426,7 +426,7 @@ def test_a_directory_where_data_do_not_belong_is_refused(small_scene, tmp_path, 
     assert not (source / "workflows" / "scenes" / "data").exists()
 
 
-@pytest.mark.parametrize("name", [b"\xff", b"a\x1b[2Jb", b"a\nb"])
+@pytest.mark.parametrize("name", [b"\xff", b"a\xc3"])
 def test_names_that_data_cannot_have_are_refused_before_anything_is_computed(
     name, small_scene, tmp_path, monkeypatch, capsys
 ):
@@ -434,7 +434,7 @@ def test_names_that_data_cannot_have_are_refused_before_anything_is_computed(
     scene = Path(os.fsdecode(name + b".toml"))
     shutil.copy(small_scene, scene)
     for argv, argument in (([str(scene)], "SCENE"), ([str(small_scene), "--out", os.fsdecode(name)], "--out")):
-        words = [f"{argument}: expected a name in UTF-8 without control characters, got ", ascii(scene.stem)[:-1]]
+        words = [f"{argument}: expected a name in UTF-8, got ", ascii(scene.stem)[:-1]]
         refused(["run", *argv], words, capsys)
     assert list(tmp_path.iterdir()) == [tmp_path / scene]
 

@@ -7,6 +7,7 @@ import gc
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
+from stickslip.pipeline.errors import printable
 from stickslip.workflows.commands.command import DONE, Command, Wrong
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def write_report(directory: Where, asking: Asking | None = None, watch: Watch | 
     if is_current(opened):
         if watch is not None:
             watch.close()
-        print(f"report  {opened.place.named(PAGE)}, unchanged")
+        print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
     else:
         with Asking() if asking is None else nullcontext(asking) as processes:
             _build(opened, processes, watch)
@@ -81,7 +82,7 @@ def publish(built: Built, where: Where) -> None:
     from stickslip.workflows.reporting import write
 
     page = write(built, where)
-    print("\n".join([*built.headline, f"report  {page}"]))
+    print("\n".join([*built.headline, printable(f"report  {page}")]))
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.errors import command
+from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.machine.processes import forked_workers, loading
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
@@ -142,7 +142,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
-    print(f"data    {out.named(DATA)}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
+    print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)
     if status.failures:
@@ -171,7 +171,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     store = Store(out, scene, arguments.retry_failed, arguments.accept_version)
     planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
-    print(f"{file}: {scene.n_members} members in {shards}, into {out}", flush=True)
+    print(printable(f"{file}: {scene.n_members} members in {shards}, into {out}"), flush=True)
     if scene.extent:
         print(f"grid    {scene.extent}", flush=True)
     n_to_go = sum(len(batch.members) for batch in to_go)
@@ -240,9 +240,9 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
 
 
 def _check_name(argument: str, name: str) -> None:
-    """Refuse a name that data cannot be read under, or that a terminal would obey."""
-    if any(unicodedata.category(c) in ("Cc", "Cs") for c in name):
-        raise Wrong(f"{argument}: expected a name in UTF-8 without control characters, got {name!a}; rename it")
+    """Refuse a name that data cannot be read under."""
+    if any(unicodedata.category(c) == "Cs" for c in name):
+        raise Wrong(f"{argument}: expected a name in UTF-8, got {name!a}; rename it")
 
 
 def _check_directory(out: Path, file: Path) -> None:
