@@ -198,6 +198,18 @@ def test_a_certificate_that_is_late_is_no_other_fate(planted):
     assert [row["engine"] for row in found.facts["rated"]] == ["coulomb"], "the rate is that of constant friction"
 
 
+def test_half_that_may_have_ended_is_not_said_to_be_fewer(planted):
+    """Where all are quiet, half may well have ended: only certificates are missing."""
+    for plan, words in (
+        ([QUIET] * 4, "not reached: 0 certified, 4 quiet"),
+        ([COLLAPSED] * 2 + [DIVERGED] + [QUIET] * 4, "not reached: 2 certified, 1 ran away, 4 quiet"),
+        ([COLLAPSED] + [SUSTAINED] * 4, "not reached<"),
+    ):
+        main = WORDS.main(asked(data_of(planted, plan)).facts)
+        assert f">{words}" in main
+        assert "fewer than half" not in main
+
+
 def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
     """Nor where friction hangs on the speed of slip, of which the rate says nothing."""
     data = data_of(planted, [LULL] * 5 + [SUSTAINED] * 5)
