@@ -189,8 +189,8 @@ def _half(
     followed = _followed(runs, group)
     if not followed:
         return Estimate()
-    hows, *times = followed
-    return half_ended([ends.get(how, how) for how in hows], *times, confidence)
+    hows, t_last, t_stop, t_end = followed
+    return half_ended([ends.get(how, how) for how in hows], t_last, t_stop, t_end, confidence)
 
 
 def _followed(runs: Sequence[Row], group: Group) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray] | None:
