@@ -169,8 +169,8 @@ def test_a_sample_is_the_planted_one(planted):
     assert total == 2 * count
     shares = {name: found.rows(name)[1][:, 0].tolist() for name in found.sums if name.startswith("share")}
     assert shares == {
-        "share all slipping": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
-        "share run away": [0, 0, 0, 0, 0, 1, 0],
+        "share of runs with no late stick": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
+        "share of runs that run away": [0, 0, 0, 0, 0, 1, 0],
     }
 
 
