@@ -62,9 +62,9 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
     said = (
-        "not distinguishable from what the toss of a coin gives"
+        "not distinguishable from the fair-coin null"
         if verdict == "cannot be told"
-        else f"{verdict} than the toss of a coin gives"
+        else f"{verdict} than the fair-coin null"
     )
     assert said in report.headline[1]
     assert_honest(report)
