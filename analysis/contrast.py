@@ -39,7 +39,7 @@ SHORT_WINDOW = "short window"  # a reason, like those of `stats.enough` and of t
 SHARE_MARGIN = 0.2
 #: Engines certify a collapse more or less often, so runs are compared by what is seen in all of them: whether a block
 #: sticks in the last quarter.
-ALL_SLIP, RUN_AWAY = "share all slipping", "share run away"
+ALL_SLIP, RUN_AWAY = "share of runs with no late stick", "share of runs that run away"
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,

@@ -138,15 +138,22 @@ class Group:
 
 
 def groups(members: pd.DataFrame) -> list[Group]:
-    """Members as groups: unperturbed ones first, then by n and engine."""
+    """Members as groups: unperturbed ones first, then by n, engine and settings, each by its value."""
 
     def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
         key = part[0]
-        return (key["perturbation_size"], key["n"], key["engine"], [str(value) for value in key.values()])
+        return (key["perturbation_size"], key["n"], key["engine"], [by_value(value) for value in key.values()])
 
     parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
     keys = [key for key, _ in parts]
     return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
+
+
+def by_value(value: object) -> tuple[int, float, str]:
+    """Sorts settings: numbers by their value, then None, then words."""
+    if isinstance(value, (int, float, np.number)):
+        return 0, float(value), ""
+    return (1, 0.0, "") if value is None else (2, 0.0, str(value))
 
 
 def engine_name(engine: str) -> str:

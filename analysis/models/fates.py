@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
@@ -28,6 +29,7 @@ LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it,
 #: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
 #: much.
 RATE_ROUNDING = 1e-8
+SHARE_ROUNDING = 1e-9  # of a product of shares, such as 5/6 4/5 3/4, which is one half
 
 
 #: Result of `kaplan_meier`: times, share that has not ended, lower and upper end of its interval, each (m,); the
@@ -80,13 +82,12 @@ def survival(
     t_last, t_stop, t_end : ndarray, shape (m,)
         Of each run: its last event; when it was certified or left every bound; and the end that was asked for.
     """
-    found = [ends_at(*one) for one in zip(fates, t_last, t_stop, t_end, strict=True)]
-    times, ended = np.array([t for t, _ in found], dtype=np.float64), np.array([is_end for _, is_end in found])
+    times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
     curve = kaplan_meier(times, ended, confidence)
     is_quiet = np.array([how == QUIET for how in fates])
     if not is_quiet.any():
         return curve
-    least = kaplan_meier(np.where(is_quiet, t_last, times), ended | is_quiet, confidence)
+    least = kaplan_meier(earliest, ended | is_quiet, confidence)
     t = np.union1d(curve[0], least[0])
     (share, high), (low,) = (
         [one[np.searchsorted(of[0], t, side="right") - 1] for one in some]
@@ -95,20 +96,52 @@ def survival(
     return t, share, low, high
 
 
-def median(t: np.ndarray, share: np.ndarray, low: np.ndarray, high: np.ndarray) -> Estimate:
-    """Time by which half have ended, from a result of `kaplan_meier`; None if fewer than half are seen to end.
+def half_ended(
+    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+) -> Estimate:
+    """Time by which half of the runs have ended: `median` of the runs of `survival`, with the same parameters.
 
-    The interval holds the times at which the interval of the share contains one half (Brookmeyer and Crowley 1982,
-    Biometrics 38, 29). An end that the data do not reach is None.
+    The lower end of the interval takes quiet runs as ended at their last events, the upper end as not ended.
     """
+    times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
+    return median(times, ended, confidence, earliest)
 
-    def first(below: np.ndarray) -> float | None:
-        below = below & (share < 1)  # before the first end nothing counts
-        return float(t[np.argmax(below)]) if below.any() else None
 
-    value = first(share <= 0.5)
+def _ends(
+    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Results of `ends_at` of some runs, and the times with quiet runs taken as ended at their last events."""
+    found = [ends_at(*one) for one in zip(fates, t_last, t_stop, t_end, strict=True)]
+    times, ended = np.array([t for t, _ in found], dtype=np.float64), np.array([is_end for _, is_end in found])
+    return times, ended, np.where([how == QUIET for how in fates], t_last, times)
+
+
+def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np.ndarray | None = None) -> Estimate:
+    """Time by which half have ended, by Kaplan and Meier; None if fewer than half are seen to end.
+
+    Of an even number it is the lower of the two middle times. The interval is one of order statistics, the k-th
+    smallest time to the k-th largest, with the largest k for which P(B < k) <= (1 - confidence) / 2, B being binomial
+    with as many trials as there are times and the chance 1/2. It covers with at least the confidence for any law of
+    the times; at 95% it takes six of them. For its lower end what was censored counts as ended then, for its upper
+    end as never ended, so it holds whatever censored them. An end that the data do not reach is None.
+
+    Parameters
+    ----------
+    times, ended, confidence
+        As in `kaplan_meier`.
+    earliest : ndarray, shape (m,), optional
+        When each may have ended at the earliest, for the lower end; `times` unless given.
+    """
+    if not len(times):
+        return Estimate(reason="nothing was followed")
+    t, share, _, _ = kaplan_meier(times, ended, confidence)
+    is_reached = (share <= 0.5 + SHARE_ROUNDING) & (share < 1)  # before the first end nothing counts
+    value = float(t[np.argmax(is_reached)]) if is_reached.any() else None
+    k = int(np.sum(special.bdtr(np.arange(len(times)), len(times), 0.5) <= (1 - confidence) / 2))
+    low = float(np.sort(times if earliest is None else earliest)[k - 1]) if k else None
+    high = float(np.sort(np.where(ended, times, np.inf))[-k]) if k else np.inf
     reason = "fewer than half have ended" if value is None else ""
-    return Estimate(value, first(low <= 0.5), first(high < 0.5), reason)
+    return Estimate(value, low, high if np.isfinite(high) else None, reason)
 
 
 def is_unstable(growth_rate: float | None) -> bool:

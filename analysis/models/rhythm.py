@@ -5,8 +5,8 @@ n_stick is modelled, at periods of several cycles of a block, as
 
     S(f) = c S_0(f) + P s(f),     s(f) = 8 g w0^2 / ((w0^2 - w^2)^2 + 4 g^2 w^2),     w = 2 pi f, g = w0 / (2 Q),
 
-The integral of s is 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing swings, and above
-1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. A swing decays to 1 / e in the time 1 / g.
+The integral of s is 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing oscillates, and
+above 1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. An oscillation decays to 1 / e in the time 1 / g.
 
 The four numbers P, w0, Q and c are fitted to periodograms of whole windows, averaged over matrices, by Whittle's
 likelihood with the expected periodogram in place of the spectrum (Sykulski, Olhede, Guillaumin, Lilly and Early 2019,
@@ -26,16 +26,16 @@ from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 
-SWINGING = 0.5  # quality above which a damped oscillator swings
+SWINGING = 0.5  # quality above which a damped oscillator oscillates
 QUALITIES = (0.2, 20.0)  # range of the fit
 LEAST_HARMONICS = 10  # in the band
 LEAST_PERIODS = 2.0  # of the oscillator in a window
 SURROGATES = 999
 MOST_STEPS = 100  # of Fisher scoring
 
-SWINGS, SLOW, NONE, SHORT = "swings", "slow", "none shown", "window too short"
+OSCILLATES, SLOW, NONE, SHORT = "oscillates", "slow", "none shown", "window too short"
 #: What is estimated: the natural period, without damping; the quality; the width in frequency, 1 / (period x
-#: quality); the time in which a swing decays to 1 / e; the rhythm's variance, and its share of the variance of
+#: quality); the time in which an oscillation decays to 1 / e; the rhythm's variance, and its share of the variance of
 #: n_stick; the share c of the blocks' own power; the period at which the spectrum peaks, and the power there over
 #: that of independent blocks.
 NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
@@ -199,8 +199,8 @@ class Rhythm:
     Attributes
     ----------
     verdict : str
-        `SWINGS`; `SLOW`, for a common slow motion that is not shown to swing; `NONE`; or `SHORT`, for a motion that
-        is too slow for the windows.
+        `OSCILLATES`; `SLOW`, for a common slow motion that is not shown to oscillate; `NONE`; or `SHORT`, for a
+        motion that is too slow for the windows.
     p : float
         The share of surrogates without coupling whose slow power is as concentrated.
     found : dict of str to Estimate
@@ -246,7 +246,7 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     numbers = _numbers(np.exp(np.vstack([start, left_out])), data, independent, variance)
     found = {name: _estimate(values, confidence, name == "share") for name, values in numbers.items()}
     quality = found["quality"]
-    verdict = SWINGS if quality.low is not None and quality.low > SWINGING else SLOW
+    verdict = OSCILLATES if quality.low is not None and quality.low > SWINGING else SLOW
     return Rhythm(verdict, p, found, numbers, natural)
 
 

@@ -227,13 +227,13 @@ def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fi
     if by_pool:
         sizes = np.array([row["size"] for row in by_pool])
         over = np.array([row["pool"] for row in by_pool]) * 2.0**sizes
-        below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="pool")
-    below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="coin")
+        below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="memoryless null")
+    below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="fair-coin null")
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
     top.set(xlabel="cascade size s", ylabel="share, f")
     margin = 0.08 * (max(ends) - min(ends)) + 0.002
-    below.set(ylabel="f / coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
+    below.set(ylabel="f / fair coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
     size_axis(top, largest)
     size_axis(below, widest)
     top.legend(loc="upper right", fontsize=7)

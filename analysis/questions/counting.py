@@ -107,9 +107,10 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
     x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
-    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="coin")
+    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair-coin null")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
-    ax.plot(x, np.array([row["counting"] for row in rows]) * scale, "D", color=GREEN, markersize=3.5, label="pool")
+    counted = np.array([row["counting"] for row in rows]) * scale
+    ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="memoryless null")
     for name, mark, colour, label in (
         ("independent", "s", SMOOTHED, "independent blocks"), ("excess", "o", EXACT, "runs"),
     ):  # fmt: skip

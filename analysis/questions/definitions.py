@@ -45,8 +45,7 @@ def answer(study: Study) -> Answer:
         "group": judged[0].label, "steps": steps, "middle": steps[len(steps) // 2],
         "least": min(sampled, key=lambda row: row["gamma"]), "most": max(sampled, key=lambda row: row["gamma"]),
         "over": sorted(row["over"] for row in compared), "draws": min(study.settings.resamples, DRAWS),
-        "n_differ": sum(row["verdict"] in (STEEPER, SHALLOWER) for row in compared),
-        "n_alike": sum(row["verdict"] == STEEP.same for row in compared),
+        **counts(compared),
         "margin": GAMMA_MARGIN,
         "brief": [_brief(lead, name, steps) for name in DEFINITIONS],
         "paper": PAPER_GAMMA, "is_drawn": len({row["dt"] for row in sampled}) > 1,
@@ -56,6 +55,24 @@ def answer(study: Study) -> Answer:
     if compared and figures:
         figures["over_blocks"] = partial(by_step, lead, "over", "γ / independent blocks")
     return Answer(facts, tables=table, figures=figures)
+
+
+def counts(compared: Sequence[Row]) -> dict[str, int]:
+    """Number of ratios by what is shown of them.
+
+    `n_beyond`: the whole interval lies beyond the margin, which is one of the logarithm. `n_about`: the ratio is
+    shown not to be 1 and its estimate is beyond the margin, but not its whole interval. `n_alike`: a ratio beyond the
+    margin is excluded. `n_open`: none of these.
+    """
+    differ = [row for row in compared if row["verdict"] in (STEEPER, SHALLOWER)]
+    most = 1 + GAMMA_MARGIN
+    n_beyond = sum(row["over_low"] > most or row["over_high"] < 1 / most for row in differ)
+    n_alike = sum(row["verdict"] == STEEP.same for row in compared)
+    n_about = len(differ) - n_beyond
+    return {
+        "n_beyond": n_beyond, "n_about": n_about, "n_alike": n_alike,
+        "n_open": len(compared) - len(differ) - n_alike,
+    }  # fmt: skip
 
 
 def _span(rows: Sequence[Row], definition: str) -> tuple[float, float] | None:

@@ -167,7 +167,7 @@ def over_fit(ax: Axes, groups: Mapping[str, Sequence[Row]]) -> None:
             color=(EXACT, SMOOTHED)[k % 2], markerfacecolor=(EXACT, "white")[k % 2], markersize=3.5, lw=0.9,
         )  # fmt: skip
         if k == 0 and seen[0]["pool"] is not None:
-            ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="pool")
+            ax.plot(size, [row["pool"] for row in seen], "--", color=GREY, label="memoryless null")
     ax.set(xlabel="cascade size s", ylabel="share / fitted exponential", ylim=(0.4, 1.4))
     size_axis(ax, largest)
     ax.legend(loc="lower left", fontsize=7)

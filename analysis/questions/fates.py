@@ -36,9 +36,9 @@ from stickslip.analysis.models.fates import (
     Curve,
     bounded_share,
     ends_at,
+    half_ended,
     is_held,
     is_unstable,
-    median,
     survival,
 )
 from stickslip.analysis.series.cascades import Window
@@ -78,7 +78,7 @@ def answer(study: Study) -> Answer:
     level = study.settings.confidence
     runs = [row for group in study.groups for row in _runs(group)]
     curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
-    groups = [_group_row(study, group, runs, curves.get(group.label)) for group in study.groups]
+    groups = [_group_row(study, group, runs) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
@@ -177,10 +177,25 @@ def _runs(group: Group) -> Iterator[Row]:
         }  # fmt: skip
 
 
-def _curve(
+def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None:
+    """Survival of the first run of each unit of a group."""
+    followed = _followed(runs, group)
+    return survival(*followed, confidence) if followed else None
+
+
+def _half(
     runs: Sequence[Row], group: Group, confidence: float, ends: Mapping[str, str] = MappingProxyType({})
-) -> Curve | None:
-    """Survival of the first run of each unit of a group; `ends` maps fates to those that they are counted as."""
+) -> Estimate:
+    """When half of the runs of `_curve` have ended; `ends` maps fates to those that they are counted as."""
+    followed = _followed(runs, group)
+    if not followed:
+        return Estimate()
+    hows, t_last, t_stop, t_end = followed
+    return half_ended([ends.get(how, how) for how in hows], t_last, t_stop, t_end, confidence)
+
+
+def _followed(runs: Sequence[Row], group: Group) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray] | None:
+    """Fates and times of the first run of each unit of a group that did not fail; None if all failed."""
     first: dict[int, Row] = {}
     for row in runs:
         if row["group"] == group.label and row["fate"] != FAILED:
@@ -188,8 +203,7 @@ def _curve(
     if not first:
         return None
     t_last, t_stop, t_end = np.array([row["times"] for row in first.values()]).T
-    hows = [ends.get(row["fate"], row["fate"]) for row in first.values()]
-    return survival(hows, t_last, t_stop, t_end, confidence)
+    return [row["fate"] for row in first.values()], t_last, t_stop, t_end
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -244,7 +258,7 @@ def _basin(followed: Sequence[Row]) -> Row | None:
     return max(found, key=lambda one: one["n"], default=None)
 
 
-def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | None) -> Row:
+def _group_row(study: Study, group: Group, runs: Sequence[Row]) -> Row:
     """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
     level = study.settings.confidence
     own = [row for row in runs if row["group"] == group.label]
@@ -252,8 +266,7 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
-    half = Estimate() if curve is None else median(*curve)
-    least = _curve(runs, group, level, {QUIET: COLLAPSED})
+    half, least = _half(runs, group, level), _half(runs, group, level, {QUIET: COLLAPSED})
     ended = [row for row in followed if row["fate"] in ENDS]
     share, settled = _share(followed, MOVING, level), _share(followed, SETTLED, level, untold=())
     return {
@@ -261,7 +274,7 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row], curve: Curve | N
         "engine": group.key["engine"], "n_runs": len(followed), "t_end": float(group.key["t_end"]),
         **_counts(own), **named("moving", share), **named("settled", settled),
         "n_held": sum(row["is_held"] for row in own), "is_rated": any(row["growth_rate"] is not None for row in own),
-        "half": half, **named("median", half), "median_least": None if least is None else median(*least).value,
+        "half": half, **named("median", half), "median_least": least.value,
         "last_end": max((row["t"] for row in ended), default=None),
         "last_quiet": max((row["times"][0] for row in followed if row["fate"] == QUIET), default=None),
         **named("mean", mean), "drifts": drift, **named("drift", drift),

@@ -20,9 +20,9 @@ from stickslip.analysis.models.rhythm import (
     LEAST_PERIODS,
     NONE,
     NUMBERS,
+    OSCILLATES,
     SHORT,
     SLOW,
-    SWINGS,
     Spectra,
 )
 from stickslip.analysis.questions.sweep import FALLS, RISES, curves
@@ -41,8 +41,9 @@ LEAST_POINTS = 3  # to fit a power
 LEAST_FACTOR = 2.0  # least ratio of the largest to the smallest value of a key, to claim a power of it
 LEAST_P = 0.05  # least p-value of the misfit, and of one exponent for all settings, to claim a power
 MOST_DRAWN = 3  # groups in the figure
+LARGER, SMALLER = "larger", "smaller"  # verdicts between engines, along which nothing rises
 ENGINE = "engine"  # changes are also compared between engines
-_ORDER = (SWINGS, SLOW, NONE, SHORT)  # the first verdict found leads
+_ORDER = (OSCILLATES, SLOW, NONE, SHORT)  # the first verdict found leads
 _RHYTHM: Mapping[str, str] = {
     "group": S, "verdict": S, "p_value": F, "cycle": F, "n_windows": F, "span": F, "needed": F,
     **{f"{name}{end}": F for name in NUMBERS for end in ("", "_low", "_high")}, "reason": S,
@@ -77,7 +78,7 @@ class _Measured:
 
 
 def answer(study: Study) -> Answer:
-    """Whether blocks swing slowly together."""
+    """Whether blocks oscillate together slowly."""
     if not study.data.events:
         return Answer(lack="no events")
     judged = study.judged()
@@ -89,7 +90,7 @@ def answer(study: Study) -> Answer:
         return Answer(lack="no events")
     level, t_burn = study.settings.confidence, study.settings.t_burn
     rows = [_row(one, t_burn) for one in measured]
-    known = [one for one, row in zip(measured, rows, strict=True) if row["verdict"] in (SWINGS, SLOW)]
+    known = [one for one, row in zip(measured, rows, strict=True) if row["verdict"] in (OSCILLATES, SLOW)]
     known.sort(key=lambda one: int(one.group.key["n"]))
     changes = _changes(known, level)
     laws = [one for key in KEYS for name in SCALED for one in [_power_law(name, key, known, level)] if one]
@@ -202,7 +203,8 @@ def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:
         for name in SCALED for key in (*KEYS, ENGINE) for some in _alike(key, known)
     ]  # fmt: skip
     for row, p in zip(found, holm([row["p_value"] for row in found]), strict=True):
-        shown = RISES if row["change"] > 0 else FALLS
+        more, less = (LARGER, SMALLER) if row["key"] == ENGINE else (RISES, FALLS)
+        shown = more if row["change"] > 0 else less
         row |= {"p_adjusted": float(p), "verdict": shown if p < 1 - confidence else UNKNOWN}
     return found
 

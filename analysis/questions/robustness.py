@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, kaplan_meier, median
+from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, follow, level, settings
 from stickslip.analysis.series.cascades import EVENTS, Window, sizes
 from stickslip.analysis.stats import components, enough
@@ -113,7 +114,9 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
         for matrix, base, end in alike:
             by_matrix.setdefault(matrix, []).append(abs(end[2] - base[2]))
         shifts = np.array([np.mean(some) for some in by_matrix.values()])
-        shift = median(*kaplan_meier(shifts, np.full(len(shifts), True), study.settings.confidence))
+        shift = median(shifts, np.full(len(shifts), True), study.settings.confidence)
+        if len(shifts):  # the mean of the two middle ones, as `redraw` has it
+            shift = replace(shift, value=float(np.median(shifts)))
         rows.append({
             "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"],
             "change": str(change.change), "of": change.change, "n_pairs": n_known,

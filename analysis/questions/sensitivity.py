@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.models.fates import kaplan_meier, median
+from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
@@ -131,7 +131,7 @@ def _parting_row(
     one_each = [*by_matrix.values()]  # the first of several draws, since matrices are the independent units
     times = np.array([one.t_stop if one.t is None else one.t for one in one_each])
     has_parted = np.array([one.t is not None for one in one_each])
-    half = median(*kaplan_meier(times, has_parted, study.settings.confidence))
+    half = median(times, has_parted, study.settings.confidence)
     return {
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
         "of": change, "t_end": float(setting.key["t_end"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from inspect import signature
 from types import CodeType
 from typing import Any
@@ -125,7 +126,7 @@ Show = Callable[[Any], str]
 How = int | str | Show | None
 #: A column of a table: its heading; its key in the rows, or two keys for "low to high"; and how its values are shown.
 Column = tuple[str, str | tuple[str, str], How]
-_SHOWN: Mapping[str, Show] = {
+_SHOWN: Mapping[str, Callable[..., str]] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
     "g": lambda value: minus(f"{value:g}"), "g%": lambda value: f"{100 * value:g}%", "#": number,
     "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
@@ -160,7 +161,7 @@ def table(
     """
     shown = rows[:most]
     kept = [column for column in columns if any(_known(row, column[1]) for row in shown)]
-    cells = [_cells(shown, column) for column in kept]
+    cells = [_cells(shown, column, _beside(kept, k)) for k, column in enumerate(kept)]
     out = [f'<div class="wide"><table class="{escape(kind)}">']
     if caption:
         out.append(f"<caption>{escape(caption)}</caption>")
@@ -191,20 +192,37 @@ def _known(row: Any, key: str | tuple[str, str]) -> bool:
     return _value(row, _name(key)) is not None
 
 
-def _cells(rows: Sequence[Any], column: Column) -> list[str]:
+def _beside(columns: Sequence[Column], k: int) -> tuple[str, ...]:
+    """Keys of the interval after the values of column k, or of the values before the interval in it."""
+    _, own, how = columns[k]
+    is_value = isinstance(own, str)
+    other = columns[k + 1 : k + 2] if is_value else columns[max(k - 1, 0) : k]
+    for _, key, theirs in other:
+        if how is not None and theirs == how and isinstance(key, str) != is_value:
+            return (key,) if isinstance(key, str) else key
+    return ()
+
+
+def _cells(rows: Sequence[Any], column: Column, beside: Sequence[str]) -> list[str]:
+    """Texts of a column; a value and its interval have the same decimals, so that it lies in it as shown too."""
     _, key, how = column
     keys = (key,) if isinstance(key, str) else key
-    values = [[_value(row, name) for name in keys] for row in rows]
+    values, others = ([[_value(row, name) for name in names] for row in rows] for names in (keys, beside))
     if isinstance(how, int):
-        return _aligned(values, how, "")
+        return _aligned(values, others, how, "")
     if isinstance(how, str) and how[0] == "+" and how[1:].isdigit():
-        return _aligned(values, int(how[1:]), "+")
+        return _aligned(values, others, int(how[1:]), "+")
     if how is None:
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
     if isinstance(how, str) and (known := re.fullmatch(r"(%\+?\.)(\d)f", how)):
-        how = f"{known[1]}{_apart(values, int(known[2]), fixed)}f"
-    if len(keys) == 2 and how in ("%", "+", "+%", "#"):
-        return [between(low, high, _SHOWN[how]) for low, high in values]
+        how = f"{known[1]}{_apart([*values, *others], int(known[2]), fixed)}f"
+    if how in ("%", "+", "+%", "#") and 2 in (len(keys), len(beside)):
+        show = _SHOWN[how]
+        first = int(signature(show).parameters["digits"].default)
+        return [
+            _joined(some, partial(show, digits=_apart([some, other], first, show)))
+            for some, other in zip(values, others, strict=True)
+        ]
     return [_joined(some, _show(how)) for some in values]
 
 
@@ -214,8 +232,11 @@ def _show(how: str | Show) -> Show:
     return _SHOWN[how] if how in _SHOWN else lambda value: minus(how % value)
 
 
-def _aligned(values: Sequence[Sequence[float | None]], digits: int, sign: str) -> list[str]:
-    decimals = _apart(values, _decimals((value for some in values for value in some), digits), fixed)
+def _aligned(
+    values: Sequence[Sequence[float | None]], others: Sequence[Sequence[float | None]], digits: int, sign: str
+) -> list[str]:
+    every = [*values, *others]
+    decimals = _apart(every, _decimals((value for some in every for value in some), digits), fixed)
     return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]
 
 

@@ -646,7 +646,7 @@ def parting_study(rng, ensembles):
             for _ in range(ensembles):
                 at = 300.0 * np.exp(0.5 * rng.standard_normal(g))
                 end = np.minimum(np.where(rng.random(g) < share, rng.uniform(0, 600, g), np.inf), t_end)
-                one = fates.median(*fates.kaplan_meier(np.minimum(at, end), at <= end, CONFIDENCE))
+                one = fates.median(np.minimum(at, end), at <= end, CONFIDENCE)
                 found.append(Estimate(one.value or t_end, one.low or 0.0, one.high or np.inf))
             yield judged("parting: median", f"300, {g} pairs, {name}", 300.0, found)
 
@@ -661,7 +661,7 @@ def escape_study(rng, ensembles):
             found = []
             for _ in range(max(ensembles // 4, 100)):
                 t = middle * (rng.exponential(1.0, n_runs) / np.log(2)) ** 0.5
-                one = fates.median(*fates.kaplan_meier(np.minimum(t, 1000.0), t < 1000, CONFIDENCE))
+                one = fates.median(np.minimum(t, 1000.0), t < 1000, CONFIDENCE)
                 found.append(Estimate(one.value or 1000.0, one.low or 0.0, one.high or np.inf))
             yield judged("escape: median", f"{middle:g}, {n_runs} runs", middle, found)
 

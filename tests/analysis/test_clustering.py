@@ -205,6 +205,29 @@ def test_every_definition_and_step_has_its_row(planted, rng):
     assert "against independent blocks" in said("definitions", found)
 
 
+def test_a_difference_beyond_the_margin_is_told_from_one_whose_interval_reaches_within_it():
+    """The margin of gamma is 1%, of the logarithm: below, it ends at 1 / 1.01 = 0.9901."""
+    rows = [
+        {"verdict": verdict, "over_low": low, "over_high": high}
+        for verdict, low, high in (
+            ("steeper", 1.011, 1.03), ("steeper", 1.009, 1.03), ("shallower", 0.97, 0.9902),
+            ("shallower", 0.97, 0.9900), ("shallower", 0.98, 0.995), ("within", 0.995, 1.005),
+            ("cannot be told", 1.02, 1.05),
+        )
+    ]  # fmt: skip
+    found = definitions.counts(rows)
+    assert found == {"n_beyond": 2, "n_about": 3, "n_alike": 1, "n_open": 1}
+
+
+def test_no_definition_is_said_to_lie_within_the_margin_unless_it_is_shown(planted, rng):
+    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
+    words = environment().get_template("definitions.html").module
+    facts = found.facts | {"n_beyond": 5, "n_about": 3, "n_alike": 0, "n_open": 1}
+    part = words.part(facts, lambda *_: "")
+    assert "5 differ from them by more than 1% over the whole interval, 3 by about 1%: a difference is shown" in part
+    assert "None is shown to lie within 1%; for 1 it cannot be told." in part
+
+
 def test_without_events_gamma_stands_alone(planted, rng):
     found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)], with_events=False))
     assert found.facts["over"] == []

@@ -17,6 +17,7 @@ from stickslip.analysis.contrast import (
     statistics,
     told,
 )
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import gamma, ratio
@@ -168,8 +169,8 @@ def test_a_sample_is_the_planted_one(planted):
     assert total == 2 * count
     shares = {name: found.rows(name)[1][:, 0].tolist() for name in found.sums if name.startswith("share")}
     assert shares == {
-        "share all slipping": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
-        "share run away": [0, 0, 0, 0, 0, 1, 0],
+        "share of runs with no late stick": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
+        "share of runs that run away": [0, 0, 0, 0, 0, 1, 0],
     }
 
 
@@ -190,3 +191,16 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     one = next(one for one in statistics(MARGINS) if one.name == "correlation time")
     assert contrast(one, found, other, True, 0.95)["reason"] == SHORT_WINDOW
     assert not contrast(one, found, found, True, 0.95)["reason"]
+
+
+def test_no_interval_is_shown_that_reaches_below_minus_100_percent():
+    """Of a correlation time, which is positive; what may be negative, and a difference of shares, keep theirs."""
+    words = environment().get_template("contrasts.html").module
+    row = {"quantity": "correlation time", "relative": 2.94, "relative_low": -1.95, "relative_high": 7.83,
+           "is_share": False, "first": 1.0, "second": 3.94, "margin": 0.1, "verdict": "cannot be told"}  # fmt: skip
+    assert words.size(row) == "+294% (no interval)"
+    assert words.size(row | {"second": -2.0}) == "+294% (−195% to +783%)"
+    assert words.size(row | {"relative_low": -0.95}) == "+294% (−95% to +783%)"
+    assert words.size(row | {"relative_low": -1.0, "is_share": True}) == "+294 points (−100 to +783)"
+    shown = words.side_by_side([row, row | {"quantity": "gamma", "relative_low": 0.1}], "a", "b", "")
+    assert [("−195%" in one, "+783%" in one) for one in shown.split("<tr>")[2:]] == [(False, False), (False, True)]

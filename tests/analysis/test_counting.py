@@ -139,12 +139,13 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     assert found.facts["lead"]["slope_verdict"] == "steeper"
     words = said(found)
     assert words.startswith("At n = 40, exact, γ is ")
-    assert "40 blocks without memory, contributes +" in words
+    assert "the memoryless null of 40 blocks, contributes +" in words
     assert re.search(r"Coupling contributes \+[0-9.]+ \(.*\) at n = 20", words)
     figure = found.figures["counting"]()
     assert [ax.get_ylabel() for ax in figure.axes] == [question.EXCESS, question.SCALED]
     (one,) = question.answer(study_of(planted, (40,), 0.1, rng)).figures["counting"]().axes
-    assert {"coin", "pool", "independent blocks", "runs"} == {text.get_text() for text in one.get_legend().texts}
+    labels = {text.get_text() for text in one.get_legend().texts}
+    assert labels == {"fair-coin null", "memoryless null", "independent blocks", "runs"}
 
 
 def test_within_the_margin_is_said_with_it_though_coupling_is_shown(planted, rng, monkeypatch):

@@ -86,7 +86,13 @@ def test_survivors_alone_are_compared_and_that_is_said(planted):
     found = answer(Study(Data(pd.DataFrame(rows), series), SETTINGS))
     (law,) = found.facts["laws"]
     assert (law["n_moving"], law["n_runs"]) == (8, 12)
-    assert "on the 8 of 12 matrices in motion under both" in WORDS.answer(found.facts)
+    said = WORDS.answer(found.facts)
+    assert "on the 8 of 12 matrices in motion under both" not in said.split("; over all")[-1]
+    assert "it cannot be told whether the share of runs that run away agrees (0 of 12 against 4 of 12)" in said
+    # survivors are named where the statistic is one of them
+    means = [row for row in law["rows"] if not row["is_share"]]
+    only = law | {"rows": means, "unknown": means[:1], "agree": means[1:], "differ": [], "worst": means[0]}
+    assert "on the 8 of 12 matrices in motion under both, " in WORDS.answer(found.facts | {"laws": [only]})
 
 
 def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(planted):

@@ -62,9 +62,9 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     assert found["verdict"] == verdict
     assert found["gamma_low"] < rate < found["gamma_high"]
     said = (
-        "not distinguishable from what the toss of a coin gives"
+        "not distinguishable from the fair-coin null"
         if verdict == "cannot be told"
-        else f"{verdict} than the toss of a coin gives"
+        else f"{verdict} than the fair-coin null"
     )
     assert said in report.headline[1]
     assert_honest(report)
@@ -119,6 +119,22 @@ def test_an_interval_never_shows_as_a_point(rng):
         first, second = text.split(" to ")
         assert first != second, text
     assert between(0.5, 0.5) == "0.500 to 0.500"
+
+
+@pytest.mark.parametrize("how", [3, "+2", "%.1f", "%+.1f", "%", "+%", "#"])
+def test_a_value_lies_in_its_interval_as_shown_too(rng, how):
+    """Decimals follow the width of the narrowest interval, in the column of the values as well."""
+    value = np.round(rng.uniform(49.3, 49.5, 20), 4).tolist()
+    rows = [
+        {"x": x, "low": x - below, "high": x + above}
+        for x, below, above in zip(value, *rng.uniform(1e-3, 0.05, (2, 20)).tolist(), strict=True)
+    ]
+    html = shown(rows, [("x", "x", how), ("interval", ("low", "high"), how), ("y", "high", "%.0f")])
+    cells = [re.sub("[%,+]", "", text) for text in re.findall(r"<td[^>]*>(.*?)</td>", html)]
+    for x, ends in zip(cells[::3], cells[1::3], strict=True):
+        low, high = map(float, ends.split(" to "))
+        assert low <= float(x) <= high
+        assert low < high
 
 
 def test_nothing_in_motion_is_not_called_too_little():

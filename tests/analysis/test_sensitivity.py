@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.models.fates import kaplan_meier, median
+from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
@@ -75,7 +75,7 @@ def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_lev
 
 
 def half_parted(times, has_parted):
-    return median(*kaplan_meier(np.array(times, dtype=float), np.array(has_parted), 0.95))
+    return median(np.array(times, dtype=float), np.array(has_parted), 0.95)
 
 
 def test_the_median_time_counts_what_was_not_seen_to_part():

@@ -164,7 +164,10 @@ def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings
     one = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
     answer = sweep.answer(Study(one, settings))
     assert answer.lack == "few matrices"
-    assert "one matrix at a value at most" in build(one, settings, "Few", "", {}).html
+    words = environment().get_template("sweep.html").module
+    none = answer.facts | {"few": answer.facts["few"] | {"n_units": 0}}
+    assert words.lack(none, answer.lack) == "No run is in motion at any value of belt_speed."
+    assert "One matrix at a value of belt_speed at most, too few" in build(one, settings, "Few", "", {}).html
 
 
 @pytest.mark.drawn

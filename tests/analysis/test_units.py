@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
+from stickslip.analysis.groups import by_value
 from stickslip.analysis.members import FILE, MATRIX, START
 from stickslip.analysis.report.page import plain
 from stickslip.analysis.stats import student
@@ -81,3 +82,9 @@ def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
     assert one_system.tables["groups"]["starts"].tolist() == [20]
     several = build(runs_of(planted, rng, [(None, m) for m in range(5)], 4), settings, "Both", "", {})
     assert "from leaving out one matrix at a time" in several.html
+
+
+def test_settings_are_in_the_order_of_their_values():
+    """As text, 1e-05 comes after 0.0001, and 10 before 9."""
+    values = [None, "uniform", 10, 9.0, 1e-05, 0.0001, -1.0]
+    assert sorted(values, key=by_value) == [-1.0, 1e-05, 0.0001, 9.0, 10, None, "uniform"]

@@ -294,12 +294,14 @@ def others(measured, *studies):
 
 
 def test_fates_are_counted_with_wilsons_interval(judged, measured):
-    rows = [row("long", n=5, fate="collapsed", t_last=t) for t in (30.0, 40.0, 50.0, 60.0)]
+    rows = [row("long", n=5, fate="collapsed", t_last=t) for t in (30.0, 35.0, 40.0, 45.0, 50.0, 60.0)]
     rest = judged(runs=[*others(measured, "long", "details"), *rows, row("long"), row("long", n=25, fate="diverged")])
     few = rest["few_come_to_rest"]
-    assert (few["found"], few["tried"], few["verdict"], few["ends"][-1]) == (4, 4, "reproduced", 60.0)
-    assert few["low"] == pytest.approx(0.510, abs=1e-3)
+    assert (few["found"], few["tried"], few["verdict"], few["ends"][-1]) == (6, 6, "reproduced", 60.0)
+    assert few["low"] == pytest.approx(0.610, abs=1e-3)
     assert rest["more_come_to_rest"]["verdict"] == "not reproduced"  # they end long before t = 150
+    fewer = judged(runs=[*others(measured, "long", "details"), *rows[:4], row("long")])
+    assert fewer["more_come_to_rest"]["verdict"] == "cannot be told"  # the median of four times has no interval
     assert rest["many_keep_on"]["beyond"]["found"] == 1
 
 

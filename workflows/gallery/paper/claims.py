@@ -18,7 +18,6 @@ from stickslip.analysis.models.fates import (
     MOVING,
     QUIET,
     WATCHED,
-    kaplan_meier,
     median,
 )
 from stickslip.analysis.questions.cascades import PAPER_GAMMA
@@ -72,7 +71,7 @@ def judge(scene: Asked, measured: Measured) -> list[Claim]:
 
 
 def _median(times: Sequence[float]) -> Estimate:
-    return median(*kaplan_meier(np.array(times), np.full(len(times), True), CONFIDENCE)) if len(times) else Estimate()
+    return median(np.array(times), np.full(len(times), True), CONFIDENCE)
 
 
 def _share(rows: Sequence[Row], *of: str) -> Claim:

@@ -253,7 +253,7 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
         own = [one for one in some if one.size == size]
         left = np.array([one.fate == fates.DIVERGED for one in own])
         times = np.where(left, [one.t_stop for one in own], t_end)
-        half = fates.median(*fates.kaplan_meier(times, left, CONFIDENCE))
+        half = fates.median(times, left, CONFIDENCE)
         found.append({
             "size": size, "runs": len(own), "left": int(left.sum()), "median": half.value, "low": half.low,
             "high": half.high,
