@@ -12,7 +12,7 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, label
+from stickslip.analysis.groups import Group, by_value, label
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
@@ -58,7 +58,7 @@ class Point:
     fates: dict[str, int] = field(default_factory=dict)
     values: dict[str, Values] = field(default_factory=dict)
 
-    def rank(self) -> list[list[tuple[bool, float, str]]]:
+    def rank(self) -> list[list[tuple[int, float, str]]]:
         """Sorts points along the axes, in the order of their values."""
         return [_order(value) for value in self.at.values()]
 
@@ -123,9 +123,9 @@ def as_text(value: Sequence[Value]) -> str:
     return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
 
 
-def _order(value: Sequence[Value]) -> list[tuple[bool, float, str]]:
+def _order(value: Sequence[Value]) -> list[tuple[int, float, str]]:
     """Sorts values: numbers before distributions."""
-    return [(True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in value]
+    return [by_value(one) for one in value]
 
 
 def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:

@@ -8,9 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Record, Sharing, is_exact
+from stickslip.pipeline.records.record import Facts, Made, Member, Record, Sharing, is_exact, needs_exact
 from stickslip.sim.energy import Energy, TooLongError, energy
-from stickslip.sim.engines import ENGINES
 
 
 class EnergyRecord(Record):
@@ -39,13 +38,7 @@ class EnergyRecord(Record):
     )
 
     def problem(self, facts: Facts) -> str:
-        if any(engine.is_exact for engine in facts.engines):
-            return ""
-        exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
-        return (
-            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
-            f' "{exact}", or remove it'
-        )
+        return needs_exact(facts)
 
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 10.0 * member.cost if is_exact(member) else 0.0

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, StateRecord, is_exact
-from stickslip.sim.engines import ENGINES
+from stickslip.pipeline.records.record import Facts, Made, StateRecord, is_exact, needs_exact
 
 
 @dataclass(frozen=True)
@@ -29,13 +28,7 @@ class FrictionPower(StateRecord):
     )
 
     def problem(self, facts: Facts) -> str:
-        if any(engine.is_exact for engine in facts.engines):
-            return ""
-        exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
-        return (
-            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
-            f' "{exact}", or remove it'
-        )
+        return needs_exact(facts)
 
     def of(self, made: Made) -> dict[str, Any]:
         samples = made.samples(self.times(made.member))

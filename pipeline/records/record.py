@@ -196,3 +196,14 @@ class StateRecord(WindowRecord):
 def is_exact(member: Member) -> bool:
     """Whether a member runs by the exact law."""
     return ENGINES[member.engine].is_exact
+
+
+def needs_exact(facts: Facts) -> str:
+    """The problem of a record of the exact law with a scene that has no engine of it; "" if it has one."""
+    if any(engine.is_exact for engine in facts.engines):
+        return ""
+    exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
+    return (
+        f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+        f' "{exact}", or remove it'
+    )
