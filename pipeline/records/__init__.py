@@ -2,6 +2,7 @@
 
 from stickslip.pipeline.records.amplitude import Amplitude
 from stickslip.pipeline.records.attractor import AttractorRecord
+from stickslip.pipeline.records.collapse import CollapseRecord
 from stickslip.pipeline.records.end import End
 from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
 from stickslip.pipeline.records.episodes import EpisodesRecord
@@ -25,6 +26,7 @@ ALWAYS = OutcomeRecord()
 #: What a scene may ask for, in the order of their columns; one that takes from another comes after it.
 RECORDS: tuple[type[Record], ...] = (
     End,
+    CollapseRecord,
     GrowthRate,
     Events,
     EpisodesRecord,

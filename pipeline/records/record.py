@@ -121,6 +121,8 @@ class Record(ABC):
         Whether it is about each run's own path, so that tolerances are picked for paths.
     is_shared : bool
         Whether most of its cost is computed once for several members.
+    is_certified : bool
+        Whether it needs runs that are tested for collapse whenever all blocks slip.
     """
 
     name: ClassVar[str]
@@ -131,6 +133,7 @@ class Record(ABC):
     is_step: ClassVar[bool] = False
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
+    is_certified: ClassVar[bool] = False
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:

@@ -104,10 +104,11 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     """Some members of as many blocks; those with plain systems and the same settings are set up at once."""
     prepared: list[_Prepared] = []
     alike: dict[Engine, dict[int, Task]] = {}
+    stop_early = "always" if any(record.is_certified for record in recording.records) else True
     for k, member in enumerate(members):
         try:
             system = member.system()
-            engine, task = member.task(system, _times(member, recording), end_of(member))
+            engine, task = member.task(system, _times(member, recording), end_of(member), stop_early)
         except Exception as error:  # noqa: BLE001  as in `_result`
             prepared.append((member, None, partial(_raise, error)))
             continue
