@@ -422,7 +422,7 @@ def test_systems_and_runs_go_with_their_last_user(engine, mass):
 
 @pytest.mark.parametrize("law", [{"tol": 1e-6}, {"engine": "sigmoid", "eps": 0.01, "rtol": 1e-6, "atol": 1e-6}])
 def test_a_collapse_is_certified_where_that_saves_steps(law, rng):
-    """Of a long run by default, of a short one where it is asked for; without, nothing differs from no test at all."""
+    """Of a long run by default, of a short one where asked for; without, nothing differs from no test at all."""
     outcomes = []
     for _ in range(5):
         system = draw_system("antisymmetric", 10, rng.integers(2**32))
