@@ -29,6 +29,7 @@ from stickslip.pipeline.places.manifest import (
     read_manifest,
 )
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
+from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.adding import lines_between
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.toml import parse_toml
@@ -206,7 +207,7 @@ class Store:
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
                 f"it, got that of another (hash {manifest.scene_hash[:12]}){self._difference(stored)}; choose "
-                f"another directory, or restore what differs"
+                f"another directory, or restore what differs{self._on_from_ends(stored)}"
             )
         return Manifest(
             scene_hash=self.scene.hash,
@@ -214,6 +215,21 @@ class Store:
             earlier=[*manifest.earlier, stored.source.decode()],
             packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
+            extension=manifest.extension,
+        )
+
+    def _on_from_ends(self, stored: Scene | None) -> str:
+        """What to do for longer runs, if that is what the scene asks for."""
+        if stored is None or self.scene.run.t_end <= stored.run.t_end:
+            return ""
+        kept = (
+            ""
+            if stored.keeps(End)
+            else f", once `{command('extend', str(self.place), '--record', 'end')}` has kept them"
+        )
+        return (
+            "; a run that goes on is not, to the last bit, one in one piece, so these are not lengthened: another"
+            f" scene can start at their ends, with `dataset` under [start]{kept}"
         )
 
     def _difference(self, other: Scene | None) -> str:
