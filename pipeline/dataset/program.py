@@ -20,6 +20,7 @@ _DETERMINING = (
     "pipeline/ensemble",
     "pipeline/records",
     "pipeline/running/ends.py",
+    "pipeline/running/kept.py",
     "pipeline/running/worker.py",
     "pipeline/scene",
 )

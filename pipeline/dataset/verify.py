@@ -59,7 +59,7 @@ def verify(path: Where) -> list[str]:
                 problem = problem or _content(content or b"", schema_of(recording), ids, shard.outcomes)
             if problem:
                 problems.append(f"{place.named(f'{DATA}/{name}')}: {problem}")
-    known = {f"{DATA}/{name}" for name, _ in shards}
+    known = {f"{DATA}/{name}" for name in found.manifest.known}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
     return problems + [f"{place.named(name)}: stray file, not in the manifest" for name in strays]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord, is_exact
+from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.attractors import attractor
 from stickslip.sim.engines.coulomb.settings import Coulomb
 
@@ -66,6 +66,10 @@ class AttractorRecord(WindowRecord):
         ),
     )
     is_of_paths = True
+    needs = frozenset({"events", "end", "system"})
+
+    def applies(self, member: Member) -> bool:
+        return member.engine == Coulomb.name
 
     def problem(self, facts: Facts) -> str:
         if any(engine is Coulomb for engine in facts.engines):
@@ -76,11 +80,9 @@ class AttractorRecord(WindowRecord):
         )
 
     def cost(self, member: Member, sharing: Sharing) -> float:
-        return 0.2 * member.cost if is_exact(member) else 0.0
+        return 0.2 * member.cost if self.applies(member) else 0.0
 
     def of(self, made: Made) -> dict[str, Any]:
-        if made.member.engine != Coulomb.name:
-            return {}
         # a run that is certain to escape may end before
         t_burn = min(self.t_burn, made.run.t_end)
         found = attractor(made.run, made.system, t_burn, engine=made.member.engine, **dict(made.member.settings))

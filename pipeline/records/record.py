@@ -25,6 +25,10 @@ from stickslip.sim.systems.system import System
 _NONE = np.empty(0)
 
 
+class NotKeptError(RuntimeError):
+    """A record that is added to a dataset reads what it does not say that it needs."""
+
+
 class Member(Protocol):
     """What a record may ask of a member: see `stickslip.pipeline.ensemble.member.Member`."""
 
@@ -119,6 +123,10 @@ class Record(ABC):
     columns : tuple of Column
     is_of_paths : bool
         Whether it is about each run's own path, so that tolerances are picked for paths.
+    needs : frozenset of str
+        What `of` reads: "run" if it reads of the run what no record keeps, such as samples; else the names of the
+        records that keep all that it reads of it, such as "events"; and "system" if it reads the system or the start.
+        A record that does not need "run" is added to a finished dataset without running anything.
     is_shared : bool
         Whether most of its cost is computed once for several members.
     is_certified : bool
@@ -134,6 +142,7 @@ class Record(ABC):
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
     is_certified: ClassVar[bool] = False
+    needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
@@ -150,6 +159,10 @@ class Record(ABC):
         The same for all members of one n, source, engine and change: only the first of them is asked.
         """
         return 0.0
+
+    def applies(self, member: Member) -> bool:
+        """Whether a member has values of it; without, they are null."""
+        return True
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""

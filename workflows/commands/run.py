@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.machine.processes import forked_workers, loading
 from stickslip.pipeline.machine.signals import Interrupted
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places
 from stickslip.workflows.commands.report import check_no_ensemble, publish, write_report
 
 if TYPE_CHECKING:
@@ -40,17 +40,7 @@ class Run(Command):
         parser.add_argument(
             "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
         )
-        where = parser.add_mutually_exclusive_group()
-        # a default in text: argparse takes a value that is the default itself for one that was not given
-        where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
-        where.add_argument(
-            "--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://"
-        )
-        parser.add_argument(
-            "--dashboard",
-            action="store_true",
-            help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
-        )
+        add_places(parser)
         parser.add_argument(
             "--no-report", action="store_true", help="write no report; `stickslip report DIR` does so later"
         )
@@ -256,10 +246,3 @@ def _check_directory(out: Path, file: Path) -> None:
         raise Wrong(f"--out: expected a directory, got the file {out}; choose another")
     if place == file.resolve().parent and not (place / MANIFEST).exists():
         raise Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; choose another")
-
-
-def _count(text: str) -> int:
-    value = int(text) if text.isascii() and text.isdigit() else 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
-    return value
