@@ -26,6 +26,7 @@ _KINDS = {
     "number": pa.float64(),
     "whole": pa.int32(),
     "count": pa.int64(),
+    "yes or no": pa.bool_(),
     "text": pa.string(),
     "numbers": _NUMBERS,
     "numbers or null": _list(pa.float64(), nullable=True),

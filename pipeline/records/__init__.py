@@ -11,6 +11,7 @@ from stickslip.pipeline.records.first_exit import FirstExit
 from stickslip.pipeline.records.friction_power import FrictionPower
 from stickslip.pipeline.records.growth_rate import GrowthRate
 from stickslip.pipeline.records.outcome import OutcomeRecord
+from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.separation import Separation
 from stickslip.pipeline.records.slip_speed import SlipSpeed
@@ -41,6 +42,7 @@ RECORDS: tuple[type[Record], ...] = (
     Waiting,
     FrictionPower,
     AttractorRecord,
+    OwnRecord,
 )
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.

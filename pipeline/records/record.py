@@ -116,6 +116,8 @@ class Record(ABC):
         Its own, and the key under [record], which is true or false.
     is_step : bool
         Whether the value of its key is a step of time instead.
+    is_named : bool
+        Whether it is names of functions instead.
     words, example : str, object
         Of that key, for schemas and the guide.
     asked_by : str
@@ -139,6 +141,7 @@ class Record(ABC):
     asked_by: ClassVar[str] = ""
     columns: ClassVar[tuple[Column, ...]]
     is_step: ClassVar[bool] = False
+    is_named: ClassVar[bool] = False
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
     is_certified: ClassVar[bool] = False
@@ -148,6 +151,11 @@ class Record(ABC):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         """The record, if a scene asks for it by [record] or by the settings of an engine; else None."""
         return cls() if keys[cls.name] else None
+
+    @property
+    def kept(self) -> tuple[Column, ...]:
+        """Its columns in a dataset, which may depend on the scene."""
+        return self.columns
 
     def times(self, member: Member) -> Floats:
         """When a run is sampled for it, shape (m,)."""
@@ -199,14 +207,22 @@ class StateRecord(WindowRecord):
         return cls(keys["t_burn"], keys["dt"]) if keys[cls.name] else None
 
     def times(self, member: Member) -> Floats:
-        """t_burn, t_burn + dt ... to t_end."""
-        n_steps = math.floor((member.t_end - self.t_burn) / self.dt * (1 + 1e-12))
-        return np.minimum(self.t_burn + self.dt * np.arange(n_steps + 1), member.t_end)
+        return steps(self.t_burn, member.t_end, self.dt)
 
     def memory(self, facts: Facts) -> Memory:
-        # z and w, and what is computed of them
-        n_bytes = 4.0 * 8 * facts.n * (facts.t_end - self.t_burn) / self.dt
-        return Memory(n_bytes, "sampling a run", "lengthen record.dt")
+        return sampling(facts, self.t_burn, self.dt)
+
+
+def steps(t_burn: float, t_end: float, dt: float) -> Floats:
+    """t_burn, t_burn + dt ... to t_end."""
+    n_steps = math.floor((t_end - t_burn) / dt * (1 + 1e-12))
+    return np.minimum(t_burn + dt * np.arange(n_steps + 1), t_end)
+
+
+def sampling(facts: Facts, t_burn: float, dt: float) -> Memory:
+    """What states every `dt` take: z and w, and what is computed of them."""
+    n_bytes = 4.0 * 8 * facts.n * (facts.t_end - t_burn) / dt
+    return Memory(n_bytes, "sampling a run", "lengthen record.dt")
 
 
 def is_exact(member: Member) -> bool:

@@ -29,6 +29,7 @@ from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
 from stickslip.pipeline.running.kept import Kept
+from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, row
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
@@ -114,7 +115,8 @@ def run_ensemble(
         If the directory cannot be used or written.
     SceneError
         If an engine does not take what the scene asks, a worker of this machine cannot hold its largest system, or
-        a file that systems come from is gone or another; nothing was done.
+        a file that systems come from is gone or another, or what functions of the user's own measure of a run is not
+        what they declare or differs from call to call; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
@@ -128,8 +130,12 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
+    if scene.own_record is not None:  # before anything is written
+        check_functions(scene, Store(out, scene, retry_failed, accept_version).look()[1])
     with Store(out, scene, retry_failed, accept_version) as store:
         firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
+        for function in scene.own_functions if firsts else ():
+            systems.look_again(function)  # as it was, or a word here and not a row for each member
         fill(store, lambda task: (*task, None), firsts, start, Workers(workers, scheduler, dashboard), on_progress)
     return counted(store.opened, store.tasks)
 

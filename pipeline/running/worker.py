@@ -24,7 +24,7 @@ from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
 from stickslip.pipeline.records import ALWAYS
-from stickslip.pipeline.records.record import Made
+from stickslip.pipeline.records.record import Made, Record
 from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import Recording
@@ -170,11 +170,23 @@ def _kept(
     """What is kept of a run."""
     if not np.isfinite(run.events.t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
-    made = Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
+    found = _made(member, system, run)
     for record in (ALWAYS, *recording.records):
         if record.applies(member):
-            made.found.update(record.of(made))
-    return run.events, made.found
+            found.found.update(record.of(found))
+    return run.events, found.found
+
+
+def made(member: Member, record: Record) -> Made:
+    """A member that was run for one record, which has computed nothing yet."""
+    ((_, system, run),) = _prepared([member], Recording("", records=(record,)))
+    ran = run()
+    assert system is not None  # else that has raised
+    return _made(member, system, ran)
+
+
+def _made(member: Member, system: sim.System, run: sim.Run) -> Made:
+    return Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
 
 
 def _drawn_start(member: Member) -> dict[str, Any]:

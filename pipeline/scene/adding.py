@@ -127,6 +127,12 @@ def _check(before: Scene, found: Scene) -> None:
                 f"record.{record.name}: expected what the data have, {_of(record)}, got {shown}; leave out what"
                 " changes it, or run the scene into another directory"
             )
+    for record in found.records:
+        if record.is_certified and record.name not in {one.name for one in before.records}:
+            raise SceneError(
+                f"record.{record.name}: expected a record that changes no other column, got one for which more runs"
+                " are tested for collapse; run the scene with it into another directory"
+            )
     if found.records == before.records:
         raise SceneError("record: expected a record that the data lack, got none; name one, as in `waiting = true`")
 

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from stickslip.workflows.asking import Asking
 
 
+#: Reasons for which functions of the user's own gave no value, that are shown.
+_REASONS = 5
+
+
 class Run(Command):
     """`stickslip run`."""
 
@@ -135,6 +139,8 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)
+    if scene.own_record is not None:
+        _say_problems(out)
     if status.failures:
         arguments.retry_failed = True
         copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
@@ -146,11 +152,23 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     return UNFINISHED if status.failures else DONE
 
 
+def _say_problems(out: Place) -> None:
+    """Why functions of the user's own gave no value, the commonest reasons."""
+    from stickslip.pipeline.query import members
+
+    reasons = members(out, ["own_problem"])["own_problem"].value_counts()
+    for reason, count in reasons.head(_REASONS).items():
+        print(f"own     {count}: {printable(str(reason))}", file=sys.stderr)
+    if len(reasons) > _REASONS:
+        print(f"own     {reasons[_REASONS:].sum()}: others, in the column own_problem", file=sys.stderr)
+
+
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.dataset.writer import Store
     from stickslip.pipeline.running import ends
     from stickslip.pipeline.running.cluster import check_memory
     from stickslip.pipeline.running.estimate import WITHIN, estimate
+    from stickslip.pipeline.running.trials import check_functions
     from stickslip.workflows.progress import clock
     from stickslip.workflows.scenes import load
 
@@ -169,6 +187,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
     if not to_go:
         return DONE
+    check_functions(scene, store.todo)
     found = estimate(scene, to_go, arguments.workers)
     for reason, count in found.failures.items():
         print(f"failed  {count} of the pilot: {reason}")
