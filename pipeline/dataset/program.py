@@ -18,6 +18,7 @@ _DETERMINING = (
     "sim",
     "pipeline/dataset/schema.py",
     "pipeline/ensemble",
+    "pipeline/own",
     "pipeline/records",
     "pipeline/running/ends.py",
     "pipeline/running/worker.py",

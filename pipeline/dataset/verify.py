@@ -13,10 +13,11 @@ import pyarrow.parquet as pq
 from stickslip.pipeline.dataset.opened import open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
-from stickslip.pipeline.scene.systems import ChangedError, SystemFunction, look_again
+from stickslip.pipeline.scene.systems import SystemFunction, look_again
 
 
 def verify(path: Where) -> list[str]:

@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.own.function import resolve
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
@@ -39,7 +40,7 @@ from stickslip.pipeline.scene.quantity import (
     values,
 )
 from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
-from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, located, look_at_files, look_at_module, tried
+from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
 from stickslip.pipeline.scene.toml import (
     Positive,
@@ -425,7 +426,7 @@ class Scene(StrictTable):
         if module is None:
             return None
         at, beside = str(self._folder.resolve()), tuple(sorted(module.beside.items()))
-        return SystemFunction(self.system.coupling, module.sha256, at, module.is_sparse, beside)
+        return SystemFunction(KEY, self.system.coupling, module.sha256, at, beside, is_sparse=module.is_sparse)
 
     @property
     def ends(self) -> Ends | None:
@@ -542,13 +543,14 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
         return {"files": look_at_files(path, folder)}
     if not isinstance(coupling, str) or not is_function(coupling):
         return {}
-    seen: dict[str, Any] = {"sha256": look_at_module(coupling, folder), "is_sparse": False, "entries_by_block": 0.0}
+    sha256 = resolve(coupling, folder, KEY).sha256
+    seen: dict[str, Any] = {"sha256": sha256, "is_sparse": False, "entries_by_block": 0.0}
     scene = as_scene(Scene, {**tables, "system": system | {"module": seen}}, name)
     scene._folder = folder
     own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
     n, function = min(scene.system.n), scene._function
     assert function is not None
-    return {"module": seen | tried(function, n, own)}
+    return {"module": seen | tried_function(function, n, own)}
 
 
 def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Scene:

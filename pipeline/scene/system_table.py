@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
+from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.scene.quantity import (
     AnyNumber,
     Course,
@@ -52,13 +53,10 @@ _FORCES = (("amplitude", "frequency"), ("times", "values"))
 
 _HARMONIC = (*_FORCES[0], "phase")
 
-#: Pattern of a coupling that names a function.
-_FUNCTION = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
-
 
 def is_function(coupling: str) -> bool:
     """Whether a coupling names a function that makes the systems."""
-    return re.match(_FUNCTION, coupling) is not None
+    return re.match(PATTERN, coupling) is not None
 
 
 def _coupling(name: str) -> str:
@@ -236,7 +234,7 @@ class _Source(StrictTable):
         description="name of the ensemble, or of the graph that springs lie along; that K is read from a file; or the"
         " function that makes the systems, as module:function",
         examples=["antisymmetric"],
-        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": _FUNCTION}]},
+        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": PATTERN}]},
     )
     n: BlockNumbers = Field(
         default_factory=tuple,

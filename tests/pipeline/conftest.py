@@ -8,7 +8,7 @@ import pytest
 
 from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
-from stickslip.pipeline.scene import systems
+from stickslip.pipeline.own import trial
 from tests.pipeline import trials
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
@@ -36,7 +36,7 @@ def small_batches(monkeypatch):
 def kept_children():
     """A function is tried in two processes whenever its scene is read; to start them takes longer than all else."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(systems, "Child", trials.Kept.next)
+        patch.setattr(trial, "Child", trials.Kept.next)
         yield
     trials.Kept.end()
 

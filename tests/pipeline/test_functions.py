@@ -14,8 +14,9 @@ import pytest
 
 from stickslip import sim
 from stickslip.pipeline import SceneError, StoreError, expand, load_scene, query, run_ensemble, status, verify
+from stickslip.pipeline.own import function, trial
+from stickslip.pipeline.own.files import name_beside
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.scene import systems
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here
@@ -153,7 +154,7 @@ def test_a_module_that_changes_while_it_runs_is_said_by_who_needs_it(tmp_path):
     scene = load_scene(written(tmp_path))
     written(tmp_path, own=OWN.replace("-0.3", "-0.2"))
     run = expand(scene)[0]
-    systems._function.cache_clear()
+    function._loaded.cache_clear()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another; on a cluster"):
         run.system()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another"):
@@ -229,11 +230,11 @@ def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
     computed_here(monkeypatch)
     for more in (["--dry-run"], ["--only", member], ["--no-report"]):
         mark.unlink()
-        systems._function.cache_clear()
+        function._loaded.cache_clear()
         assert main(["run", "mine.toml", *more]) == 0
         assert mark.exists(), more
     mark.unlink()
-    systems._function.cache_clear()
+    function._loaded.cache_clear()
     for read in (["status"], ["verify"], ["report"], ["query"]):
         assert main([*read, "runs/mine", *["SELECT n FROM members"][: read == ["query"]]]) == 0
     assert not mark.exists()
@@ -344,11 +345,9 @@ def test_what_is_loaded_only_later_fails_its_members(tmp_path):
 def test_what_is_installed_is_not_beside_a_scene_above_it():
     import statistics  # of Python, which may lie in the user's home as the scene does
 
-    from stickslip.pipeline.scene import systems
-
     for module in (statistics, pytest):
         file = Path(module.__file__).resolve()
-        assert systems._name_beside(str(file), Path(file.anchor)) is None
+        assert name_beside(str(file), Path(file.anchor)) is None
 
 
 def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch):
@@ -389,9 +388,7 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
     ],
 )
 def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, words, tmp_path, monkeypatch):
-    from stickslip.pipeline.scene import systems
-
-    monkeypatch.setattr(systems, "LONGEST_TRIAL", 1.0 if "sleep" in line else 40.0)
+    monkeypatch.setattr(trial, "LONGEST_TRIAL", 1.0 if "sleep" in line else 40.0)
     head = "import os\nimport numpy as np\nfrom stickslip import System\nSEED = 1.0 + int.from_bytes(os.urandom(6))\n"
     with pytest.raises(SceneError) as refusal:
         load_scene(written(tmp_path, own=own(line, head)))

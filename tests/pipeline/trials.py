@@ -1,4 +1,4 @@
-"""Children in which functions of systems are tried, kept for the next trial: to start one takes longest of all."""
+"""Children that try functions of a user's own, kept for the next trial: to start one takes longest of all."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stickslip.pipeline.machine.processes import Child
-from stickslip.pipeline.scene import systems
+from stickslip.pipeline.own import files, function, modules, trial
 
 
 def anew(task: Any) -> Any:
     """In a child: try a function, and keep nothing that was loaded for it."""
     before = set(sys.modules)
-    found = systems._try(task)
+    found = trial._try(task)
     for name in set(sys.modules) - before:
         file = getattr(sys.modules[name], "__file__", None)
-        if file is None or not systems._is_installed(Path(file)):
+        if file is None or not files.is_installed(Path(file)):
             del sys.modules[name]
-    systems._function.cache_clear()
-    systems._modules.cache_clear()
+    function._loaded.cache_clear()
+    modules._modules.cache_clear()
     return found
 
 
@@ -31,8 +31,8 @@ class Kept(Child):
     owes = False
 
     @classmethod
-    def next(cls, function: Callable[[Any], Any]) -> Kept:
-        assert function is systems._try
+    def next(cls, called: Callable[[Any], Any]) -> Kept:
+        assert called is trial._try
         return cls.waiting.pop() if cls.waiting else cls(anew)
 
     @classmethod

@@ -1,0 +1,5 @@
+"""Functions of a user's own, `module:function`: known by a digest from when a scene is read.
+
+In `function`, `resolve` finds one, `look_again` sees that it is as it was, and `call` calls it, where code of the
+user's may run. In `trial`, `tried` calls one in children first.
+"""

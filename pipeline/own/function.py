@@ -1,0 +1,168 @@
+"""A function of a user's own: found by its name, known by a digest from then on, and called."""
+
+from __future__ import annotations
+
+import os
+import threading
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.own.files import ChangedError, check_beside, content_of, digest
+from stickslip.pipeline.own.modules import file_of, load, module_of, own_modules, root_of
+from stickslip.sim.numerics.arguments import did_you_mean
+
+#: Held while a function is called: the threads of a process share its table of modules.
+_alone = threading.RLock()
+
+#: Pattern of a function's name, `module:function`.
+PATTERN = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
+
+
+@dataclass(frozen=True, slots=True)
+class OwnFunction:
+    """A function of the user's, as it was when its scene was read.
+
+    Attributes
+    ----------
+    key : str
+        What errors begin with: the key of the scene that names it.
+    name : str
+        `module:function`.
+    sha256 : str
+        Of the module's file.
+    at : str
+        The folder that the module lies in, or one below it; or it is installed.
+    beside : tuple of two str
+        The files in the scene's folder that it loads or reads: paths there, and the sha256 of each.
+    """
+
+    key: str = field(compare=False)
+    name: str
+    sha256: str
+    at: str = field(compare=False)
+    beside: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def module(self) -> str:
+        """The name of its module."""
+        return self.name.partition(":")[0]
+
+    @property
+    def root(self) -> Path:
+        """The folder of what lies beside it: the scene's, or one above it, as its copy may lie deeper."""
+        return root_of(self.at, self.beside)
+
+
+def resolve(name: str, folder: Path, key: str) -> OwnFunction:
+    """The function `module:function` of a module beside a scene, or installed; nothing is loaded, none is `beside`.
+
+    Raises
+    ------
+    SceneError
+        If there is no such module.
+    """
+    module = name.partition(":")[0]
+    file = file_of(module, folder)
+    if file is None:
+        raise SceneError(
+            f"{key}: expected the module {module!r} beside the scene, in {folder.resolve()}, or installed, "
+            f"found none; write it there as {module.replace('.', '/')}.py, or correct the name"
+        )
+    return OwnFunction(key, name, digest(content_of(file, key)), str(folder.resolve()))
+
+
+def look_again(function: OwnFunction) -> None:
+    """See that a function's module, and what lies beside it, is as it was; nothing is loaded.
+
+    Raises
+    ------
+    ChangedError
+        If it is another.
+    SceneError
+        If it is gone.
+    """
+    module_file(function)
+    check_beside(function.root, function.beside, function.key)
+
+
+def module_file(function: OwnFunction) -> Path:
+    """The file of a function's module as it was: in its folder, above it, or installed.
+
+    Raises
+    ------
+    ChangedError
+        If it is another.
+    SceneError
+        If it is gone.
+    """
+    module, key = function.module, function.key
+    folders = dict.fromkeys((Path(function.at), *Path(function.at).parents, Path()))
+    files = [file for folder in folders if (file := file_of(module, folder)) is not None]
+    file = next((file for file in files if digest(content_of(file, key)) == function.sha256), None)
+    if file is None:
+        raise (ChangedError if files else SceneError)(
+            f"{key}: expected the module {module!r} as it was when the scene was read (sha256 "
+            f"{function.sha256[:12]}), in {function.at} or installed, found {'another' if files else 'none'}; on a "
+            f"cluster, let the workers have it there; if it was changed, run the scene into another directory"
+        )
+    return file
+
+
+def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_name: Any) -> Any:
+    """What a function returns; only where code of the user's may run. Its module is loaded once a process.
+
+    Raises
+    ------
+    SceneError
+        If the module or the function is gone or has changed, or it loads a module beside the scene that it did not
+        load when it was tried: nobody would notice if that changed.
+    Exception
+        Whatever it raises itself; what would end the process, as SystemExit, as a RuntimeError that names it.
+    """
+    process = os.getpid()
+    with _alone:
+        with own_modules(function.root, function.beside, is_trial) as late:
+            try:
+                found = _loaded(function.name, function.at, function.sha256, function.beside, function.key)(
+                    *arguments, **by_name
+                )
+            except Exception:
+                raise
+            except BaseException as error:  # it would end a worker
+                if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+                    raise  # it may be the user's
+                raise RuntimeError(foreign(error)) from error
+            finally:
+                if (
+                    os.getpid() != process
+                ):  # a copy, which the function has forked: it would go on as a worker for ever
+                    os._exit(1)
+        if late:
+            raise SceneError(
+                f"{function.key}: {function.name}: expected it to load {min(late.values())} when it is tried, got "
+                f"it loaded later; import it at the top of the module"
+            )
+    # modules stay as they were loaded; other files are read again
+    check_beside(function.root, [one for one in function.beside if not module_of(one[0])], function.key)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _loaded(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ...], key: str) -> Callable[..., Any]:
+    """The function, of its module as it was."""
+    function = OwnFunction(key, name, sha256, at, beside)
+    file = module_file(function)
+    check_beside(function.root, beside, key)
+    loaded = load(function.module, file, sha256, key)
+    attribute = name.partition(":")[2]
+    found = getattr(loaded, attribute, None)
+    if not callable(found):
+        known = [key for key, value in vars(loaded).items() if isinstance(value, types.FunctionType)]
+        near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
+        raise SceneError(f"{key}: expected a function {attribute!r} in {file}, found none{near}")
+    return found

@@ -1,0 +1,136 @@
+"""Modules beside a scene: how they are found and loaded, and how those of several scenes are kept apart."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+import types
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from stickslip.pipeline.own.files import content_of, name_beside
+
+#: Prefix of the names under which modules of functions are loaded.
+_OWN = "_own_"
+
+
+def file_of(module: str, folder: Path) -> Path | None:
+    """The file of a module in a folder, or where Python finds it."""
+    path = folder / module.replace(".", "/")
+    beside = next((one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()), None)
+    if beside is not None:
+        return beside
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):  # its package is not there, or its name is not one
+        return None
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
+def root_of(at: str, beside: tuple[tuple[str, str], ...]) -> Path:
+    """The folder of the modules beside a scene: the scene's, or one above it, as its copy may lie deeper."""
+    places = (Path(at), *Path(at).parents)
+    return next((place for place in places if all((place / name).is_file() for name, _ in beside)), Path(at))
+
+
+def module_of(file: str) -> str:
+    """The name of a module's file without its ending; "" for other files."""
+    endings = sorted(importlib.machinery.all_suffixes(), key=len, reverse=True)
+    ending = next(filter(file.endswith, endings), None)
+    return "" if ending is None else file.removesuffix(ending)
+
+
+def load(module: str, file: Path, sha256: str, key: str) -> types.ModuleType:
+    """A module, loaded under a name of its own, so that the file on disk is what runs."""
+    loaded = types.ModuleType(f"{_OWN}{module}_{sha256[:12]}")
+    loaded.__file__, loaded.__package__ = str(file), module.rpartition(".")[0]
+    sys.modules[loaded.__name__] = loaded  # where a dataclass looks for its own
+    exec(compile(content_of(file, key), str(file), "exec"), loaded.__dict__)
+    return loaded
+
+
+class _Source(importlib.machinery.SourceFileLoader):
+    """Compiles the file on disk each time.
+
+    Python would take compiled code for that of another file of the same size that was written in the same second.
+    """
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
+class _FromSource(importlib.abc.MetaPathFinder):
+    """Finds modules as Python does; those beside a scene are read by `_Source`."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
+        if (
+            spec is not None
+            and isinstance(spec.loader, importlib.machinery.SourceFileLoader)
+            and name_beside(spec.loader.path, self._root) is not None
+        ):
+            spec.loader = _Source(fullname, spec.loader.path)
+        return spec
+
+
+@lru_cache(maxsize=64)
+def _modules(root: Path, beside: tuple[tuple[str, str], ...]) -> dict[str, types.ModuleType]:
+    """The modules beside a scene that this process has loaded for its function, by name; filled by `own_modules`."""
+    return {}
+
+
+@contextlib.contextmanager
+def own_modules(root: Path, beside: tuple[tuple[str, str], ...], is_trial: bool = False) -> Iterator[dict[str, str]]:
+    """Within: a function's imports are looked for beside its scene first.
+
+    The modules there are the function's own: others of the same names, of another scene or the caller, are set aside.
+
+    Yields
+    ------
+    dict of str to str
+        Empty; after it the files of modules there that are not among `beside`, by name, which are unloaded. None in
+        a trial, which finds out what is beside.
+    """
+    own, finder = _modules(root, beside), _FromSource(root)
+    names, before = _names(name for name, _ in beside), set(sys.modules)
+    aside = {name: sys.modules.pop(name) for name in names & before}
+    sys.modules.update(own)
+    sys.path.insert(0, str(root))
+    sys.meta_path.insert(sys.meta_path.index(importlib.machinery.PathFinder), finder)
+    late: dict[str, str] = {}
+    try:
+        yield late
+    finally:
+        sys.path.remove(str(root))
+        sys.meta_path.remove(finder)
+        if not is_trial:
+            late |= _loaded_beside(set(sys.modules) - before - names, root)
+        for name in late:
+            sys.modules.pop(name, None)
+        own.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
+        sys.modules.update(aside)
+
+
+def _loaded_beside(names: Iterable[str], root: Path) -> dict[str, str]:
+    """The files of those modules that lie beside the scene, without the function's own."""
+    files = {name: getattr(sys.modules.get(name), "__file__", None) for name in names if not name.startswith(_OWN)}
+    return {name: file for name, file in files.items() if file and name_beside(file, root) is not None}
+
+
+def _names(files: Iterable[str]) -> set[str]:
+    """The names of modules by their files, and of the packages that they lie in: `a.b` and `a` of a/b.py."""
+    names: set[str] = set()
+    for file in files:
+        path = Path(module_of(file))
+        parts = path.parts[:-1] if path.name == "__init__" else path.parts
+        names.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
+    return names

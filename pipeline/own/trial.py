@@ -1,0 +1,128 @@
+"""Trying a function of a user's own before it is relied on: in children, twice, within a time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.own.files import content_of, digest, name_beside
+from stickslip.pipeline.own.function import OwnFunction
+
+#: Seconds that a child has for its calls of a function.
+LONGEST_TRIAL = 40.0
+
+
+class Trial(NamedTuple):
+    """What is tried.
+
+    Attributes
+    ----------
+    function : OwnFunction
+    attempt : callable
+        `attempt(function)` calls it once, with `is_trial`, and gives what must be the same each time, as bytes, and
+        facts to be kept, as plain values. It is pickled: named at the top of a module, or a `partial` of such.
+    expected : str
+        What it is to give, in words.
+    differs : str
+        What is wrong, and what to do, if it gives different things.
+    called : str
+        The call in words, for errors.
+    """
+
+    function: OwnFunction
+    attempt: Callable[[OwnFunction], tuple[bytes, dict[str, Any]]]
+    expected: str
+    differs: str
+    called: str
+
+
+def tried(trial: Trial) -> dict[str, Any]:
+    """Facts of a function that was called twice, and in another process too; with `beside`, the files that it reads.
+
+    Raises
+    ------
+    SceneError
+        If that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
+    """
+    key = trial.function.key
+    with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as other:
+        limits = [threading.Timer(LONGEST_TRIAL, each.kill) for each in (child, other)]
+        for limit in limits:
+            limit.start()
+        try:
+            # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
+            again = aside.submit(other, (trial, 1))
+            problem, found = child((trial, 2))
+            if not problem and found.pop("digest") != again.result()[1].get("digest"):
+                problem, found = again.result()[0] or trial.differs, {}
+        except ChildDied as death:
+            problem, found = (
+                f"expected {trial.expected} within {LONGEST_TRIAL:g} s, its process died ({death})",
+                {},
+            )
+        finally:
+            for limit in limits:
+                limit.cancel()
+    if problem:
+        raise SceneError(
+            problem if problem.startswith(key) else f"{key}: {trial.called}: {problem}; correct the function"
+        )
+    return found
+
+
+def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
+    """In a child, call a function some times: what is wrong with it, or else facts of what it gave and read."""
+    trial, times = task
+    audit = _Audit()
+    sys.addaudithook(audit)
+    try:
+        found = [trial.attempt(trial.function) for _ in range(times)]
+    except SceneError as error:
+        return str(error), {}
+    except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
+        return f"expected {trial.expected}, got {foreign(error)}", {}
+    digests = {digest(given) for given, _ in found}
+    if len(digests) > 1:
+        return trial.differs, {}
+    return "", {**found[0][1], "beside": _beside(trial.function, audit), "digest": digests.pop()}
+
+
+class _Audit:
+    """A hook of Python's audit while a function is tried: refuses forks, and notes the files that are opened."""
+
+    def __init__(self) -> None:
+        self.read: set[str] = set()
+        self.written: set[str] = set()
+        self._modules = set(sys.modules)
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        match event, arguments:
+            case (("os.fork" | "os.forkpty"), _):
+                raise RuntimeError("a function that a scene names may not fork")
+            case "open", (str() | bytes() as file, _, int() as flags):
+                paths = self.read if flags & os.O_ACCMODE == os.O_RDONLY else self.written
+                paths.add(os.path.abspath(os.fsdecode(file)))
+
+    @property
+    def files(self) -> set[str]:
+        """What was read, and not written; of compiled modules the audit hears nothing."""
+        modules = [sys.modules.get(name) for name in set(sys.modules) - self._modules]
+        loaded = {file for module in modules if (file := getattr(module, "__file__", None))}
+        return (self.read | loaded) - self.written
+
+
+def _beside(function: OwnFunction, audit: _Audit) -> dict[str, str]:
+    """The sha256 of each file that was read and lies in the scene's folder or below, by its path there."""
+    root, found = Path(function.at), {}
+    for name in {name for file in audit.files if (name := name_beside(file, root)) is not None}:
+        with contextlib.suppress(SceneError):  # it is gone, or no plain file
+            found[name] = digest(content_of(root / name, function.key))
+    return dict(sorted(found.items()))
