@@ -158,7 +158,7 @@ class Study:
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
     def mean(self, group: Group, numbers: Mapping[str, float | None]) -> Estimate:
-        """The mean of a number of each run over a group, with its interval over units; every unit has the same weight.
+        """The mean over a group of a number of each run, every unit with the same weight; its interval is over units.
 
         Parameters
         ----------

@@ -138,7 +138,7 @@ class Group:
         of_unit: dict[int, list[float]] = {}
         for unit, member_id in zip(self.members["unit"], self.members["member_id"], strict=True):
             number = numbers.get(member_id)
-            if number is not None and number is not pd.NA and np.isfinite(number):
+            if number is not None and not pd.isna(number) and np.isfinite(number):
                 of_unit.setdefault(int(unit), []).append(float(number))
         return {unit: np.array([np.mean(some), 1.0]) for unit, some in of_unit.items()}
 

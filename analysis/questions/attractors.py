@@ -64,7 +64,8 @@ def _of_group(study: Study, group: Group) -> list[Row]:
             continue
         share = study.share(group, dict(zip(runs["member_id"], has, strict=True)))
         row: dict[str, Any] = {
-            "group": group.label, "attractor": kind, "n_runs": int(has.sum()), "of": len(runs), **named("share", share),
+            "group": group.label, "attractor": kind, "n_runs": int(has.sum()), "of": len(runs),
+            **named("share", share),
         }  # fmt: skip
         known = [float(one) for name in runs["member_id"][has] if (one := periods[name]) is not None]
         least, median, most = np.percentile(known, (0, 50, 100)).tolist() if known else 3 * [None]

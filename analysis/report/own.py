@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, records
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.report.formats import Column, environment
+from stickslip.analysis.report.formats import Column, environment, minus
 from stickslip.analysis.report.page import Answered, Drawn, Spoken, draw
 
 #: Words that are made of an answer: each is a macro, of the facts alone or of the facts and `figure`.
@@ -28,6 +29,7 @@ _OF_FIGURES = ("panels", "panel", "part")
 _TITLES = {"name", "question"}
 _NAME = re.compile(r"\w+")
 _WIDE = 1e4  # ratio of two numbers of a column that are not shown with the same decimals
+_SHORT = 4  # digits of numbers that are shown as they are
 
 
 class OwnError(ValueError):
@@ -68,8 +70,9 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
     tables = {name: _plain(name, table) for name, table in found.tables.items()}
     own = Answered(key, found.facts, found.lack, tables, drawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
-    theirs = _macros(study, template)
-    said = _said(own, own.facts, theirs)
+    with _doing(f"filling {template and template.name}"):
+        theirs = {} if template is None else _macros(study, template)
+        said = _said(own, own.facts, theirs)
     if not (found.lack or said.get("answer")):
         said["answer"] = _sentence(found, template)
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
@@ -79,6 +82,16 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
     said = _said(own, laid | {"caption": _caption(found), "method": method}, ours) | said
     titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
     return Spoken(key, {}, found.lack, _prefixed(prefix, tables), _prefixed(prefix, drawn), titles | said)
+
+
+@contextmanager
+def _doing(what: str) -> Iterator[None]:
+    """Note at an error what was being done."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"while {what}")
+        raise
 
 
 def _prefixed(prefix: str, by_name: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,7 +131,8 @@ def _drawn(name: str, made: object) -> Drawn:
             )
         return got
 
-    return draw(figure)
+    with _doing(f"drawing {name!r}"):
+        return draw(figure)
 
 
 def _plain(name: str, table: object) -> pd.DataFrame:
@@ -181,14 +195,14 @@ def _sentence(found: Answer, template: Path | None) -> str:
             f"facts['sentence']: expected a text, the answer in one sentence, got {got}; add it, or say it in the"
             f" macro answer(a) of {where}"
         )
-    return str(escape(sentence.strip()))
+    return str(escape(minus(sentence.strip())))
 
 
 def _caption(found: Answer) -> str:
     caption = found.facts.get("caption", "")
     if not isinstance(caption, str):
         raise OwnError(f"facts['caption']: expected a text, what the figures show, got {_kind(caption)}")
-    return caption
+    return minus(caption)
 
 
 def _shown(prefix: str, name: str, table: pd.DataFrame) -> dict[str, Any]:
@@ -198,11 +212,12 @@ def _shown(prefix: str, name: str, table: pd.DataFrame) -> dict[str, Any]:
 
 def _columns(table: pd.DataFrame) -> list[Column]:
     """Columns of a table on the page; `x_low` and `x_high` are the interval of `x`."""
-    ends = {name: (f"{name}_low", f"{name}_high") for name in table}
-    ends = {name: both for name, both in ends.items() if {*both} <= {*table}}
+    names = [str(name) for name in table]
+    ends = {name: (f"{name}_low", f"{name}_high") for name in names}
+    ends = {name: both for name, both in ends.items() if {*both} <= {*names}}
     hidden = {end for both in ends.values() for end in both}
     found: list[Column] = []
-    for name in table:
+    for name in names:
         if name not in hidden:
             how = _how(table[[name, *ends.get(name, ())]])
             found.append((name.replace("_", " "), name, how))
@@ -215,6 +230,7 @@ def _how(some: pd.DataFrame) -> int | str | None:
     kind = str(some.dtypes.iloc[0])
     if kind != "Float64":
         return {"string": None, "boolean": "yes", "Int64": "n" if some.shape[1] == 1 else "#"}[kind]
-    sizes = some.abs().stack()
-    sizes = sizes[sizes > 0]
+    sizes = np.abs([size for column in some for size in some[column].dropna() if size])
+    if some.shape[1] == 1 and all(float(f"{size:.{_SHORT}g}") == size for size in sizes):
+        return "g"  # a setting, say
     return "#" if len(sizes) and sizes.max() > _WIDE * sizes.min() else 3

@@ -20,7 +20,7 @@ from stickslip.analysis.answer import F, I, Recipe, S, frame, records
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
-from stickslip.analysis.report import PAGE
+from stickslip.analysis.report import OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
@@ -228,6 +228,7 @@ def build(
         not_raised=[_words(filled, key) for key in settings.question if not is_own(key) and key not in raised],
         problems=problems,
         not_run=not_run,
+        mark_of_own=Markup(OF_OWN),
         sources={file: digest for one in own.values() for file, digest in one.sources.items()},
         alarms=_safe(alarms),
         alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),

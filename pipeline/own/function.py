@@ -152,6 +152,20 @@ def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_na
     return found
 
 
+def loaded(function: OwnFunction) -> Callable[..., Any]:
+    """The function itself, its module loaded and not called yet; only where code of the user's may run.
+
+    Raises
+    ------
+    SceneError
+        If the module or the function is gone or has changed.
+    Exception
+        Whatever the module raises as it is loaded.
+    """
+    with _alone, own_modules(function.root, function.beside, is_trial=True):
+        return _loaded(function.name, function.at, function.sha256, function.beside, function.key)
+
+
 @lru_cache(maxsize=64)
 def _loaded(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ...], key: str) -> Callable[..., Any]:
     """The function, of its module as it was."""
