@@ -18,6 +18,7 @@ from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
 from stickslip.pipeline.own.modules import file_of, own_modules
 from stickslip.pipeline.own.trial import LONGEST_TRIAL
+from stickslip.pipeline.places.directory import Directory
 
 if TYPE_CHECKING:
     from stickslip.analysis.report.page import Spoken
@@ -61,6 +62,11 @@ def tasks(opened: Opened, folder: Path) -> list[Task]:
     return [Task(name, str(folder), opened) for name in names(opened.scene)]
 
 
+def folder_of(opened: Opened) -> Path:
+    """Where the code of a dataset's questions is looked for first; for an object store, the working directory."""
+    return opened.place.path if isinstance(opened.place, Directory) else Path()
+
+
 def check(scene: Scene, folder: Path, name: str) -> None:
     """See that the code of a scene's questions can be loaded, before hours are spent on its runs.
 
@@ -70,6 +76,11 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         If some cannot; one line a problem. `name` is what they call the scene.
     """
     loading = [Task(one, str(folder)) for one in names(scene)]
+    for task in loading:
+        try:
+            own.resolve(task.name, _place(task), _KEY)
+        except SceneError as error:
+            raise SceneError(f"{name}: {error}") from None
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]

@@ -70,9 +70,7 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
     tables = {name: _plain(name, table) for name, table in found.tables.items()}
     own = Answered(key, found.facts, found.lack, tables, drawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
-    with _doing(f"filling {template and template.name}"):
-        theirs = {} if template is None else _macros(study, template)
-        said = _said(own, own.facts, theirs)
+    theirs, said = ({}, {}) if template is None else _filled(study, own, template)
     if not (found.lack or said.get("answer")):
         said["answer"] = _sentence(found, template)
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
@@ -176,6 +174,16 @@ def _macros(study: Study, template: Path | None) -> dict[str, Any]:
         assert filled.loader is not None
         filled.loader = ChoiceLoader([FileSystemLoader(template.parent), filled.loader])
     return vars(filled.get_template("own.html" if template is None else template.name).module)
+
+
+def _filled(study: Study, own: Answered, template: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Names and macros of a user's template, and the texts of its macros; errors name the line of the template."""
+    with _doing(f"filling {template.name}"):
+        try:
+            macros = _macros(study, template)
+            return macros, _said(own, own.facts, macros)
+        except Exception:  # noqa: BLE001  whatever it is, it is raised again
+            environment().handle_exception()  # raises it, with lines of the template in place of those compiled
 
 
 def _said(own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any]) -> dict[str, str]:
