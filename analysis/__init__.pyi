@@ -1,6 +1,8 @@
 from .answer import Answer as Answer
+from .answer import named as named
 from .ensemble import Data as Data
 from .ensemble import Study as Study
+from .report.formats import as_text as as_text
 from .report.page import Report as Report
 from .report.page import build as build
 from .seismology import catalogue as catalogue
@@ -12,7 +14,11 @@ from .series.cascades import sample as sample
 from .series.cascades import sizes as sizes
 from .series.cascades import window as window
 from .settings import AnalysisSettings as AnalysisSettings
+from .stats.compare import share_over_matrices as share_over_matrices
+from .stats.compare import wilson as wilson
 from .stats.estimates import Estimate as Estimate
 from .stats.estimates import correlation_time as correlation_time
 from .stats.estimates import gamma as gamma
 from .stats.estimates import over_matrices as over_matrices
+from .stats.estimates import ratio as ratio
+from .style import panel as panel

@@ -25,12 +25,15 @@ class Answer:
     ----------
     facts : mapping
         What the template puts into words, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
+        A question of a user's own that has no template gives the words itself: `sentence`, the answer, and perhaps
+        `caption`, what its figures show.
     lack : str
-        A code for why there is no answer, which the template puts into words; empty if there is an answer.
+        A code for why there is no answer, which the template puts into words; empty if there is an answer. Without a
+        template, the words.
     tables : mapping of str to DataFrame
         Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
     figures : mapping of str to Recipe
-        By name; the template says what each shows.
+        By name; the template says what each shows. A question of a user's own may give a matplotlib Figure as well.
     """
 
     facts: Mapping[str, Any] = field(default_factory=dict)

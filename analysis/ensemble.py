@@ -18,6 +18,8 @@ from stickslip.analysis.models.fates import fate
 from stickslip.analysis.series.cascades import ChangePoints, Window
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 
 #: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
 Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -154,6 +156,45 @@ class Study:
         columns = (group.moving[name] for name in ("unit", "member_id", "t_end"))
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
+
+    def mean(self, group: Group, numbers: Mapping[str, float | None]) -> Estimate:
+        """The mean over a group of a number of each run, every unit with the same weight; its interval is over units.
+
+        Parameters
+        ----------
+        group : Group
+        numbers : mapping of str to float
+            By member_id, as ``data.recorded[column].values``; a run that is missing, None or not finite is left out.
+
+        Returns
+        -------
+        Estimate
+            By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units.
+        """
+        sums = list(group.sums_of(numbers).values())
+        return over_matrices(ratio, np.array(sums).reshape(-1, 2), self.settings.confidence)
+
+    def share(self, group: Group, has: Mapping[str, bool | None]) -> Estimate:
+        """The share of a group's runs that have a property, with Wilson's interval for as many effective runs.
+
+        Parameters
+        ----------
+        group : Group
+        has : mapping of str to bool
+            By member_id; a run that is missing or None is left out.
+
+        Returns
+        -------
+        Estimate
+            By `stats.compare.share_over_matrices`; without a value, and with the reason, if no run is known.
+        """
+        known = group.members[[not pd.isna(has.get(name)) for name in group.members["member_id"]]]
+        if known.empty:
+            return Estimate(reason="no run has data")
+        ones = pd.Series([bool(has[name]) for name in known["member_id"]], index=known.index)
+        counts = ones.groupby(known["unit"]).agg(["sum", "count"]).to_numpy()
+        share, low, high, _ = share_over_matrices(counts, self.settings.confidence)
+        return Estimate(share, low, high)
 
     def generator(self, member_id: str) -> np.random.Generator:
         """Random numbers of a member, which depend on its name and the seed but not on its place in the table."""

@@ -123,6 +123,25 @@ class Group:
         """`means` averaged over the runs of each unit, so that every unit has the same weight."""
         return self.means / self.means[:, 4:] if len(self.means) else self.means
 
+    def sums_of(self, numbers: Mapping[str, float | None]) -> dict[int, np.ndarray]:
+        """By unit, the mean of a number over its runs that have one, and 1, so that every unit has the same weight.
+
+        Parameters
+        ----------
+        numbers : mapping of str to float
+            By member_id. A run has none if it is missing, None, or not finite.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (2,)
+        """
+        of_unit: dict[int, list[float]] = {}
+        for unit, member_id in zip(self.members["unit"], self.members["member_id"], strict=True):
+            number = numbers.get(member_id)
+            if number is not None and not pd.isna(number) and np.isfinite(number):
+                of_unit.setdefault(int(unit), []).append(float(number))
+        return {unit: np.array([np.mean(some), 1.0]) for unit, some in of_unit.items()}
+
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
         return over_matrices(ratio, self.by_unit()[:, [0, 4]], confidence)

@@ -167,17 +167,12 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
 
 
 def _column(numbers: Mapping[str, float | None], group: Group) -> Values:
-    """The mean over the runs of each unit, so that every unit has the same weight, and 1."""
-    of_unit: dict[int, list[float]] = {}
-    missing: dict[str, str] = {}
-    columns = (group.members[name] for name in ("unit", "member_id", "outcome"))
-    for unit, member_id, outcome in zip(*columns, strict=True):
-        number = numbers[member_id]
-        if number is not None and np.isfinite(number):
-            of_unit.setdefault(int(unit), []).append(float(number))
-        else:
-            missing[str(member_id)] = outcome if outcome == FAILED else NO_VALUE
-    return Values({unit: np.array([np.mean(some), 1.0]) for unit, some in of_unit.items()}, missing)
+    missing = {
+        str(member_id): outcome if outcome == FAILED else NO_VALUE
+        for member_id, outcome in zip(group.members["member_id"], group.members["outcome"], strict=True)
+        if (number := numbers[member_id]) is None or not np.isfinite(number)
+    }
+    return Values(group.sums_of(numbers), missing)
 
 
 # ------------------------------------------------------------------------------------------------- n_stick

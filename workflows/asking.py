@@ -7,9 +7,11 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
+from stickslip.workflows import own_questions
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
@@ -23,9 +25,15 @@ class Asking:
     """Processes that load what they need while a run goes on, and answer questions once it is done.
 
     A context manager. There is one for each core but this process's own.
+
+    Parameters
+    ----------
+    own : Path, optional
+        Where the scene lies, or its copy, if questions of the user's own may be run; each has a process of its own.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, own: Path | None = None) -> None:
+        self.own = own
         self._stack = ExitStack()
         n_children = min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
@@ -42,15 +50,18 @@ class Asking:
         self._stack.close()
 
     def __call__(self, opened: Opened, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
-        """The answer to each question, in their order.
+        """The answer to each question, in their order, then those of the user's own that the scene asks, if it may.
 
-        What a process fails at is asked again here, so that its error is seen.
+        What a process fails at is asked again here, so that its error is seen; but for the user's own, whose errors
+        are in their answers.
         """
         from stickslip.analysis.questions import QUESTIONS, question
         from stickslip.analysis.report.page import ask, prepare
 
         to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).share))
         found: dict[str, Answered | None] = {}
+        tasks = [] if self.own is None else own_questions.tasks(opened, self.own)
+        n_asked = len(QUESTIONS) + len(tasks)
 
         def next_ones() -> Iterator[str]:
             with suppress(IndexError):  # none is left
@@ -67,20 +78,29 @@ class Asking:
                 except ChildDied:
                     to_go.append(key)
                     return
-                on_answer(len(found), len(QUESTIONS))
+                on_answer(len(found), n_asked)
+
+        def by_own(child: Child, task: own_questions.Task) -> None:
+            found[task.name] = own_questions.put(child, task)
+            on_answer(len(found), n_asked)
 
         def here() -> None:
             for key in next_ones():
                 found[key] = ask(study, key)
-                on_answer(len(found), len(QUESTIONS))
+                on_answer(len(found), n_asked)
 
         asked = [self._pool.submit(by_child, *one) for one in self._loading]
+        if tasks:
+            pool = self._stack.enter_context(ThreadPoolExecutor(len(tasks)))
+            alone = [self._stack.enter_context(Child(own_questions.answer, shows_errors=True)) for _ in tasks]
+            self._children += alone
+            asked += [pool.submit(by_own, *one) for one in zip(alone, tasks, strict=True)]
         prepare()
         here()
         for one in asked:
             one.result()
         here()
-        return [found[key] for key in QUESTIONS]
+        return [found[key] for key in (*QUESTIONS, *(task.name for task in tasks))]
 
 
 def _load(child: Child) -> None:

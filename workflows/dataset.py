@@ -69,17 +69,24 @@ class Dataset:
         """The answer to a question in SQL; see `stickslip.sql`."""
         return query.sql(self.path, sql)
 
-    def report(self) -> str:
-        """Write the report, unless it is up to date; returns the name of its page."""
+    def report(self, own: bool = False) -> str:
+        """Write the report, unless it is up to date; returns the name of its page.
+
+        Parameters
+        ----------
+        own : bool
+            Whether to answer the scene's questions `module:function`. That runs the code beside the scene, or beside
+            the dataset; the report is then always made again.
+        """
         from stickslip.analysis.report import PAGE
-        from stickslip.workflows import reporting
+        from stickslip.workflows import own_questions, reporting
         from stickslip.workflows.asking import Asking
         from stickslip.workflows.fresh import is_current
 
         opened = open_dataset(self.path)
-        if is_current(opened):
+        if is_current(opened) and not (own and own_questions.names(opened.scene)):
             return opened.place.named(PAGE)
-        with Asking() as asking, Watch(opened.place) as watch:
+        with Asking(own_questions.folder_of(opened) if own else None) as asking, Watch(opened.place) as watch:
             return reporting.write(reporting.report(opened, asking, watch.answered), opened.place)
 
 

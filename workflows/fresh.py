@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from stickslip.analysis import report
-from stickslip.analysis.report import PAGE
+from stickslip.analysis.report import OF_OWN, PAGE
 from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
@@ -30,6 +30,18 @@ def made_from(opened: Opened) -> str:
 
 
 def is_current(opened: Opened) -> bool:
-    """Whether the report in a dataset was made from its present data and settings, by this program."""
+    """Whether the report in a dataset was made from its present data and settings, by this program.
+
+    Whether what a user's own questions are answered by is as it was is not looked at.
+    """
+    return made_from(opened).encode() in _head(opened)
+
+
+def has_own(opened: Opened) -> bool:
+    """Whether a user's own questions were run for the report in a dataset."""
+    return OF_OWN.encode() in _head(opened)
+
+
+def _head(opened: Opened) -> bytes:
     (page,) = opened.place.read_each([PAGE])
-    return page is not None and made_from(opened).encode() in page[:2000]
+    return b"" if page is None else page[:2000]

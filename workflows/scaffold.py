@@ -110,8 +110,9 @@ def _name_the_questions(schema: dict[str, Any]) -> None:
     from stickslip.analysis.questions import QUESTIONS
 
     one, several = schema["$defs"]["AnalysisTable"]["properties"]["question"]["anyOf"]
-    one |= {"enum": list(QUESTIONS)}
-    several["items"] |= {"enum": list(QUESTIONS)}
+    for name in (one, several["items"]):
+        own = name.pop("pattern")
+        name |= {"anyOf": [{"enum": list(QUESTIONS)}, {"pattern": own}]}
 
 
 def schema_text(chart: str | None) -> str:

@@ -22,9 +22,16 @@ def question(name: str) -> "Question":
     return found
 
 
+def is_own(name: str) -> bool:
+    """Whether a name is that of a question of the user's own, `module:function`."""
+    return ":" in name
+
+
 def refuse_unknown(names: Iterable[str]) -> None:
-    """Raise a ValueError if a name is not one of `QUESTIONS`."""
+    """Raise a ValueError if a name is neither one of `QUESTIONS` nor of the form of a user's own."""
     for name in names:
-        if name not in QUESTIONS:
+        if name not in QUESTIONS and not is_own(name):
             remedy = did_you_mean(name, QUESTIONS) or "; choose one of these"
-            raise ValueError(f"question: expected one of {', '.join(QUESTIONS)}, got {name!r}{remedy}")
+            raise ValueError(
+                f"question: expected one of {', '.join(QUESTIONS)}, or module:function, got {name!r}{remedy}"
+            )

@@ -10,10 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, panel
 
 #: The kinds, in the order of pictures and tables: see `stickslip.sim.attractors`.
@@ -63,11 +62,10 @@ def _of_group(study: Study, group: Group) -> list[Row]:
         has = runs["attractor"] == kind
         if not has.any():
             continue
-        counts = has.groupby(runs["unit"]).agg(["sum", "count"]).to_numpy()
-        share, low, high, _ = share_over_matrices(counts, study.settings.confidence)
+        share = study.share(group, dict(zip(runs["member_id"], has, strict=True)))
         row: dict[str, Any] = {
             "group": group.label, "attractor": kind, "n_runs": int(has.sum()), "of": len(runs),
-            "share": share, "share_low": low, "share_high": high,
+            **named("share", share),
         }  # fmt: skip
         known = [float(one) for name in runs["member_id"][has] if (one := periods[name]) is not None]
         least, median, most = np.percentile(known, (0, 50, 100)).tolist() if known else 3 * [None]

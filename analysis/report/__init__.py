@@ -1,3 +1,4 @@
 """The report: the page, its templates, and the comparison of two datasets."""
 
 PAGE = "report.html"  # name of the page among the files of a report
+OF_OWN = '<meta name="own-questions" content="run">'  # at the head of a page for which a user's own were run

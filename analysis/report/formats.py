@@ -112,6 +112,22 @@ def interval(estimate: Estimate, digits: int = 3) -> str:
     return between(estimate.low, estimate.high, fixed, _decimals([estimate.value or estimate.high], digits))
 
 
+def as_text(estimate: Estimate, digits: int = 3) -> str:
+    """An estimate in a sentence: "0.312 (0.301 to 0.323)"; without an interval, or a value, the reason.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    digits : int
+        Significant digits of the value.
+    """
+    if estimate.value is None:
+        return f"no value ({estimate.reason})"
+    if estimate.low is None or estimate.high is None:
+        return f"{number(estimate.value, digits)} (no interval: {estimate.reason})"
+    return f"{number(estimate.value, digits)} ({interval(estimate, digits)})"
+
+
 def _decimals(values: Iterable[float | None], digits: int) -> int:
     """Number of decimals with which the median of some numbers has a number of significant digits."""
     sizes = [abs(value) for value in values if value]
@@ -293,7 +309,8 @@ def environment(*packages: str) -> Environment:
     )
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
-        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "minus": minus,
+        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "as_text": as_text,
+        "minus": minus,
         "plural": plural, "within": within,
     }  # fmt: skip
     found.globals |= {

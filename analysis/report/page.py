@@ -19,8 +19,8 @@ from markupsafe import Markup
 from stickslip.analysis.answer import F, I, Recipe, S, frame, records
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
-from stickslip.analysis.questions import QUESTIONS, question, refuse_unknown
-from stickslip.analysis.report import PAGE
+from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
+from stickslip.analysis.report import OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
@@ -64,6 +64,41 @@ class Answered:
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     figures: Mapping[str, Drawn] = field(default_factory=dict)
 
+    def figure(self, name: str, alt: str) -> Markup:
+        """A figure as an image that is part of the page."""
+        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
+
+
+@dataclass(frozen=True)
+class Spoken(Answered):
+    """An answer in words: of a question of the user's own, made where its code may run.
+
+    Attributes
+    ----------
+    said : mapping of str to str
+        The texts of its macros, by name, and its `name` and `question`.
+    sources : mapping of str to str
+        The files that it was made by, and the sha256 of each.
+    problem : str
+        Why there is neither an answer nor a `lack`: what was expected of the function, and what came.
+    """
+
+    said: Mapping[str, str] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+
+    @property
+    def words(self) -> SimpleNamespace:
+        """Names and macros as those of a template."""
+        macros = {name: _saying(text) for name, text in self.said.items() if text}
+        needed = dict.fromkeys(("answer", "part", "panel_caption"), _saying(""))
+        titles = {name: self.said[name] for name in ("name", "question")}
+        return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | needed | macros | titles))
+
+
+def _saying(text: str) -> Callable[..., Markup]:
+    return lambda *_: Markup(text)  # made by a template, which escapes
+
 
 def prepare() -> None:
     """Compile the templates in advance, while a process is idle."""
@@ -101,12 +136,18 @@ class Report:
     headline : list of str
         The main statements, for a terminal.
     figures : dict of str to Drawn
+    problems : dict of str to str
+        Why questions of the user's own have no answer, by name.
+    not_run : list of str
+        Questions of the user's own that were not run.
     """
 
     html: str
     tables: dict[str, pd.DataFrame]
     headline: list[str]
     figures: dict[str, Drawn] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+    not_run: list[str] = field(default_factory=list)
 
     def files(self) -> dict[str, bytes]:
         """Contents of the report's files by path. The page comes last: once it exists, all that it names exists."""
@@ -149,7 +190,8 @@ def build(
     provenance : mapping of str to str
         Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Returns what `ask` returns for each of `QUESTIONS`, in their order; default: asks them one after the other.
+        Returns what `ask` returns for each of `QUESTIONS`, in their order, and a `Spoken` for each question of the
+        user's own that was run; default: asks `QUESTIONS` one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
@@ -161,12 +203,17 @@ def build(
     refuse_unknown(settings.question)
     study = Study(data, settings)
     made = [ask(study, key) for key in QUESTIONS] if answers is None else answers(study)
-    found = [one for one in made if one is not None]
+    own = {one.key: one for one in made if isinstance(one, Spoken)}
+    problems = {key: one.problem for key, one in own.items() if one.problem}
+    not_run = [key for key in settings.question if is_own(key) and key not in own]
+    found = [one for one in made if one is not None and one.key not in problems]
     groups = groups_table(study)
     filled = environment()
     filled.globals["unit"] = study.unit
-    shown = [_Shown(**vars(one), words=_words(filled, one.key)) for one in found]
+    shown = [_shown(filled, one) for one in found]
     leading, others = _in_order(study, [one for one in shown if not one.lack])
+    if leading and leading[0].key in own:  # the page is the user's
+        title, about = leading[0].words.name, ": ".join(filter(None, (title, about)))
     said = [one.says(one.words.answer) for one in leading[:MOST_SAID]]
     alarms = [text for one in (*leading, *others) if (text := one.says(one.words.alarm))]
     raised = {one.key for one in shown}
@@ -178,7 +225,11 @@ def build(
         answered=[*leading, *others],
         lacking=[one for one in shown if one.lack],
         asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
-        not_raised=[_words(filled, key) for key in settings.question if key not in raised],
+        not_raised=[_words(filled, key) for key in settings.question if not is_own(key) and key not in raised],
+        problems=problems,
+        not_run=not_run,
+        mark_of_own=Markup(OF_OWN),
+        sources={file: digest for one in own.values() for file, digest in one.sources.items()},
         alarms=_safe(alarms),
         alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),
         primary=[one.words.name for one in leading],
@@ -191,7 +242,8 @@ def build(
     )
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
-    return Report(page, tables, [*(plain(text) for text in alarms), title, *(plain(text) for text in said)], figures)
+    headline = [*(plain(text) for text in alarms), title, *(plain(text) for text in said)]
+    return Report(page, tables, headline, figures, problems, not_run)
 
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:
@@ -209,14 +261,16 @@ class _Shown(Answered):
         """Text of a macro of the template on the facts; empty if the template lacks the macro."""
         return "" if macro is None else str(macro(self.facts)).strip()
 
-    def figure(self, name: str, alt: str) -> Markup:
-        """A figure as an image that is part of the page."""
-        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
+
+def _shown(filled: Environment, one: Answered) -> _Shown:
+    words = one.words if isinstance(one, Spoken) else _words(filled, one.key)
+    return _Shown(one.key, one.facts, one.lack, one.tables, one.figures, words)
 
 
 def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
     """The answers that lead the page, in their order, and the others in the order of the page."""
-    primary = study.settings.question or _primary(study, answered)
+    asked = {one.key for one in answered}
+    primary = [key for key in study.settings.question if key in asked] or _primary(study, answered)
     leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
     return leading, [one for one in answered if one not in leading]
 
@@ -245,7 +299,7 @@ def plain(text: str) -> str:
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
     """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
-    asked = {one.key: question(one.key) for one in answered}
+    asked = {one.key: question(one.key) for one in answered if not is_own(one.key)}
     ranked = [(one.rank, key) for key, one in asked.items() if one.rank is not None and one.leads(study)]
     if not ranked:
         return ()

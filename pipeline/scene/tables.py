@@ -256,8 +256,9 @@ class MarginsTable(StrictTable):
     correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
 
 
-#: The name of a question. The pipeline does not know which there are: whoever makes the report refuses others.
-QuestionName = Annotated[str, Field(pattern=r"^[a-z]\w*$")]
+#: The name of a question, or of a function of the user's own that answers one. The pipeline does not know which there
+#: are: whoever makes the report refuses others.
+QuestionName = Annotated[str, Field(pattern=rf"^[a-z]\w*$|{PATTERN}")]
 
 
 class AnalysisTable(StrictTable):
@@ -282,6 +283,7 @@ class AnalysisTable(StrictTable):
         BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),
     ] = Field(
         default=(),
-        description="questions that lead the report, in this order; what the data are about if left out",
+        description="questions that lead the report, in this order, or module:function of one of your own; what the"
+        " data are about if left out",
         examples=[["cascades"]],
     )

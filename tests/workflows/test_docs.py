@@ -23,15 +23,18 @@ import pytest
 import scipy.io
 import scipy.sparse
 
+from stickslip.analysis import Estimate
 from stickslip.analysis.members import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.formats import environment
 from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
+from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
+from stickslip.workflows import own_questions
 from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import CHARTS
 from stickslip.workflows.reporting import study_of
@@ -345,6 +348,29 @@ def test_a_question_is_a_file_and_a_template(first):
     assert "The longest pause of a run is" in words.answer(found.facts)
     assert "<table" in words.part(found.facts, None)
     assert words.lack({}, "no changes").startswith("No run")
+
+
+def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeypatch):
+    """Its sentence is that of the dataset: the means over matrices, by another way."""
+    Path(tmp_path / "mine.toml").write_text(blocks(page("extending"), "toml")[-1])
+    Path(tmp_path / "own.py").write_text(blocks(page("extending"), "python")[-1])
+    run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
+    monkeypatch.setattr(sys, "stdin", sys.stdin)  # restored at the end
+    (task,) = own_questions.tasks(open_dataset(tmp_path / "out"), tmp_path / "out")
+    found = own_questions.answer(task)
+    assert found.problem == ""
+    means = query.members(tmp_path / "out").groupby("belt_speed")["stick_share"].mean()
+    table = found.tables["own-question-shares"].set_index("belt_speed")
+    np.testing.assert_allclose(table["share"].astype(float), means.loc[table.index], rtol=1e-12)
+    assert found.said["answer"].startswith(
+        f"Blocks stick longest at \u2212{abs(means.idxmax()):g}: {means.max():.3g}"
+    )
+    assert found.said["name"] == "At which belt speed do blocks stick longest?"
+    assert list(found.figures) == ["own-question-shares"]
+    words = environment().from_string(blocks(page("extending"), "jinja")[-1]).module
+    assert words.answer({"best": -0.1, "share": Estimate(0.5, 0.4, 0.6)}).endswith(
+        "0.500 (0.400 to 0.600) of its time."
+    )
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):

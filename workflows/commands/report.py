@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import gc
+import sys
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.errors import printable
-from stickslip.workflows.commands.command import DONE, Command, Wrong
+from stickslip.pipeline.errors import command, printable
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report as Built
@@ -25,6 +26,7 @@ class Report(Command):
     words = "rewrite the report of a dataset, or compare it with another"
     examples = (
         ("stickslip report runs/quick", "writes runs/quick/report.html"),
+        ("stickslip report runs/mine --own", "with your own questions: runs the code beside the scene"),
         ("stickslip report runs/a --compare runs/b", "do their statistics agree?"),
     )
 
@@ -34,38 +36,67 @@ class Report(Command):
         parser.add_argument(
             "--out", metavar="DIR3", help="directory of the comparison (default: DIR/compared/<name of DIR2>)"
         )
+        parser.add_argument(
+            "--own",
+            action="store_true",
+            help="answer the questions module:function of the scene: runs the code beside it, or beside DIR",
+        )
 
     def __call__(self, arguments: argparse.Namespace) -> int:
         if arguments.compare is None:
             if arguments.out is not None:
                 raise Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-            write_report(arguments.directory)
-        else:
-            _write_comparison(arguments.directory, arguments.compare, arguments.out)
+            return DONE if write_report(arguments.directory, is_own=arguments.own) else UNFINISHED
+        if arguments.own:
+            raise Wrong("--own: expected without --compare, which runs no code of the scene's; leave it out")
+        _write_comparison(arguments.directory, arguments.compare, arguments.out)
         return DONE
 
 
-def write_report(directory: Where, asking: Asking | None = None, watch: Watch | None = None) -> None:
+def write_report(
+    directory: Where, asking: Asking | None = None, watch: Watch | None = None, is_own: bool = False
+) -> bool:
+    """Write the report of a dataset, unless it is up to date; False if a question of the user's own failed.
+
+    If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
+    on anything.
+    """
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.pipeline.dataset.status import Tally
+    from stickslip.workflows import own_questions
     from stickslip.workflows.asking import Asking
-    from stickslip.workflows.fresh import is_current
+    from stickslip.workflows.fresh import has_own, is_current
 
     opened = open_dataset(directory)
-    if is_current(opened):
+    if asking is not None:
+        is_own = asking.own is not None
+    own, problems = own_questions.names(opened.scene), dict[str, str]()
+    if is_current(opened) and not (own and is_own):
         if watch is not None:
             watch.close()
         print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
+        is_own = has_own(opened)
     else:
-        with Asking() if asking is None else nullcontext(asking) as processes:
-            _build(opened, processes, watch)
+        with (
+            Asking(own_questions.folder_of(opened) if is_own else None)
+            if asking is None
+            else nullcontext(asking) as processes
+        ):
+            problems = _build(opened, processes, watch).problems
+    for name, problem in problems.items():
+        print(printable(f"failed  {name}: {problem}"), file=sys.stderr)
+    if not is_own:
+        for name in own:
+            with_own = command("report", str(opened.place), "--own")
+            print(printable(f"note: {name} was not run; `{with_own}` runs the code beside the scene"))
     found = Tally.of(opened.tasks, opened.manifest.shards)
     if not found.is_complete:
         print(f"note: {found.n_members - found.n_done} of {found.n_members} members are still to run")
+    return not problems
 
 
-def _build(opened: Opened, asking: Asking, watch: Watch | None) -> None:
+def _build(opened: Opened, asking: Asking, watch: Watch | None) -> Built:
     gc.disable()  # what is loaded and found stays: no need to look through all of it again and again
     try:
         from stickslip.workflows.progress import Watch
@@ -74,6 +105,7 @@ def _build(opened: Opened, asking: Asking, watch: Watch | None) -> None:
         with Watch(opened.place) if watch is None else watch as bar:
             built = report(opened, asking, bar.answered)
         publish(built, opened.place)
+        return built
     finally:
         gc.enable()
 

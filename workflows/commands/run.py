@@ -97,7 +97,7 @@ class Run(Command):
         are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
         with (
             forked_workers() if are_forked else nullcontext(),
-            nullcontext() if arguments.no_report else Asking() as asking,
+            nullcontext() if arguments.no_report else Asking(file.parent) as asking,
         ):
             return _run_ensemble(arguments, file, out, asking)
 
@@ -108,14 +108,18 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
         from stickslip.pipeline.machine.signals import last_act
         from stickslip.pipeline.places.directory import Directory
         from stickslip.pipeline.places.place import DATA, SCENE
+        from stickslip.workflows import own_questions
         from stickslip.workflows.progress import Watch, clock
         from stickslip.workflows.scenes import load
 
     scene = load(file)
+    if asking is not None:
+        own_questions.check(scene, file.parent, str(file))
 
     def how_to_go_on() -> None:
         print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
 
+    is_answered = True
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
             if asking is not None:
@@ -132,7 +136,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
                 dashboard=arguments.dashboard,
             )
             if asking is not None:
-                write_report(out, asking, watch)
+                is_answered = write_report(out, asking, watch)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
@@ -149,7 +153,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     if asking is None:
         print(f"report  not written; write it with: {command('report', str(out))}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
-    return UNFINISHED if status.failures else DONE
+    return UNFINISHED if status.failures or not is_answered else DONE
 
 
 def _say_problems(out: Place) -> None:
@@ -169,10 +173,12 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.running.cluster import check_memory
     from stickslip.pipeline.running.estimate import WITHIN, estimate
     from stickslip.pipeline.running.trials import check_functions
+    from stickslip.workflows import own_questions
     from stickslip.workflows.progress import clock
     from stickslip.workflows.scenes import load
 
     scene = load(file)
+    own_questions.check(scene, file.parent, str(file))
     scene.check_engines()
     ends.check(scene)
     check_memory(scene, arguments.workers)

@@ -1,0 +1,244 @@
+"""Questions of a user's own: what a function beside the scene returned, checked and put into words.
+
+Only for a process in which the user's code may run: drawing calls it, and a template is code too.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import ChoiceLoader, FileSystemLoader
+from markupsafe import escape
+from matplotlib.figure import Figure
+
+from stickslip.analysis.answer import Answer, records
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.report.formats import Column, environment, minus
+from stickslip.analysis.report.page import Answered, Drawn, Spoken, draw
+
+#: Words that are made of an answer: each is a macro, of the facts alone or of the facts and `figure`.
+_OF_FACTS = ("answer", "alarm", "alerts", "panel_caption", "main")
+_OF_FIGURES = ("panels", "panel", "part")
+_TITLES = {"name", "question"}
+_NAME = re.compile(r"\w+")
+_WIDE = 1e4  # ratio of two numbers of a column that are not shown with the same decimals
+_SHORT = 4  # digits of numbers that are shown as they are
+
+
+class OwnError(ValueError):
+    """What a function or a template of the user's gave cannot be shown: expected, got, what to do."""
+
+
+def spoken(study: Study, key: str, found: object, doc: str, template: Path | None) -> Spoken:
+    """The answer that a question of the user's own returned, in words.
+
+    Parameters
+    ----------
+    study : Study
+        What it was asked of.
+    key : str
+        Its name, `module:function`.
+    found : object
+        What it returned.
+    doc : str
+        Its docstring: a heading, and how the answer is found. The name is the heading if there is none.
+    template : Path, optional
+        The file with its words; what that lacks, or all of it, is laid out from the answer.
+
+    Raises
+    ------
+    OwnError
+        If it returned no answer, or one that cannot be shown.
+    Exception
+        Whatever a recipe of a figure, or the template, raises.
+    """
+    if not isinstance(found, Answer):
+        raise OwnError(
+            f"expected a stickslip.analysis.Answer, got {_kind(found)}; "
+            + ("return Answer(lack='why') if the data have none" if found is None else "return one")
+        )
+    _check(found)
+    prefix = key.replace(":", "-")
+    drawn = {name: _drawn(name, made) for name, made in found.figures.items()}
+    tables = {name: _plain(name, table) for name, table in found.tables.items()}
+    own = Answered(key, found.facts, found.lack, tables, drawn)
+    heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
+    theirs, said = ({}, {}) if template is None else _filled(study, own, template)
+    if not (found.lack or said.get("answer")):
+        said["answer"] = _sentence(found, template)
+    ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
+    if "panel" in theirs:
+        del ours["panels"]
+    laid = {"tables": [_shown(prefix, name, table) for name, table in tables.items()], "figures": list(drawn)}
+    said = _said(own, laid | {"caption": _caption(found), "method": method}, ours) | said
+    titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
+    return Spoken(key, {}, found.lack, _prefixed(prefix, tables), _prefixed(prefix, drawn), titles | said)
+
+
+@contextmanager
+def _doing(what: str) -> Iterator[None]:
+    """Note at an error what was being done."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"while {what}")
+        raise
+
+
+def _prefixed(prefix: str, by_name: Mapping[str, Any]) -> dict[str, Any]:
+    """Names of files, which are no other question's: those of ours have no hyphen."""
+    return {f"{prefix}-{name}": one for name, one in by_name.items()}
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _kind(found: object) -> str:
+    return "None" if found is None else f"a {type(found).__name__}"
+
+
+def _check(found: Answer) -> None:
+    """The types of an answer, and the names of what it holds, which become names of files."""
+    for name, expected in (("facts", Mapping), ("lack", str), ("tables", Mapping), ("figures", Mapping)):
+        given = getattr(found, name)
+        if not isinstance(given, expected):
+            words = "text" if expected is str else "a dictionary"
+            raise OwnError(f"{name}: expected {words}, got {_kind(given)}")
+        odd = next((key for key in given if not isinstance(key, str) or not _NAME.fullmatch(key)), None)
+        if expected is Mapping and odd is not None:
+            raise OwnError(f"{name}: expected names of letters, digits and underscores, got {odd!r}; rename it")
+
+
+def _drawn(name: str, made: object) -> Drawn:
+    """A figure, of a recipe or as it is."""
+
+    def figure() -> Figure:
+        got = made() if callable(made) else made
+        if not isinstance(got, Figure):
+            raise OwnError(
+                f"figures[{name!r}]: expected a matplotlib Figure, or a function without arguments that returns one,"
+                f" got {_kind(got)}"
+            )
+        return got
+
+    with _doing(f"drawing {name!r}"):
+        return draw(figure)
+
+
+def _plain(name: str, table: object) -> pd.DataFrame:
+    """A table with nullable types: a missing value is null, never NaN. A named index becomes columns."""
+    if not isinstance(table, pd.DataFrame):
+        raise OwnError(f"tables[{name!r}]: expected a pandas.DataFrame, got {_kind(table)}")
+    whole = table.reset_index() if any(one is not None for one in table.index.names) else table
+    if not (whole.columns.is_unique and all(isinstance(one, str) and one for one in whole.columns)):
+        raise OwnError(f"tables[{name!r}]: expected columns with different names, got {list(whole.columns)}")
+    columns = {column: _column(f"tables[{name!r}][{column!r}]", whole[column]) for column in whole}
+    return pd.DataFrame(columns, index=range(len(whole)))
+
+
+def _column(where: str, given: pd.Series) -> Any:
+    """A column as numbers, truths or texts."""
+    values = given.astype(object).where(given.notna(), None).tolist()
+    kinds = {type(one.item() if isinstance(one, np.generic) else one) for one in values if one is not None}
+    dtype = next((dtype for of, dtype in _DTYPES if kinds <= of), None)
+    if dtype is None:
+        names = ", ".join(sorted(kind.__name__ for kind in kinds))
+        raise OwnError(f"{where}: expected numbers, true and false, or texts, got {names}")
+    if dtype == "Float64" and (odd := next((one for one in values if one is not None and np.isinf(one)), None)):
+        raise OwnError(f"{where}: expected finite numbers, got {odd}; write None where there is none")
+    return pd.array(values, dtype=dtype)
+
+
+#: Nullable types by the types of the values that they hold; a column without any value counts as text.
+_DTYPES: tuple[tuple[set[type], Any], ...] = (
+    ({str}, "string"), ({bool}, "boolean"), ({int}, "Int64"), ({int, float}, "Float64"),
+)  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------- words
+
+
+def _macros(study: Study, template: Path | None) -> dict[str, Any]:
+    """Names and macros of a template of the user's, or of ours, by which an answer is laid out."""
+    filled = environment()
+    filled.globals["unit"] = study.unit
+    if template is not None:
+        assert filled.loader is not None
+        filled.loader = ChoiceLoader([FileSystemLoader(template.parent), filled.loader])
+    return vars(filled.get_template("own.html" if template is None else template.name).module)
+
+
+def _filled(study: Study, own: Answered, template: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Names and macros of a user's template, and the texts of its macros; errors name the line of the template."""
+    with _doing(f"filling {template.name}"):
+        try:
+            macros = _macros(study, template)
+            return macros, _said(own, own.facts, macros)
+        except Exception:  # noqa: BLE001  whatever it is, it is raised again
+            environment().handle_exception()  # raises it, with lines of the template in place of those compiled
+
+
+def _said(own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any]) -> dict[str, str]:
+    """Texts of those macros that a page may show."""
+    if own.lack:
+        return {name: str(macros[name](facts, own.lack)).strip() for name in ("lack",) if name in macros}
+    of_facts = {name: str(macros[name](facts)).strip() for name in _OF_FACTS if name in macros}
+    return of_facts | {name: str(macros[name](facts, own.figure)).strip() for name in _OF_FIGURES if name in macros}
+
+
+def _sentence(found: Answer, template: Path | None) -> str:
+    sentence = found.facts.get("sentence")
+    if not (isinstance(sentence, str) and sentence.strip()):
+        got = f"facts of {', '.join(found.facts) or 'nothing'}" if sentence is None else _kind(sentence)
+        where = "a template" if template is None else template.name
+        raise OwnError(
+            f"facts['sentence']: expected a text, the answer in one sentence, got {got}; add it, or say it in the"
+            f" macro answer(a) of {where}"
+        )
+    return str(escape(minus(sentence.strip())))
+
+
+def _caption(found: Answer) -> str:
+    caption = found.facts.get("caption", "")
+    if not isinstance(caption, str):
+        raise OwnError(f"facts['caption']: expected a text, what the figures show, got {_kind(caption)}")
+    return minus(caption)
+
+
+def _shown(prefix: str, name: str, table: pd.DataFrame) -> dict[str, Any]:
+    """What `own.html` shows of a table."""
+    return {"name": name, "rows": records(table), "columns": _columns(table), "where": f"{prefix}-{name}"}
+
+
+def _columns(table: pd.DataFrame) -> list[Column]:
+    """Columns of a table on the page; `x_low` and `x_high` are the interval of `x`."""
+    names = [str(name) for name in table]
+    ends = {name: (f"{name}_low", f"{name}_high") for name in names}
+    ends = {name: both for name, both in ends.items() if {*both} <= {*names}}
+    hidden = {end for both in ends.values() for end in both}
+    found: list[Column] = []
+    for name in names:
+        if name not in hidden:
+            how = _how(table[[name, *ends.get(name, ())]])
+            found.append((name.replace("_", " "), name, how))
+            found += [("interval", ends[name], how)] if name in ends else []
+    return found
+
+
+def _how(some: pd.DataFrame) -> int | str | None:
+    """How the numbers of a column, and of its interval, are shown."""
+    kind = str(some.dtypes.iloc[0])
+    if kind != "Float64":
+        return {"string": None, "boolean": "yes", "Int64": "n" if some.shape[1] == 1 else "#"}[kind]
+    sizes = np.abs([size for column in some for size in some[column].dropna() if size])
+    if some.shape[1] == 1 and all(float(f"{size:.{_SHORT}g}") == size for size in sizes):
+        return "g"  # a setting, say
+    return "#" if len(sizes) and sizes.max() > _WIDE * sizes.min() else 3

@@ -1,0 +1,203 @@
+"""Questions of a user's own, from the scene to the page: where their code runs, where not, and what can go wrong."""
+
+import hashlib
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from stickslip.analysis.report import page
+from stickslip.pipeline import load_scene, run_ensemble
+from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.machine.processes import Child
+from stickslip.workflows import asking, own_questions, reporting
+from stickslip.workflows.commands import main
+from stickslip.workflows.dataset import Dataset
+from stickslip.workflows.own_questions import Task, answer, put
+from tests.scenes import COULOMB, ensemble
+
+MARK = "import pathlib; pathlib.Path(__file__).with_name('ran').touch()\n"
+OWN = MARK + (
+    'import beside\n\n\ndef question(study):\n    """How many?"""\n    print("printed")\n'
+    "    from stickslip.analysis import Answer\n"
+    '    return Answer({"sentence": f"There are {beside.count(study)} runs.", "n": beside.count(study)})\n'
+)
+BESIDE = "def count(study):\n    return len(study.data.members)\n"
+ASKING = 't_burn = 1.0\ndt = 0.5\nquestion = ["own:question", "fates"]'
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a scene, its own question, and its dataset without a report, for which nothing of it was run."""
+    place = tmp_path_factory.mktemp("own")
+    (place / "mine.toml").write_text(ensemble(5, 8.0, 3, COULOMB, analysis=ASKING))
+    (place / "own.py").write_text(OWN)
+    (place / "beside.py").write_text(BESIDE)
+    run_ensemble(load_scene(place / "mine.toml"), place / "runs" / "mine", workers=0)
+    assert not (place / "ran").exists()
+    return place
+
+
+@pytest.fixture
+def alone(monkeypatch, place):
+    """No processes but those of questions of the user's own, and no mark of these; no figures of ours."""
+    monkeypatch.setattr(asking, "MOST_PROCESSES", 1)
+    monkeypatch.setattr(page, "draw", lambda _: page.Drawn("<svg/>", b"%PDF"))
+    (place / "ran").unlink(missing_ok=True)
+    (place / "runs" / "mine" / "report.html").unlink(missing_ok=True)
+
+
+def made(place):
+    return (place / "runs" / "mine" / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("alone")
+def test_readers_run_none_of_it_and_a_report_says_so(place, capsys):
+    out = str(place / "runs" / "mine")
+    reading = [
+        ["status", out], ["verify", out], ["query", out, "SELECT count(*) FROM members"], ["report", out],
+        ["report", out, "--compare", out],
+    ]  # fmt: skip
+    assert [main(command) for command in reading] == [0] * len(reading)
+    said = capsys.readouterr().out
+    line = f"note: own:question was not run; `stickslip report {out} --own` runs the code beside the scene\n"
+    assert said.count(line) == 1
+    assert "own:question was not run; <code>stickslip report DIR --own</code> runs the code" in made(place)
+    assert main(["report", out]) == 0
+    said = capsys.readouterr().out
+    assert "unchanged" in said
+    assert line in said
+    Dataset(out).report()
+    assert not (place / "ran").exists()
+    assert main(["report", out, "--compare", out, "--own"]) == 2
+    assert "--own: expected without --compare" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("alone")
+def test_own_answers_it_and_the_page_names_its_files(place, capsys):
+    out = str(place / "runs" / "mine")
+    assert main(["report", out, "--own"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("How many?\nThere are 3 runs.\n")
+    assert "printed" not in said
+    assert (place / "ran").exists()
+    for name in ("own.py", "beside.py"):
+        assert re.search(rf"{name} \(sha256 <span[^>]*>{sha256(place / name)}<", made(place))
+    (place / "ran").unlink()
+    assert main(["report", out]) == 0  # what is there is of these data
+    assert "unchanged\n" in capsys.readouterr().out
+    assert "There are 3 runs." in made(place)
+    assert not (place / "ran").exists()
+
+
+def sha256(file):
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+@pytest.mark.usefixtures("alone")
+def test_a_run_refuses_code_that_cannot_be_loaded_before_it_begins(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(ensemble(5, 8.0, 1, COULOMB, analysis=ASKING))
+    assert main(["run", "mine.toml", "--workers", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "mine.toml: analysis.question: own:question: expected the module 'own' beside the scene, in " in error
+    assert not Path("runs").exists()
+
+
+def test_editing_a_question_makes_no_other_data(place, tmp_path):
+    """Its code determines no number: a run resumes, and a finished one stays what it is."""
+    before = load_scene(place / "mine.toml").hash
+    other = ASKING.replace("own:question", "own:another")
+    (tmp_path / "mine.toml").write_text(ensemble(5, 8.0, 3, COULOMB, analysis=other))
+    (tmp_path / "own.py").write_text("another = 1 +\n")
+    scene = load_scene(tmp_path / "mine.toml")
+    assert scene.hash == before
+    assert run_ensemble(scene, place / "runs" / "mine", workers=0).n_done == 3
+
+
+# ---------------------------------------------------------------------------------------------- in the child
+
+
+@pytest.fixture
+def asked(place, tmp_path, monkeypatch):
+    """What a module's question answers, in this process."""
+    study = reporting.study_of(place / "runs" / "mine")
+    monkeypatch.setattr(reporting, "study_of", lambda _: study)
+    monkeypatch.setattr(sys, "stdin", sys.stdin)  # restored at the end
+
+    def ask(code, template=None, **files):
+        for name, text in {"own.py": code, "question.html": template, **files}.items():
+            if text is not None:
+                (tmp_path / name).write_text(text)
+        return answer(Task("own:question", str(tmp_path), open_dataset(place / "runs" / "mine")))
+
+    return ask
+
+
+ANSWER = "from stickslip.analysis import Answer\ndef question(study):\n    return Answer({'sentence': 'Yes.', 'n': 3}"
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("def question(study):\n    x = 1\n    return x / 0\n", r"got ZeroDivisionError: .* \(own.py, line 3\)$"),
+        ("1 / 0", r"got ZeroDivisionError: .* \(own.py, line 1\)$"),
+        ("def question(:", r"got SyntaxError: "),
+        ("def questoin(study): pass", r"expected a function 'question' in .*own.py, found none.*'questoin'"),
+        ("import nothing_like_it", r"got ModuleNotFoundError: .*nothing_like_it"),
+        ("def question(study):\n    raise SystemExit(0)", r"got RuntimeError: SystemExit: 0"),
+        ("def question(study): return input()", r"got EOFError"),
+        ("def question(study): pass", r"expected a stickslip.analysis.Answer, got None"),
+        (
+            f"{ANSWER}, figures={{'a': lambda: 1 / 0}})",
+            r"got ZeroDivisionError: .* \(while drawing 'a'; own.py, line",
+        ),
+    ],
+)
+def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
+    found = asked(code)
+    assert re.search(words, found.problem), found.problem
+    assert "\n" not in found.problem
+    assert list(found.sources) == ["own.py"]
+
+
+@pytest.mark.parametrize(
+    ("template", "words"),
+    [
+        ("{% macro answer(a) %}", r"got TemplateSyntaxError: .*while filling question.html"),
+        ("\n{% macro answer(a) %}{{ a.m }}{% endmacro %}", r"UndefinedError: .*'m' .*; question.html, line 2\)$"),
+        ("{% macro answer() %}{% endmacro %}", r"TypeError: macro 'answer' takes"),
+    ],
+)
+def test_a_broken_template_is_a_line_too(asked, template, words):
+    found = asked(f"{ANSWER})", template)
+    assert re.search(words, found.problem), found.problem
+    assert list(found.sources) == ["own.py", "question.html"]
+
+
+def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_path):
+    deeper = tmp_path / "runs" / "mine"
+    deeper.mkdir(parents=True)
+    code = "def question(study):\n    import late\n    return late.said"
+    late = f"{ANSWER})\nsaid = question(0)\n"
+    found = asked(code, **{"late.py": late})
+    assert found.sources == {name: sha256(tmp_path / name) for name in ("own.py", "late.py")}
+    found = answer(Task("own:question", str(deeper), open_dataset))
+    assert found.said["answer"] == "Yes."
+    sys.modules.pop("late")
+
+
+@pytest.mark.parametrize(
+    ("function", "seconds", "words"),
+    [(repr, 0.01, "got none; correct"), (sys._clear_type_cache, 60.0, r"its process ended \(exit code 1\)")],
+)
+def test_a_process_that_gives_no_answer_is_told(function, seconds, words):
+    with Child(function) as child:
+        found = put(child, Task("own:question", "."), seconds)
+    assert re.search(rf"^expected an answer within {seconds:g} s, {words}", found.problem)
+
+
+def test_names_are_those_with_a_module(place):
+    scene = load_scene(place / "mine.toml")
+    assert own_questions.names(scene) == ("own:question",)

@@ -1,0 +1,193 @@
+"""Questions of a user's own: code beside the scene, run in a process each, after a run and with `--own`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import traceback
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.own import function as own
+from stickslip.pipeline.own.files import content_of, digest, name_beside
+from stickslip.pipeline.own.modules import file_of, own_modules
+from stickslip.pipeline.own.trial import LONGEST_TRIAL
+from stickslip.pipeline.places.directory import Directory
+
+if TYPE_CHECKING:
+    from stickslip.analysis.report.page import Spoken
+    from stickslip.pipeline import Scene
+    from stickslip.pipeline.dataset.opened import Opened
+
+#: Seconds that a question has for its answer, its figures and its words.
+LONGEST = 600.0
+
+#: What errors begin with that are about its file.
+_KEY = "analysis.question"
+
+
+class Task(NamedTuple):
+    """What a child is to do.
+
+    Attributes
+    ----------
+    name : str
+        `module:function`.
+    folder : str
+        Where the scene lies, or its copy: the module is looked for there, above, and where Python finds it.
+    opened : Opened, optional
+        The dataset that it is asked of; if None, code and template are only loaded.
+    """
+
+    name: str
+    folder: str
+    opened: Opened | None = None
+
+
+def names(scene: Scene) -> tuple[str, ...]:
+    """The questions of a user's own that a scene asks."""
+    from stickslip.analysis.questions import is_own
+
+    return tuple(name for name in scene.analysis.question if is_own(name))
+
+
+def tasks(opened: Opened, folder: Path) -> list[Task]:
+    """What the questions of a user's own are that a dataset's scene asks; `folder` is as in `Task`."""
+    return [Task(name, str(folder), opened) for name in names(opened.scene)]
+
+
+def folder_of(opened: Opened) -> Path:
+    """Where the code of a dataset's questions is looked for first; for an object store, the working directory."""
+    return opened.place.path if isinstance(opened.place, Directory) else Path()
+
+
+def check(scene: Scene, folder: Path, name: str) -> None:
+    """See that the code of a scene's questions can be loaded, before hours are spent on its runs.
+
+    Raises
+    ------
+    SceneError
+        If some cannot; one line a problem. `name` is what they call the scene.
+    """
+    loading = [Task(one, str(folder)) for one in names(scene)]
+    for task in loading:
+        try:
+            own.resolve(task.name, _place(task), _KEY)
+        except SceneError as error:
+            raise SceneError(f"{name}: {error}") from None
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
+        children = [stack.enter_context(Child(answer)) for _ in loading]
+        found = list(pool.map(lambda child, task: put(child, task, LONGEST_TRIAL), children, loading))
+    problems = [f"{name}: {_KEY}: {one.key}: {one.problem}" for one in found if one.problem]
+    if problems:
+        raise SceneError("\n".join(problems))
+
+
+def put(child: Child, task: Task, longest: float | None = None) -> Spoken:
+    """What a child answers to a task, or why it does not, within a number of seconds (default: `LONGEST`)."""
+    from stickslip.analysis.report.page import Spoken
+
+    longest = LONGEST if longest is None else longest
+    is_late = threading.Event()
+
+    def end() -> None:
+        is_late.set()
+        child.kill()
+
+    limit = threading.Timer(longest, end)
+    limit.start()
+    try:
+        found: Spoken = child(task)
+    except ChildDied as death:
+        how = "got none" if is_late.is_set() else f"its process ended ({death})"
+        found = Spoken(task.name, {}, problem=f"expected an answer within {longest:g} s, {how}; correct the function")
+    finally:
+        limit.cancel()
+    return found
+
+
+# ---------------------------------------------------------------------------------------------- in the child
+
+
+def answer(task: Task) -> Spoken:
+    """In a child: load the code of a question and, if there is a dataset, ask it."""
+    sys.stdin = open(os.devnull)  # its own is what it is asked by  # noqa: SIM115
+    import matplotlib
+
+    matplotlib.use("agg")
+    from stickslip.analysis.report.page import Spoken
+
+    function, template, before = None, None, set(sys.modules)
+    try:
+        function = own.resolve(task.name, _place(task), _KEY)
+        template = _template(function)
+        found = _asked(task, function, template)
+    except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
+        found = Spoken(task.name, {}, problem=_told(error, function, template))
+    if function is None:
+        return found
+    return Spoken(**(vars(found) | {"sources": _sources(function, template, set(sys.modules) - before)}))
+
+
+def _place(task: Task) -> Path:
+    """The folder of a module: the scene's, one above it, or that of the command; else the scene's."""
+    folder, module = Path(task.folder).resolve(), task.name.partition(":")[0]
+    places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
+    beside = ((place, file_of(module, place)) for place in places)
+    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+
+
+def _template(function: own.OwnFunction) -> Path | None:
+    """The file with the words of a question, beside its module, if there is one."""
+    file = own.module_file(function).with_name(f"{function.name.partition(':')[2]}.html")
+    return file if file.is_file() else None
+
+
+def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spoken:
+    from stickslip.analysis.report.formats import environment
+    from stickslip.analysis.report.own import spoken
+    from stickslip.analysis.report.page import Spoken
+    from stickslip.workflows.reporting import study_of
+
+    called = own.use(function, lambda called: called, is_trial=True)
+    if task.opened is None:
+        if template is not None:
+            environment().parse(template.read_text(encoding="utf-8"), filename=str(template))
+        return Spoken(task.name, {})
+    study = study_of(task.opened)
+    found = own.call(function, study, is_trial=True)
+    with own_modules(function.root, function.beside, is_trial=True):  # what draws may load some
+        return spoken(study, task.name, found, called.__doc__ or "", template)
+
+
+def _sources(function: own.OwnFunction, template: Path | None, loaded: Iterable[str]) -> Mapping[str, str]:
+    """The files of a question, and the sha256 of each: its module, its template, and modules beside them."""
+    file = own.module_file(function)
+    modules = {found for name in loaded if (found := getattr(sys.modules.get(name), "__file__", None))}
+    files = [file, *([template] if template else []), *map(Path, sorted(modules - {str(file)}))]
+    named = {one: name_beside(str(one), function.root) for one in files}
+    named[file] = named[file] or str(file)  # it may be installed
+    return {name: digest(content_of(one, _KEY)) for one, name in named.items() if name is not None}
+
+
+def _told(error: BaseException, function: own.OwnFunction | None, template: Path | None) -> str:
+    """An error in a line, with the last line of the user's code that it went through."""
+    from stickslip.analysis.report.own import OwnError
+
+    if isinstance(error, SceneError):
+        return str(error).removeprefix(f"{_KEY}: ")
+    if isinstance(error, OwnError):
+        return str(error)
+    files = set() if function is None else {str(own.module_file(function)), str(template)}
+    lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
+    where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
+    where = [*getattr(error, "__notes__", ()), *where]
+    said = f"expected a stickslip.analysis.Answer, got {foreign(error)}"
+    return f"{said} ({'; '.join(where)})" if where else said
