@@ -19,7 +19,7 @@ from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
+from stickslip.pipeline.query import all_events, by_threshold, episodes, lists, members, separations, series
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
 from stickslip.workflows.fresh import made_from, name_of
@@ -58,6 +58,12 @@ def _data(opened: Opened) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
+        lists={
+            column.name: lists(opened, column.name)
+            for record in scene.records
+            for column in record.columns
+            if column.kind == "numbers"
+        },
     )
 
 

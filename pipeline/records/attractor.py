@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.attractors import attractor
@@ -64,6 +66,8 @@ class AttractorRecord(WindowRecord):
             along="exit",
             repeats=False,
         ),
+        Column("numbers", "start_z", "displacement of each block at t = 0, for pictures of basins", along="block"),
+        Column("numbers", "start_w", "velocity of each block then", along="block"),
     )
     is_of_paths = True
     needs = frozenset({"events", "end", "system"})
@@ -94,6 +98,10 @@ class AttractorRecord(WindowRecord):
             "events_per_period": found.n_events,
             "multiplier": found.multiplier,
             "deviation_rate": found.growth_rate,
+            **{
+                name: np.broadcast_to(np.asarray(one, dtype=np.float64), made.system.n)
+                for name, one in zip(("start_z", "start_w"), made.start, strict=True)
+            },
         }
         if found.section is not None:
             kept["section_z"], kept["section_w"] = found.section
