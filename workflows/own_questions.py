@@ -80,7 +80,8 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         try:
             own.resolve(task.name, _place(task), _KEY)
         except SceneError as error:
-            raise SceneError(f"{name}: {error}") from None
+            why = str(error).removeprefix(f"{_KEY}: ")
+            raise SceneError(f"{name}: {_KEY}: {task.name}: {why}") from None
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]
