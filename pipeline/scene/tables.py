@@ -230,7 +230,8 @@ class RecordTable(_Records):  # type: ignore[misc]
     def _only_what_applies(self) -> Self:
         if set(self.functions or ()) != set(self.own):
             raise ValueError(
-                "functions: expected what `load_scene` and the command write here, found others, or none; use these"
+                "functions: expected what `load_scene` and the command write here for `own`, found others, or none;"
+                " remove it, and use these"
             )
         sampled = [f"own = {name!r}" for name, one in (self.functions or {}).items() if one.is_sampled]
         for key, kind, others in (("t_burn", WindowRecord, []), ("dt", StateRecord, sampled)):

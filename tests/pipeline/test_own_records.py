@@ -21,6 +21,7 @@ from stickslip.pipeline import (
     verify,
 )
 from stickslip.pipeline.own import function, trial
+from stickslip.pipeline.own.modules import file_of
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.running.worker import row
 from stickslip.workflows.commands import main
@@ -424,3 +425,16 @@ def test_truths_and_texts_are_in_netcdf(text, tmp_path):
         assert held["leaves"][:].tolist() == [int(one) for one in table.leaves]
         assert held["busiest"][:].tolist() == table.busiest.fillna("").tolist()
         assert held["Share"].long_name == "share of blocks that leave from t_burn on"
+
+
+def test_a_package_is_found_without_loading_it(tmp_path, monkeypatch):
+    """`verify` looks for the module of a stranger's scene; a package's `__init__` is code."""
+    package = tmp_path / "site" / "strange"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('loaded')\n")
+    (package / "inner.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert file_of("strange.inner", tmp_path) == package / "inner.py"
+    assert file_of("strange.inner.deeper", tmp_path) is None
+    assert file_of("strange.nowhere", tmp_path) is None
+    assert file_of("nowhere.inner", tmp_path) is None
