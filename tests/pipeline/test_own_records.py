@@ -15,6 +15,7 @@ from stickslip.pipeline import (
     StoreError,
     expand,
     load_scene,
+    parse_scene,
     query,
     run_ensemble,
     run_member,
@@ -174,6 +175,17 @@ def test_a_scene_without_is_what_it_was(text, tmp_path):
     assert plain.own_record is None
     own = load_scene(written(tmp_path, text))
     assert isinstance(own.own_record, OwnRecord)
+    fewer = own.source.decode().replace(
+        'own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n'
+    )
+    assert (
+        parse_scene(fewer.encode()).hash
+        == load_scene(
+            written(
+                tmp_path, text.replace('own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n')
+            )
+        ).hash
+    )
     again = own.changed(run={"matrices": 1})
     assert again.recording.columns == own.recording.columns
     assert own.changed(record={"own": None, "dt": None, "t_burn": None}).hash == plain.hash
@@ -293,7 +305,7 @@ def test_what_is_no_record_is_refused_in_a_line_and_nothing_is_written(case, tex
         ('"mine"', "expected module:function"),
         ('["mine:one", "mine:one"]', "each value once"),
         ("3", "record.own"),
-        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here"),
+        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here for mine:one"),
         ('"mine:one"\ndt = 0.5', "dt: expected only with some of"),
         ('"mine:needs"', "dt: expected with `own = 'mine:needs'`"),
     ],
