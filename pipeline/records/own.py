@@ -49,6 +49,9 @@ class Own(NamedTuple):
     optional: tuple[str, ...]
     is_sampled: bool
 
+    def __repr__(self) -> str:
+        return self.function.name
+
 
 class Measured(NamedTuple):
     """What a function gave of a run: values by column, and why there are none, or fewer.

@@ -278,7 +278,7 @@ class Scene(StrictTable):
     def _names_are_columns(self) -> None:
         """Each parameter of a function, and each field that one returns, is a column like the others."""
         parameters = tuple(self.system.parameters or ())
-        fields = [field for function in (self.record.functions or {}).values() for field in function.columns]
+        fields = [field for function in self.record.own_functions.values() for field in function.columns]
         for key, found, where in (
             ("system.parameters", misnamed(parameters), "here and in the function"),
             ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
@@ -488,9 +488,10 @@ class Scene(StrictTable):
                 keys["system"]["beside"] = self.system.module.beside
         if any(isinstance(record, WindowRecord) for record in self.records):
             keys["record"]["t_burn"] = self._record_t_burn  # else [analysis] has no influence on the data
-        if self.record.functions:
+        keys["record"].pop("functions", None)
+        if self.record.own:
             keys["record"]["functions"] = {
-                name: {"sha256": one.sha256, "beside": one.beside} for name, one in self.record.functions.items()
+                name: {"sha256": one.sha256, "beside": one.beside} for name, one in self.record.own_functions.items()
             }
         for record in RECORDS:
             if keys["record"].get(record.name) in (False, []) and record.name not in _OLDEST_RECORDS:

@@ -222,17 +222,24 @@ class RecordTable(_Records):  # type: ignore[misc]
     )
 
     @property
+    def own_functions(self) -> dict[str, FunctionTable]:
+        """The functions of `own`, in this order."""
+        return {name: (self.functions or {})[name] for name in self.own}
+
+    @property
     def of(self) -> list[type[Record]]:
         """The records that its keys ask for."""
         return [record for record in RECORDS if record.words and getattr(self, record.name)]
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
-        if set(self.functions or ()) != set(self.own):
+        lacking = [name for name in self.own if name not in (self.functions or {})]
+        if lacking:
             raise ValueError(
-                "functions: expected what `load_scene` and the command write here, found others, or none; use these"
+                f"functions: expected what `load_scene` and the command write here for {lacking[0]}, found nothing;"
+                " remove the key, and use these"
             )
-        sampled = [f"own = {name!r}" for name, one in (self.functions or {}).items() if one.is_sampled]
+        sampled = [f"own = {name!r}" for name, one in self.own_functions.items() if one.is_sampled]
         for key, kind, others in (("t_burn", WindowRecord, []), ("dt", StateRecord, sampled)):
             if getattr(self, key) is not None and not others and not any(issubclass(one, kind) for one in self.of):
                 known = ", ".join(one.name for one in RECORDS if issubclass(one, kind))

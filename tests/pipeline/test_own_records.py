@@ -15,12 +15,14 @@ from stickslip.pipeline import (
     StoreError,
     expand,
     load_scene,
+    parse_scene,
     query,
     run_ensemble,
     run_member,
     verify,
 )
 from stickslip.pipeline.own import function, trial
+from stickslip.pipeline.own.modules import file_of
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.running.worker import row
 from stickslip.workflows.commands import main
@@ -173,6 +175,17 @@ def test_a_scene_without_is_what_it_was(text, tmp_path):
     assert plain.own_record is None
     own = load_scene(written(tmp_path, text))
     assert isinstance(own.own_record, OwnRecord)
+    fewer = own.source.decode().replace(
+        'own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n'
+    )
+    assert (
+        parse_scene(fewer.encode()).hash
+        == load_scene(
+            written(
+                tmp_path, text.replace('own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n')
+            )
+        ).hash
+    )
     again = own.changed(run={"matrices": 1})
     assert again.recording.columns == own.recording.columns
     assert own.changed(record={"own": None, "dt": None, "t_burn": None}).hash == plain.hash
@@ -292,7 +305,7 @@ def test_what_is_no_record_is_refused_in_a_line_and_nothing_is_written(case, tex
         ('"mine"', "expected module:function"),
         ('["mine:one", "mine:one"]', "each value once"),
         ("3", "record.own"),
-        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here"),
+        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here for mine:one"),
         ('"mine:one"\ndt = 0.5', "dt: expected only with some of"),
         ('"mine:needs"', "dt: expected with `own = 'mine:needs'`"),
     ],
@@ -424,3 +437,16 @@ def test_truths_and_texts_are_in_netcdf(text, tmp_path):
         assert held["leaves"][:].tolist() == [int(one) for one in table.leaves]
         assert held["busiest"][:].tolist() == table.busiest.fillna("").tolist()
         assert held["Share"].long_name == "share of blocks that leave from t_burn on"
+
+
+def test_a_package_is_found_without_loading_it(tmp_path, monkeypatch):
+    """`verify` looks for the module of a stranger's scene; a package's `__init__` is code."""
+    package = tmp_path / "site" / "strange"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('loaded')\n")
+    (package / "inner.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert file_of("strange.inner", tmp_path) == package / "inner.py"
+    assert file_of("strange.inner.deeper", tmp_path) is None
+    assert file_of("strange.nowhere", tmp_path) is None
+    assert file_of("nowhere.inner", tmp_path) is None
