@@ -16,9 +16,8 @@ from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
-from stickslip.pipeline.own.modules import file_of, own_modules
+from stickslip.pipeline.own.modules import folder_with, own_modules
 from stickslip.pipeline.own.trial import LONGEST_TRIAL
-from stickslip.pipeline.places.directory import Directory
 
 if TYPE_CHECKING:
     from stickslip.analysis.report.page import Spoken
@@ -60,11 +59,6 @@ def names(scene: Scene) -> tuple[str, ...]:
 def tasks(opened: Opened, folder: Path) -> list[Task]:
     """What the questions of a user's own are that a dataset's scene asks; `folder` is as in `Task`."""
     return [Task(name, str(folder), opened) for name in names(opened.scene)]
-
-
-def folder_of(opened: Opened) -> Path:
-    """Where the code of a dataset's questions is looked for first; for an object store, the working directory."""
-    return opened.place.path if isinstance(opened.place, Directory) else Path()
 
 
 def check(scene: Scene, folder: Path, name: str) -> None:
@@ -138,11 +132,8 @@ def answer(task: Task) -> Spoken:
 
 
 def _place(task: Task) -> Path:
-    """The folder of a module: the scene's, one above it, or that of the command; else the scene's."""
-    folder, module = Path(task.folder).resolve(), task.name.partition(":")[0]
-    places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
-    beside = ((place, file_of(module, place)) for place in places)
-    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+    """The folder of a question's module."""
+    return folder_with(task.name.partition(":")[0], Path(task.folder))
 
 
 def _template(function: own.OwnFunction) -> Path | None:

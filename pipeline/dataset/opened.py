@@ -13,6 +13,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -51,6 +52,11 @@ class Opened:
             If the manifest's packing is not of the scene's members.
         """
         return planned(self.place, self.scene, self.manifest)
+
+    @property
+    def folder(self) -> Path:
+        """Where files and code of its scene are looked for first; for an object store, the working directory."""
+        return self.place.path if isinstance(self.place, Directory) else Path()
 
     def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
         """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.

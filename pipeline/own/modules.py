@@ -18,6 +18,14 @@ from stickslip.pipeline.own.files import content_of, name_beside
 _OWN = "_own_"
 
 
+def folder_with(module: str, folder: Path) -> Path:
+    """Where a module of a scene lies: in a folder, above it, or where the command was given; else the folder."""
+    folder = folder.resolve()
+    places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
+    beside = ((place, file_of(module, place)) for place in places)
+    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+
+
 def file_of(module: str, folder: Path) -> Path | None:
     """The file of a module in a folder, or where Python finds it. Nothing is loaded, not even its package."""
     path = folder / module.replace(".", "/")

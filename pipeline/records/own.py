@@ -17,9 +17,9 @@ from stickslip.pipeline.own.declared import SAMPLES, declared
 from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, resolve, use
 from stickslip.pipeline.own.trial import Trial, tried_once
 from stickslip.pipeline.records.column import Column, Kind
-from stickslip.pipeline.records.record import Facts, Made, Member, Memory, WindowRecord, sampling, steps
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.run import Run, Samples, Stills
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,6 +79,9 @@ class OwnRecord(WindowRecord):
         Column("text", "own_problem", "why a function of `own` gave no value, or not all; null if it gave all"),
     )
     is_named = True
+    needs = frozenset(
+        {"events", "end", "system"}
+    )  # all that it may read
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
@@ -138,7 +141,7 @@ class OwnRecord(WindowRecord):
             return _checked(own, use(own.function, lambda measure: measure(run, made.system, window, **given)))
         except LateError as error:
             return Measured({}, str(error), True)
-        except SceneError:
+        except (SceneError, NotKeptError):
             raise
         except Exception as error:  # noqa: BLE001  of code that is not ours: the run has its other columns
             return Measured({}, foreign(error), True)
@@ -147,7 +150,7 @@ class OwnRecord(WindowRecord):
 def _read_only(run: Run) -> Run:
     """A run whose arrays cannot be written to."""
     series = (run.events, *run.by_threshold.values())
-    parts = [run, run.samples, *series] + ([run.stills] if run.stills is not None else [])
+    parts = [run, run.samples, *series] + ([run.stills] if isinstance(run.stills, Stills) else [])
     for part in parts:
         for array in vars(part).values():
             if isinstance(array, np.ndarray):

@@ -157,6 +157,11 @@ class Record(ABC):
         """Its columns in a dataset, which may depend on the scene."""
         return self.columns
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it reads states of a run, at its `times`."""
+        return False
+
     def times(self, member: Member) -> Floats:
         """When a run is sampled for it, shape (m,)."""
         return _NONE
@@ -201,6 +206,10 @@ class StateRecord(WindowRecord):
     """A record of the states after `t_burn`, sampled every `dt`."""
 
     dt: float
+
+    @property
+    def is_sampled(self) -> bool:
+        return True
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:

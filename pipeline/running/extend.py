@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from distributed import Client
@@ -17,14 +16,16 @@ from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.dataset.status import Status, counted
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.pack import Batch, Task, as_batch
-from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.own.modules import folder_with
 from stickslip.pipeline.places.place import Where
+from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory
 from stickslip.pipeline.running.driver import Order, Progress, Workers, check_caller, fill
 from stickslip.pipeline.running.estimate import Estimate, estimate
-from stickslip.pipeline.running.kept import Kept, added, must_run
+from stickslip.pipeline.running.kept import Kept, added, must_run, reads_more
+from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.scene.adding import has_records, with_only, with_records
 from stickslip.pipeline.scene.scene import Scene
 
@@ -60,11 +61,11 @@ class Addition:
         """The members that are run again, by shard."""
         kept = self.before.scene.records
         held = {"system", *(record.name for record in kept)}
-        if all(record.needs <= held for record in self.new):
+        if not any(reads_more(record, held) for record in self.new):
             return []
         names = query.table(self.before, ["member_id", "outcome"]).to_pydict()
         outcomes = dict(zip(names["member_id"], names["outcome"], strict=True))
-        members = expand(with_only(self.scene, self.new, folder_of(self.before)))
+        members = expand(with_only(self.scene, self.new, self.before.folder))
         place = {name: k for k, name in enumerate(members.ids())}
         batches = []
         for number, (batch, _) in enumerate(self.todo):
@@ -81,19 +82,14 @@ class Addition:
 
     def estimate(self, workers: int) -> Estimate:
         """What it takes to run them, at least one, on local processes; see `pipeline.running.estimate`."""
-        return estimate(with_only(self.scene, self.new, folder_of(self.before)), self.again, workers)
+        return estimate(with_only(self.scene, self.new, self.before.folder), self.again, workers)
 
     @property
     def seconds_of_records(self) -> float:
         """About how many seconds of a core the records take beside runs, by their formulas."""
-        members = expand(with_only(self.scene, self.new, folder_of(self.before)))
+        members = expand(with_only(self.scene, self.new, self.before.folder))
         share = sum(len(batch.members) for batch, _ in self.todo) / len(members)
         return share * sum(member.shared_cost for member in members)
-
-
-def folder_of(opened: Opened) -> Path:
-    """Where the files of a dataset's scene are looked for."""
-    return opened.place.path if isinstance(opened.place, Directory) else Path()
 
 
 def addition(path: Where | Opened, record: Mapping[str, Any], accept_version: bool = False) -> Addition:
@@ -105,7 +101,11 @@ def addition(path: Where | Opened, record: Mapping[str, Any], accept_version: bo
         As `extend`.
     """
     opened = open_dataset(path)
-    scene = with_records(opened.scene, record, folder_of(opened))
+    keys = dict(record)
+    if names := named_functions(keys.get(OwnRecord.name)):
+        folder = folder_with(names[0].partition(":")[0], opened.folder)
+        keys |= {OwnRecord.name: names, "functions": look_at_functions(names, folder)}
+    scene = with_records(opened.scene, keys, opened.folder)
     return Addition(opened, scene, Extending(opened, scene, accept_version).look()[1])
 
 
@@ -129,7 +129,8 @@ def extend(
     path : str, Path, Place or Opened
         Directory of the dataset, or its address in an object store.
     record : mapping of str to value
-        Keys under [record] of its scene: `{"waiting": True, "t_burn": 50.0}`.
+        Keys under [record] of its scene: `{"waiting": True, "t_burn": 50.0}`. The module of functions of a user's
+        own, `{"own": ["mine:quiet_share"]}`, lies beside the dataset, above it, or in the working directory.
 
     Raises
     ------
@@ -151,13 +152,15 @@ def extend(
     found = addition(opened, record, accept_version)
     if isinstance(scheduler, str):
         check_address(scheduler)
+    if found.scene.own_record in found.new:
+        check_functions(found.scene, found.todo)
     if found.again:
         found.scene.check_engines()
         ends.check(found.scene)
         if scheduler is None:
             check_memory(found.scene, workers)
     n_bytes = sum(shard.bytes for shard in opened.manifest.shards.values())
-    takes_little = n_bytes < _HERE and not any({"run", "system"} & one.needs for one in found.new)
+    takes_little = n_bytes < _HERE and not (found.again or any("system" in one.needs for one in found.new))
     at = Workers(0, None, False) if takes_little else Workers(workers, scheduler, dashboard)
     with Extending(opened, found.scene, accept_version) as store:
         kept = opened.scene.records

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn, cast
 
@@ -73,7 +73,7 @@ class Kept:
         made = Made(
             member,
             member.system() if has_system else cast("sim.System", _NotKept("system")),
-            _run(row, self.records),
+            _run(row, self.records, bool(dict(member.settings).get("thresholds"))),
             member.start(end_of(member)) if has_system else cast("tuple[Any, Any]", _NotKept("start")),
             cast("Callable[..., sim.Samples]", _NotKept("again")),
             {name: _value(one) for name, one in row.items() if one.is_valid},
@@ -96,7 +96,7 @@ class Kept:
     ) -> None:
         """See that runs that were made again are those that are kept."""
         of_kept = self.table.take(pa.array(at, pa.int64()))
-        for column in (column for record in (ALWAYS, *others) for column in record.columns):
+        for column in (column for record in (ALWAYS, *others) for column in record.kept):
             before = of_kept[column.name].combine_chunks()
             now = pa.array([one.get(column.name) for one in found], before.type)
             if not now.equals(before):
@@ -114,14 +114,19 @@ def added(records: Sequence[Record], kept: Sequence[Record]) -> tuple[Record, ..
     return tuple(one for one in records if one not in kept)
 
 
+def reads_more(record: Record, held: Set[str]) -> bool:
+    """Whether a record reads more of a run than what is held of it: names as in `Record.needs`."""
+    return record.is_sampled or not record.needs <= held
+
+
 def must_run(member: Member, outcome: str, new: Sequence[Record], kept: Sequence[Record]) -> bool:
     """Whether a member is run again for new records, of a dataset that keeps others."""
     held = {"system", *(record.name for record in kept)}
-    return outcome != "failed" and any(not one.needs <= held for one in new if one.applies(member))
+    return outcome != "failed" and any(reads_more(one, held) for one in new if one.applies(member))
 
 
-def _run(row: Mapping[str, pa.Scalar], kept: Sequence[Record]) -> sim.Run:
-    """A run as far as a row has it."""
+def _run(row: Mapping[str, pa.Scalar], kept: Sequence[Record], has_thresholds: bool) -> sim.Run:
+    """A run as far as a row has it; with other definitions of sticking, `thresholds`, or not."""
     names = {record.name for record in kept}
     outcome, t_stop = row["outcome"].as_py(), row["t_stop"].as_py()
     # nothing happens any more after a collapse: the run is known to the end
@@ -143,7 +148,7 @@ def _run(row: Mapping[str, pa.Scalar], kept: Sequence[Record]) -> sim.Run:
         t_collapse=t_stop if outcome == "collapsed" else None,
         samples=cast("sim.Samples", _NotKept("samples")),
         stills=cast("Any", _NotKept("stills")),
-        by_threshold=cast("Any", _NotKept("by_threshold")),
+        by_threshold=cast("Any", _NotKept("by_threshold")) if has_thresholds else {},
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.records import RECORDS
+from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.toml import parse_toml, plain, written
@@ -38,8 +39,7 @@ def with_records(scene: Scene, keys: Mapping[str, Any], folder: Path = Path()) -
     """
     tables = parse_toml(scene.source, "scene")
     there = tables.get("record", {})
-    new = {key: [*there.get(key, []), *value] if isinstance(value, list) else value
-           for key, value in plain(keys).items()}  # fmt: skip
+    new = {key: _joined(there.get(key), value) for key, value in plain(keys).items()}
     for key, value in new.items():
         if there.get(key) == value and key in _NAMES:
             raise SceneError(
@@ -51,6 +51,13 @@ def with_records(scene: Scene, keys: Mapping[str, Any], folder: Path = Path()) -
         found = _parsed(scene, tables | {"record": there | new, "run": run}, folder)
     _check(scene, found)
     return found
+
+
+def _joined(before: Any, value: Any) -> Any:
+    """The value of a key that gets more: lists and tables are joined."""
+    if isinstance(value, list):
+        return [*(before or []), *value]
+    return {**(before or {}), **value} if isinstance(value, dict) else value
 
 
 def has_records(scene: Scene, keys: Mapping[str, Any]) -> bool:
@@ -78,6 +85,8 @@ def with_only(scene: Scene, records: Sequence[Record], folder: Path = Path()) ->
     """The scene with the same runs, of which no more is kept than some of its records."""
     tables = parse_toml(scene.source, "scene")
     dropped = {name for name in _NAMES if name not in {one.name for one in records}}
+    if OwnRecord.name in dropped:
+        dropped.add("functions")
     for key, kind in (("t_burn", WindowRecord), ("dt", StateRecord)):
         if not any(isinstance(one, kind) for one in records):
             dropped.add(key)

@@ -12,6 +12,7 @@ from stickslip.pipeline import (
     SceneError,
     StoreError,
     extend,
+    load_scene,
     parse_scene,
     query,
     run_ensemble,
@@ -92,10 +93,48 @@ def test_an_extended_dataset_has_the_bytes_of_one_that_had_all_from_the_start(ou
 
 def test_every_record_can_be_added():
     named = {key for keys, _ in STEPS for key in keys} | {"events"}
-    assert {record.name for record in RECORDS if record.words} <= named
+    others = {"own"} | {record.name for record in RECORDS if record.is_certified}  # they have tests of their own
+    assert {record.name for record in RECORDS if record.words} - others <= named
     known = {"run", "system", *(record.name for record in RECORDS)}
     assert all(record.needs <= known for record in RECORDS)
     assert Record.needs == {"run"}
+
+
+def test_a_record_that_changes_outcomes_is_no_extension(out):
+    with pytest.raises(SceneError, match=r"record\.collapse: .* changes no other column"):
+        extend(out, {"collapse": True}, workers=0)
+
+
+OWN = """from typing import Annotated, NamedTuple
+
+class Measured(NamedTuple):
+    n_late: Annotated[int, "events after t_burn"]
+    reach: Annotated[float, "largest |z| at the end"]
+
+def measured(run, system, window) -> Measured:
+    return Measured(int((run.events.t >= window[0]).sum()), float(abs(run.z).max()))
+"""
+
+
+@pytest.mark.parametrize("has_end", [True, False])
+def test_a_function_of_ones_own_is_added_from_what_is_kept_or_by_running_again(has_end, tmp_path, content):
+    (tmp_path / "mine.py").write_text(OWN)
+    had = ["end = true"] if has_end else []
+    for name, lines in (("part", had), ("whole", [*had, "t_burn = 3.0", 'own = ["mine:measured"]'])):
+        (tmp_path / f"{name}.toml").write_bytes(source(*lines))
+        run_ensemble(load_scene(tmp_path / f"{name}.toml"), tmp_path / name, workers=0)
+    keys = {"own": ["mine:measured"], "t_burn": 3.0}
+    assert addition(tmp_path / "part", keys).n_again == (0 if has_end else 8)
+    extend(tmp_path / "part", keys, workers=0)
+    part, whole = (content(tmp_path / name) for name in ("part", "whole"))
+    assert [part[name] == whole[name] for name in whole if name.startswith("data")] == [True] * len(
+        whole.keys() - OTHERS
+    )
+    assert parse_scene(part["scene.toml"]).hash == parse_scene(whole["scene.toml"]).hash
+    assert verify(tmp_path / "part") == []
+
+
+OTHERS = {"manifest.json", "scene.toml"}
 
 
 def test_a_grown_dataset_is_extended_and_an_extended_one_grows(tmp_path, content):

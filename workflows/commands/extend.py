@@ -26,13 +26,14 @@ class Extend(Command):
         ("stickslip extend runs/mine --record waiting", "from the events that the dataset keeps"),
         ("stickslip extend runs/mine --record waiting stick_share t_burn=50", "measured from t = 50"),
         ("stickslip extend runs/mine --record amplitude dt=0.1 --dry-run", "what members that run again would take"),
+        ("stickslip extend runs/mine --record mine:quiet_share t_burn=50", "by a function of your own, in mine.py"),
     )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("directory", metavar="DIR")
         parser.add_argument(
             "--record", nargs="+", required=True, metavar="KEY[=VALUE]",
-            help="keys under [record] of a scene; one without a value is true",
+            help="keys under [record] of a scene; one without a value is true; or module:function, for its `own`",
         )  # fmt: skip
         add_places(parser)
         parser.add_argument("--accept-version", action="store_true", help="extend data that another version wrote")
@@ -95,7 +96,7 @@ def _say(found: Addition, workers: int) -> None:
     from stickslip.workflows.progress import clock
 
     n_members = sum(len(batch.members) for batch, _ in found.todo)
-    columns = [column.name for record in found.new for column in record.columns]
+    columns = [column.name for record in found.new for column in record.kept]
     print(f"columns {', '.join(columns)}", flush=True)
     if found.scene.run.purpose != found.before.scene.run.purpose:
         print(f"purpose {found.scene.run.purpose}: the runs keep the tolerances that were picked for it", flush=True)
@@ -118,6 +119,9 @@ def _keys(given: list[str]) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for text in given:
         key, is_valued, value = text.partition("=")
+        if not is_valued and ":" in key:
+            keys.setdefault("own", []).append(key)
+            continue
         if key in keys:
             raise Wrong(f"--record: expected each key once, got {key} twice; leave one out")
         try:
