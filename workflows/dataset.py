@@ -76,7 +76,7 @@ class Dataset:
         Parameters
         ----------
         record : mapping of str to value
-            Keys under [record]: `{"waiting": True, "t_burn": 50.0}`.
+            Keys under [record], as in ``{"waiting": True, "t_burn": 50.0}``.
         workers : int
             Local processes; 0 computes in this one.
         quiet : bool

@@ -129,7 +129,7 @@ def extend(
     path : str, Path, Place or Opened
         Directory of the dataset, or its address in an object store.
     record : mapping of str to value
-        Keys under [record] of its scene: `{"waiting": True, "t_burn": 50.0}`.
+        Keys under [record] of its scene, as in ``{"waiting": True, "t_burn": 50.0}``.
 
     Raises
     ------

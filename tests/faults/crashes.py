@@ -13,9 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline import expand, extend, parse_scene, run_ensemble, status
+from stickslip.pipeline import expand, extend, run_ensemble, status
 from stickslip.pipeline.places import directory
 from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.scene.adding import with_records
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, content, end_of, wait
 from tests.processes import dask_by_hand, until
@@ -132,7 +133,7 @@ def extension_killed_at_each_step(world: World, count: int) -> int:
         extend(out, {"end": True}, workers=0)
 
     new = world.directory / "new"
-    scene = parse_scene(world.source + b"[record]\nend = true\n")
+    scene = with_records(world.scene, {"end": True})
     assert world.fork(lambda: run_ensemble(scene, new, workers=0) and None) == 0
     world.copy("counted")
     moments = _moments(world, act, count)
