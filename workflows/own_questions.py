@@ -76,11 +76,8 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         If some cannot; one line a problem. `name` is what they call the scene.
     """
     loading = [Task(one, str(folder)) for one in names(scene)]
-    for task in loading:
-        try:
-            own.resolve(task.name, _place(task), _KEY)
-        except SceneError as error:
-            raise SceneError(f"{name}: {error}") from None
+    for task in loading:  # a file that is not there is told without a process
+        own.resolve(task.name, _place(task), f"{name}: {_KEY}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]
