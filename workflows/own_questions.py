@@ -54,7 +54,7 @@ def names(scene: Scene) -> tuple[str, ...]:
     """The questions of a user's own that a scene asks."""
     from stickslip.analysis.questions import is_own
 
-    return tuple(name for name in scene.analysis.question if is_own(name))
+    return tuple(name for name in dict.fromkeys(scene.analysis.question) if is_own(name))
 
 
 def tasks(opened: Opened, folder: Path) -> list[Task]:
