@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,11 +16,12 @@ from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
-from stickslip.pipeline.own.modules import file_of, own_modules
+from stickslip.pipeline.own.modules import file_of
 from stickslip.pipeline.own.trial import LONGEST_TRIAL
 from stickslip.pipeline.places.directory import Directory
 
 if TYPE_CHECKING:
+    from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Spoken
     from stickslip.pipeline import Scene
     from stickslip.pipeline.dataset.opened import Opened
@@ -143,7 +144,7 @@ def _place(task: Task) -> Path:
 
 def _template(function: own.OwnFunction) -> Path | None:
     """The file with the words of a question, beside its module, if there is one."""
-    file = own.module_file(function).with_name(f"{function.name.partition(':')[2]}.html")
+    file = own.module_file(function).with_name(f"{function.attribute}.html")
     return file if file.is_file() else None
 
 
@@ -153,15 +154,18 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
     from stickslip.analysis.report.page import Spoken
     from stickslip.workflows.reporting import study_of
 
-    called = own.loaded(function)
     if task.opened is None:
+        own.use(function, callable, is_trial=True)  # loads it
         if template is not None:
             environment().parse(template.read_text(encoding="utf-8"), filename=str(template))
         return Spoken(task.name, {})
     study = study_of(task.opened)
-    found = own.call(function, study, is_trial=True)
-    with own_modules(function.root, function.beside, is_trial=True):  # what draws may load some
-        return spoken(study, task.name, found, called.__doc__ or "", template)
+
+    def ask(found: Callable[[Study], object]) -> Spoken:
+        return spoken(study, task.name, found(study), found.__doc__ or "", template)
+
+    asked: Spoken = own.use(function, ask, is_trial=True)  # with its figures and words, which may load modules too
+    return asked
 
 
 def _sources(function: own.OwnFunction, template: Path | None, loaded: Iterable[str]) -> Mapping[str, str]:

@@ -6,10 +6,12 @@ import os
 import threading
 import types
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.files import ChangedError, check_beside, content_of, digest
@@ -21,6 +23,10 @@ _alone = threading.RLock()
 
 #: Pattern of a function's name, `module:function`.
 PATTERN = r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$"
+
+
+class LateError(SceneError):
+    """A function loads a module beside the scene only after its trial: nobody would notice if that changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +57,11 @@ class OwnFunction:
     def module(self) -> str:
         """The name of its module."""
         return self.name.partition(":")[0]
+
+    @property
+    def attribute(self) -> str:
+        """Its name in there."""
+        return self.name.partition(":")[2]
 
     @property
     def root(self) -> Path:
@@ -114,23 +125,29 @@ def module_file(function: OwnFunction) -> Path:
 
 
 def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_name: Any) -> Any:
-    """What a function returns; only where code of the user's may run. Its module is loaded once a process.
+    """What a function returns; only where code of the user's may run. Raises as `use`, and what it raises itself."""
+    return use(function, lambda found: found(*arguments, **by_name), is_trial)
+
+
+def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_trial: bool = False) -> Any:
+    """What some work with a function gives; only where code of the user's may run.
+
+    Its module is loaded once a process, from the file on disk.
 
     Raises
     ------
+    LateError
+        If it loads a module beside the scene that it did not load when it was tried.
     SceneError
-        If the module or the function is gone or has changed, or it loads a module beside the scene that it did not
-        load when it was tried: nobody would notice if that changed.
+        If the module or the function is gone, or has changed.
     Exception
-        Whatever it raises itself; what would end the process, as SystemExit, as a RuntimeError that names it.
+        Whatever the work raises; what would end the process, as SystemExit, as a RuntimeError that names it.
     """
     process = os.getpid()
     with _alone:
-        with own_modules(function.root, function.beside, is_trial) as late:
+        with own_modules(function.root, function.beside, is_trial) as late, np.errstate():
             try:
-                found = _loaded(function.name, function.at, function.sha256, function.beside, function.key)(
-                    *arguments, **by_name
-                )
+                found = work(_found(function))
             except Exception:
                 raise
             except BaseException as error:  # it would end a worker
@@ -138,12 +155,10 @@ def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_na
                     raise  # it may be the user's
                 raise RuntimeError(foreign(error)) from error
             finally:
-                if (
-                    os.getpid() != process
-                ):  # a copy, which the function has forked: it would go on as a worker for ever
+                if os.getpid() != process:  # a copy, which the function has forked: it would be a worker for ever
                     os._exit(1)
         if late:
-            raise SceneError(
+            raise LateError(
                 f"{function.key}: {function.name}: expected it to load {min(late.values())} when it is tried, got "
                 f"it loaded later; import it at the top of the module"
             )
@@ -152,31 +167,20 @@ def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_na
     return found
 
 
-def loaded(function: OwnFunction) -> Callable[..., Any]:
-    """The function itself, its module loaded and not called yet; only where code of the user's may run.
-
-    Raises
-    ------
-    SceneError
-        If the module or the function is gone or has changed.
-    Exception
-        Whatever the module raises as it is loaded.
-    """
-    with _alone, own_modules(function.root, function.beside, is_trial=True):
-        return _loaded(function.name, function.at, function.sha256, function.beside, function.key)
+def _found(function: OwnFunction) -> Callable[..., Any]:
+    """The function, of its module as it was."""
+    module, attribute = _module(replace(function, name=f"{function.module}:"), function.at), function.attribute
+    found = getattr(module, attribute, None)
+    if not callable(found):
+        known = [name for name, value in vars(module).items() if isinstance(value, types.FunctionType)]
+        near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
+        raise SceneError(f"{function.key}: expected a function {attribute!r} in {module.__file__}, found none{near}")
+    return found
 
 
 @lru_cache(maxsize=64)
-def _loaded(name: str, at: str, sha256: str, beside: tuple[tuple[str, str], ...], key: str) -> Callable[..., Any]:
-    """The function, of its module as it was."""
-    function = OwnFunction(key, name, sha256, at, beside)
+def _module(function: OwnFunction, at: str) -> types.ModuleType:
+    """The module of a function; `at`, which is no part of a function's identity, is of the key of the cache."""
     file = module_file(function)
-    check_beside(function.root, beside, key)
-    loaded = load(function.module, file, sha256, key)
-    attribute = name.partition(":")[2]
-    found = getattr(loaded, attribute, None)
-    if not callable(found):
-        known = [key for key, value in vars(loaded).items() if isinstance(value, types.FunctionType)]
-        near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
-        raise SceneError(f"{key}: expected a function {attribute!r} in {file}, found none{near}")
-    return found
+    check_beside(function.root, function.beside, function.key)
+    return load(function.module, file, function.sha256, function.key)

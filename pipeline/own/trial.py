@@ -14,77 +14,98 @@ from typing import Any, NamedTuple
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own.files import content_of, digest, name_beside
-from stickslip.pipeline.own.function import OwnFunction
 
 #: Seconds that a child has for its calls of a function.
 LONGEST_TRIAL = 40.0
 
 
 class Trial(NamedTuple):
-    """What is tried.
+    """What is tried of one function, or of several of one module.
 
     Attributes
     ----------
-    function : OwnFunction
+    key : str
+        What errors begin with.
+    at : str
+        The folder of the scene.
     attempt : callable
-        `attempt(function)` calls it once, with `is_trial`, and gives what must be the same each time, as bytes, and
-        facts to be kept, as plain values. It is pickled: named at the top of a module, or a `partial` of such.
+        `attempt()` calls them once, with `is_trial`, and gives what must be the same each time, as bytes, and facts
+        to be kept, as plain values. It is pickled: named at the top of a module, or a `partial` of such.
+    called : str
+        The call in words, for errors.
     expected : str
         What it is to give, in words.
     differs : str
         What is wrong, and what to do, if it gives different things.
-    called : str
-        The call in words, for errors.
+    ready : callable, optional
+        Called before, in each child; it takes its time.
     """
 
-    function: OwnFunction
-    attempt: Callable[[OwnFunction], tuple[bytes, dict[str, Any]]]
-    expected: str
-    differs: str
+    key: str
+    at: str
+    attempt: Callable[[], tuple[bytes, dict[str, Any]]]
     called: str
+    expected: str
+    differs: str = ""
+    ready: Callable[[], object] | None = None
 
 
 def tried(trial: Trial) -> dict[str, Any]:
-    """Facts of a function that was called twice, and in another process too; with `beside`, the files that it reads.
+    """The facts of what was called twice, and in another process too; with `beside`, the files that it reads.
 
     Raises
     ------
     SceneError
         If that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
     """
-    key = trial.function.key
+    # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
     with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as other:
-        limits = [threading.Timer(LONGEST_TRIAL, each.kill) for each in (child, other)]
-        for limit in limits:
-            limit.start()
-        try:
-            # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
-            again = aside.submit(other, (trial, 1))
-            problem, found = child((trial, 2))
-            if not problem and found.pop("digest") != again.result()[1].get("digest"):
-                problem, found = again.result()[0] or trial.differs, {}
-        except ChildDied as death:
-            problem, found = (
-                f"expected {trial.expected} within {LONGEST_TRIAL:g} s, its process died ({death})",
-                {},
-            )
-        finally:
-            for limit in limits:
-                limit.cancel()
+        again = aside.submit(_answer, other, trial, 1)
+        problem, found = _answer(child, trial, 2)
+        if not problem and found.pop("digest") != again.result()[1].get("digest"):
+            problem, found = again.result()[0] or trial.differs, {}
+    return _judged(trial, problem, found)
+
+
+def tried_once(trial: Trial) -> dict[str, Any]:
+    """The facts of what was called in one child; as `tried`."""
+    with Child(_try) as child:
+        return _judged(trial, *_answer(child, trial, 1))
+
+
+def _judged(trial: Trial, problem: str, found: dict[str, Any]) -> dict[str, Any]:
     if problem:
+        key = trial.key
         raise SceneError(
             problem if problem.startswith(key) else f"{key}: {trial.called}: {problem}; correct the function"
         )
     return found
 
 
+def _answer(child: Child, trial: Trial, times: int) -> tuple[str, dict[str, Any]]:
+    """What a child says after some calls, within the time for these."""
+    limit = threading.Timer(LONGEST_TRIAL, child.kill)
+    try:
+        if trial.ready is not None:
+            child((trial, 0))
+        limit.start()
+        return child((trial, times))
+    except ChildDied as death:
+        return f"expected {trial.expected} within {LONGEST_TRIAL:g} s, its process died ({death})", {}
+    finally:
+        limit.cancel()
+
+
 def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
-    """In a child, call a function some times: what is wrong with it, or else facts of what it gave and read."""
+    """In a child, get ready, or call some times: what is wrong with it, or else facts of what it gave and read."""
     trial, times = task
+    if not times and trial.ready is not None:
+        trial.ready()
+        return "", {}
     audit = _Audit()
     sys.addaudithook(audit)
     try:
-        found = [trial.attempt(trial.function) for _ in range(times)]
+        found = [trial.attempt() for _ in range(times)]
     except SceneError as error:
         return str(error), {}
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
@@ -92,7 +113,7 @@ def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
     digests = {digest(given) for given, _ in found}
     if len(digests) > 1:
         return trial.differs, {}
-    return "", {**found[0][1], "beside": _beside(trial.function, audit), "digest": digests.pop()}
+    return "", {**found[0][1], "beside": _beside(trial, audit), "digest": digests.pop()}
 
 
 class _Audit:
@@ -119,10 +140,10 @@ class _Audit:
         return (self.read | loaded) - self.written
 
 
-def _beside(function: OwnFunction, audit: _Audit) -> dict[str, str]:
+def _beside(trial: Trial, audit: _Audit) -> dict[str, str]:
     """The sha256 of each file that was read and lies in the scene's folder or below, by its path there."""
-    root, found = Path(function.at), {}
+    root, found = Path(trial.at), {}
     for name in {name for file in audit.files if (name := name_beside(file, root)) is not None}:
         with contextlib.suppress(SceneError):  # it is gone, or no plain file
-            found[name] = digest(content_of(root / name, function.key))
+            found[name] = digest(content_of(root / name, trial.key))
     return dict(sorted(found.items()))

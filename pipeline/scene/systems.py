@@ -222,11 +222,12 @@ def tried_function(function: SystemFunction, n: int, parameters: Mapping[str, fl
     """
     return tried(
         Trial(
-            function,
-            partial(_attempt, n=n, parameters=dict(parameters)),
+            KEY,
+            function.at,
+            partial(_attempt, function, n, dict(parameters)),
+            f"{function.name}({n}, rng{''.join(f', {k}={v!r}' for k, v in parameters.items())})",
             "a stickslip.System",
             "expected the same system each time for the same rng, got two that differ; draw from rng alone",
-            f"{function.name}({n}, rng{''.join(f', {k}={v!r}' for k, v in parameters.items())})",
         )
     )
 

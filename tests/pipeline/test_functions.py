@@ -154,7 +154,7 @@ def test_a_module_that_changes_while_it_runs_is_said_by_who_needs_it(tmp_path):
     scene = load_scene(written(tmp_path))
     written(tmp_path, own=OWN.replace("-0.3", "-0.2"))
     run = expand(scene)[0]
-    function._loaded.cache_clear()
+    function._module.cache_clear()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another; on a cluster"):
         run.system()
     with pytest.raises(SceneError, match=r"expected the module 'own' as it was .* found another"):
@@ -230,11 +230,11 @@ def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
     computed_here(monkeypatch)
     for more in (["--dry-run"], ["--only", member], ["--no-report"]):
         mark.unlink()
-        function._loaded.cache_clear()
+        function._module.cache_clear()
         assert main(["run", "mine.toml", *more]) == 0
         assert mark.exists(), more
     mark.unlink()
-    function._loaded.cache_clear()
+    function._module.cache_clear()
     for read in (["status"], ["verify"], ["report"], ["query"]):
         assert main([*read, "runs/mine", *["SELECT n FROM members"][: read == ["query"]]]) == 0
     assert not mark.exists()

@@ -19,7 +19,7 @@ def anew(task: Any) -> Any:
         file = getattr(sys.modules[name], "__file__", None)
         if file is None or not files.is_installed(Path(file)):
             del sys.modules[name]
-    function._loaded.cache_clear()
+    function._module.cache_clear()
     modules._modules.cache_clear()
     return found
 
