@@ -2,7 +2,7 @@ from .answer import Answer as Answer
 from .answer import named as named
 from .ensemble import Data as Data
 from .ensemble import Study as Study
-from .report.formats import as_text as as_text
+from .report.formats import with_interval as with_interval
 from .report.page import Report as Report
 from .report.page import build as build
 from .seismology import catalogue as catalogue

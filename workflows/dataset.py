@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -98,7 +99,8 @@ class Dataset:
         ----------
         own : bool
             Whether to answer the scene's questions `module:function`. That runs the code beside the scene, or beside
-            the dataset; the report is then always made again.
+            the dataset; the report is then always made again. A question that fails is a warning, and a line of the
+            page.
         """
         from stickslip.analysis.report import PAGE
         from stickslip.workflows import own_questions, reporting
@@ -109,7 +111,10 @@ class Dataset:
         if is_current(opened) and not (own and own_questions.names(opened.scene)):
             return opened.place.named(PAGE)
         with Asking(opened.folder if own else None) as asking, Watch(opened.place) as watch:
-            return reporting.write(reporting.report(opened, asking, watch.answered), opened.place)
+            built = reporting.report(opened, asking, watch.answered)
+        for name, problem in built.problems.items():
+            warnings.warn(f"{name}: {problem}", stacklevel=2)
+        return reporting.write(built, opened.place)
 
 
 def run_scene(

@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,10 +16,11 @@ from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
-from stickslip.pipeline.own.modules import folder_with, own_modules
+from stickslip.pipeline.own.modules import folder_with
 from stickslip.pipeline.own.trial import LONGEST_TRIAL
 
 if TYPE_CHECKING:
+    from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Spoken
     from stickslip.pipeline import Scene
     from stickslip.pipeline.dataset.opened import Opened
@@ -53,7 +54,7 @@ def names(scene: Scene) -> tuple[str, ...]:
     """The questions of a user's own that a scene asks."""
     from stickslip.analysis.questions import is_own
 
-    return tuple(name for name in scene.analysis.question if is_own(name))
+    return tuple(name for name in dict.fromkeys(scene.analysis.question) if is_own(name))
 
 
 def tasks(opened: Opened, folder: Path) -> list[Task]:
@@ -70,12 +71,8 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         If some cannot; one line a problem. `name` is what they call the scene.
     """
     loading = [Task(one, str(folder)) for one in names(scene)]
-    for task in loading:
-        try:
-            own.resolve(task.name, _place(task), _KEY)
-        except SceneError as error:
-            why = str(error).removeprefix(f"{_KEY}: ")
-            raise SceneError(f"{name}: {_KEY}: {task.name}: {why}") from None
+    for task in loading:  # a file that is not there is told without a process
+        own.resolve(task.name, _place(task), f"{name}: {_KEY}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]
@@ -138,7 +135,7 @@ def _place(task: Task) -> Path:
 
 def _template(function: own.OwnFunction) -> Path | None:
     """The file with the words of a question, beside its module, if there is one."""
-    file = own.module_file(function).with_name(f"{function.name.partition(':')[2]}.html")
+    file = own.module_file(function).with_name(f"{function.attribute}.html")
     return file if file.is_file() else None
 
 
@@ -148,15 +145,18 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
     from stickslip.analysis.report.page import Spoken
     from stickslip.workflows.reporting import study_of
 
-    called = own.use(function, lambda called: called, is_trial=True)
     if task.opened is None:
+        own.use(function, callable, is_trial=True)  # loads it
         if template is not None:
             environment().parse(template.read_text(encoding="utf-8"), filename=str(template))
         return Spoken(task.name, {})
     study = study_of(task.opened)
-    found = own.call(function, study, is_trial=True)
-    with own_modules(function.root, function.beside, is_trial=True):  # what draws may load some
-        return spoken(study, task.name, found, called.__doc__ or "", template)
+
+    def ask(found: Callable[[Study], object]) -> Spoken:
+        return spoken(study, task.name, found(study), found.__doc__ or "", template)
+
+    asked: Spoken = own.use(function, ask, is_trial=True)  # with its figures and words, which may load modules too
+    return asked
 
 
 def _sources(function: own.OwnFunction, template: Path | None, loaded: Iterable[str]) -> Mapping[str, str]:

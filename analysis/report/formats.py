@@ -112,7 +112,7 @@ def interval(estimate: Estimate, digits: int = 3) -> str:
     return between(estimate.low, estimate.high, fixed, _decimals([estimate.value or estimate.high], digits))
 
 
-def as_text(estimate: Estimate, digits: int = 3) -> str:
+def with_interval(estimate: Estimate, digits: int = 3) -> str:
     """An estimate in a sentence: "0.312 (0.301 to 0.323)"; without an interval, or a value, the reason.
 
     Parameters
@@ -309,7 +309,7 @@ def environment(*packages: str) -> Environment:
     )
     found.filters |= {
         "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
-        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "as_text": as_text,
+        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "with_interval": with_interval,
         "minus": minus,
         "plural": plural, "within": within,
     }  # fmt: skip

@@ -29,6 +29,7 @@ _OF_FIGURES = ("panels", "panel", "part")
 _TITLES = {"name", "question"}
 _NAME = re.compile(r"\w+")
 _WIDE = 1e4  # ratio of two numbers of a column that are not shown with the same decimals
+_NARROW = 4  # columns that a narrow screen can show
 _SHORT = 4  # digits of numbers that are shown as they are
 
 
@@ -76,8 +77,13 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
     if "panel" in theirs:
         del ours["panels"]
-    laid = {"tables": [_shown(prefix, name, table) for name, table in tables.items()], "figures": list(drawn)}
-    said = _said(own, laid | {"caption": _caption(found), "method": method}, ours) | said
+    laid = {
+        "tables": [_shown(prefix, name, table) for name, table in tables.items()], "figures": list(drawn),
+        "caption": _caption(found), "method": method,
+        "files": [*(f"report/{prefix}-{name}.parquet" for name in tables),
+                  *(f"report/figures/{prefix}-{name}.svg" for name in drawn)],
+    }  # fmt: skip
+    said = _said(own, laid, ours) | said
     titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
     return Spoken(key, {}, found.lack, _prefixed(prefix, tables), _prefixed(prefix, drawn), titles | said)
 
@@ -214,8 +220,10 @@ def _caption(found: Answer) -> str:
 
 
 def _shown(prefix: str, name: str, table: pd.DataFrame) -> dict[str, Any]:
-    """What `own.html` shows of a table."""
-    return {"name": name, "rows": records(table), "columns": _columns(table), "where": f"{prefix}-{name}"}
+    """What `own.html` shows of a table: on a narrow screen as cards, if it is wide and its rows have names."""
+    columns = _columns(table)
+    kind = "stack" if len(columns) > _NARROW and columns[0][2] is None else ""
+    return {"name": name, "rows": records(table), "columns": columns, "where": f"{prefix}-{name}", "kind": kind}
 
 
 def _columns(table: pd.DataFrame) -> list[Column]:

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from scipy import stats
 
-from stickslip.analysis import Answer, Data, Estimate, Study, as_text, build, named, panel, wilson
+from stickslip.analysis import Answer, Data, Estimate, Study, build, named, panel, wilson, with_interval
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.own import OwnError, spoken
 from stickslip.analysis.report.page import Spoken, ask
@@ -41,7 +41,7 @@ def answered(rng):
     value = float(rng.uniform(0.1, 0.9))
     length = Estimate(value, value - 0.05, value + 0.05)
     rows = pd.DataFrame([{"name_of": "a<b", **named("length", length), "n_runs": 5, "at": 0.25, "is_long": True}])
-    facts = {"sentence": f"It is {as_text(length)} & -1 <long>.", "caption": "A line."}
+    facts = {"sentence": f"It is {with_interval(length)} & -1 <long>.", "caption": "A line."}
     return Answer(facts, tables={"lengths": rows}, figures={"line": partial(drawn, [1, 2])}), value
 
 
@@ -75,9 +75,10 @@ def test_a_planted_answer_leads_the_page(study, rng):
     assert cells == ["a&lt;b", f"{value:.3f}", f"{value - 0.05:.3f} to {value + 0.05:.3f}", "5", "0.25", "yes"]
     part = page[page.index('<details id="own:question">') :].partition("</details>")[0]
     assert re.findall(r"<p>(.*?)</p>", part) == ["A length is measured.", "It is not a time."]
+    assert "Kept as report/own-question-lengths.parquet and report/figures/own-question-line.svg." in part
     assert report.headline[:2] == [
         "How long is it?",
-        f"It is {as_text(Estimate(value, value - 0.05, value + 0.05))} & \u22121 <long>.",
+        f"It is {with_interval(Estimate(value, value - 0.05, value + 0.05))} & \u22121 <long>.",
     ]
     assert {"own-question-lengths"} <= set(report.tables)
     assert {"report/own-question-lengths.parquet", "report/figures/own-question-line.svg"} <= set(report.files())
@@ -104,7 +105,8 @@ def test_a_template_has_the_words_and_escapes(study, rng, tmp_path):
     (tmp_path / "beside.html").write_text("{% macro twice(x) %}{{ x }}{{ x }}{% endmacro %}")
     (tmp_path / "question.html").write_text(
         '{% import "beside.html" as beside %}{% set name = "How <wide>?" %}'
-        "{% macro answer(a) %}{{ beside.twice(a.word) }} at {{ a.mean|as_text }} over {{ unit|plural }}{% endmacro %}"
+        "{% macro answer(a) %}{{ beside.twice(a.word) }} at {{ a.mean|with_interval }} over {{ unit|plural }}"
+        "{% endmacro %}"
         '{% macro panel(a, figure) %}{{ figure("line", a.word) }}{% endmacro %}'
         '{% macro alerts(a) %}<li data-rank="1">{{ a.word }} beware</li>{% endmacro %}'
     )
@@ -129,7 +131,7 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     page = shown(report.html)
     assert page.startswith("Title</h1>")
     assert "Asked, but not answered: How long is it? No run is &lt;long&gt;.</p>" in page
-    assert "Asked, but not answered: own:other: expected &lt;this&gt;, got that</p>" in page
+    assert "Asked, but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
     assert (
         "own:third was not run; <code>stickslip report DIR --own</code> runs the code beside the scene.</p>" in page
     )

@@ -32,7 +32,7 @@ INJECT = Path(__file__).parent / "inject"
 COMMAND = """
 import sys
 from stickslip.workflows.commands import main, run
-run.write_report = lambda *_: None
+run.write_report = lambda *_: True
 sys.exit(main())
 """
 

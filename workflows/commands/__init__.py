@@ -41,8 +41,8 @@ _EXAMPLES = (
 
 _CODES = """exit codes:
   0    done
-  1    failed or incomplete: members failed, data are missing or damaged, a directory holds something else; the
-       message says what to do, and finished work is kept
+  1    failed or incomplete: members or a question of your own failed, data are missing or damaged, a directory
+       holds something else; the message says what to do, and finished work is kept
   2    wrong option, scene or query; nothing was done
   130  interrupted by Ctrl-C (SIGINT)
   143  ended by SIGTERM
