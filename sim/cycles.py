@@ -28,8 +28,9 @@ _MOST, _NEARER = 12, 0.5
 _LONGER = 1.2
 #: A run is near a cycle if its next return is where M puts it, within this share of its distance from the cycle.
 _LINEAR = 0.1
-#: Of that distance, over the largest number in the states.
-_FAR = 0.3
+#: Of that distance, over the largest number in the states, now and by M in as many rounds as here: from further off a
+#: block that is near its belt's speed, or near leaving, may have another event.
+_FAR, _ROUNDS = 1e-3, 100
 
 
 class Follow(Protocol):
@@ -115,13 +116,23 @@ def near_cycle(
             off = np.linalg.norm(start + returned - matrix @ start)
             far = float(np.linalg.norm(start))
             is_linear = off <= _LINEAR * far + back * size
-            return Near(round_, path, matrix, far / size) if is_linear and far <= _FAR * size else None
+            is_near = _largest_power(matrix, start) <= _FAR * size
+            return Near(round_, path, matrix, far / size) if is_linear and is_near else None
         if np.linalg.norm(error) > _NEARER * missed:
             return None
         missed, period = float(np.linalg.norm(error)), float(t[-1])
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         z, w = z + step[:n], w + step[n:]
     return None
+
+
+def _largest_power(matrix: Floats, start: Floats) -> float:
+    """The largest norm of a vector, multiplied again and again by a matrix."""
+    largest = 0.0
+    for _ in range(_ROUNDS):
+        largest = max(largest, float(np.linalg.norm(start)))
+        start = matrix @ start
+    return largest
 
 
 def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Samples:
