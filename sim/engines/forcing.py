@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,11 +44,22 @@ class Forcing(NamedTuple):
     waves: Floats  #: the coefficients of the harmonics, shape (2 m, n)
     noise: Floats  #: sums of the magnitudes of the terms of each coefficient, by order, shape (orders, n)
 
+    @classmethod
+    def none(cls) -> Forcing:
+        """No force: arrays of no length, and not None, for which kernels would be compiled once more."""
+        return cls(*([np.empty((0, 0))] * 6))
+
+
+@inner
+def acts(forcing):  # type: ignore[no-untyped-def]
+    """Whether there is a force."""
+    return len(forcing.poly) > 0
+
 
 @inner
 def begin(forcing, s):  # type: ignore[no-untyped-def]
     """Prepare the coefficients of the series about the time s."""
-    if forcing is None:
+    if not acts(forcing):
         return
     amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
     m = len(amplitude)
@@ -65,7 +76,7 @@ def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
 
     Returns the largest coefficient.
     """
-    if forcing is None:
+    if not acts(forcing):
         return 0.0
     poly, waves, noise = forcing.poly, forcing.waves, forcing.noise[k]
     frequency, phase = forcing.frequency, forcing.phase
@@ -93,7 +104,7 @@ def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
 @inner
 def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
     """A bound of the change of g from s to s + h."""
-    if forcing is None:
+    if not acts(forcing):
         return 0.0
     poly, amplitude, frequency, most = forcing.poly, forcing.amplitude, forcing.frequency, 0.0
     for i in range(poly.shape[1]):
@@ -107,7 +118,7 @@ def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
 @inner
 def value_at(forcing, s, values):  # type: ignore[no-untyped-def]
     """g at the time s, shape (n,)."""
-    if forcing is None:
+    if not acts(forcing):
         return
     poly, amplitude, frequency, phase = forcing.poly, forcing.amplitude, forcing.frequency, forcing.phase
     for i in range(len(values)):
@@ -124,8 +135,10 @@ class Drive:
     ----------
     belt_speed : float64, shape (n,)
         v of the present piece; changed in place, as `forcing` is.
-    forcing : Forcing or None
-        None if there is no external force, and no belt changes its speed.
+    forcing : Forcing
+        None acts if there is no external force, and no belt changes its speed.
+    is_forced : bool
+        Whether one acts.
     start, end, length : float
         Of the present piece.
     is_last, is_instant : bool
@@ -143,7 +156,7 @@ class Drive:
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
         self._gains, self._is_carried = np.zeros(n), False
         self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
-        self.forcing: Any = None
+        self.forcing, self.is_forced = Forcing.none(), False
         self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
             self._next = iter([(t_end, True)])
@@ -156,6 +169,7 @@ class Drive:
             for name in ("amplitude", "frequency")
         )
         m = len(self._waves)
+        self.is_forced = True
         self.forcing = Forcing(
             np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
         )
@@ -224,7 +238,7 @@ class Drive:
             self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
             self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
         turn = 0.0
-        if forcing is not None:
+        if self.is_forced:
             forcing.poly[:] = 0.0
             for term in self._bends:
                 forcing.poly[0] += term.at(t)

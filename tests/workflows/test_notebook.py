@@ -12,6 +12,7 @@ import pytest
 from stickslip import Dataset
 from stickslip.pipeline import verify
 
+pytestmark = pytest.mark.long  # a kernel of its own, and workers
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "notebook.md").read_text()
 CELLS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
 

@@ -90,7 +90,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED), cost=control.certificate(task))
     slow = Slow.of(system, drive.fastest) if model.weakening is None else None
     _warn_of_short_steps(task, rate if slow is None else slow.rate)
-    is_local = len(model.columns.dense) == 0 and model.forcing is None and model.weakening is None and slow is None
+    is_local = len(model.columns.dense) == 0 and not drive.is_forced and model.weakening is None and slow is None
 
     def advance(events: Events, bound: float) -> tuple[int, int]:
         goal = Goal(drive.length, drive.is_last, tol, rate, bound)

@@ -41,7 +41,7 @@ class Model(NamedTuple):
     closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
     weakening: SpeedWeakening | None
     belt_speed: Floats
-    forcing: Forcing | None
+    forcing: Forcing
 
     @classmethod
     def of(cls, system: System, pairs: Pairs, drive: Drive) -> Model:

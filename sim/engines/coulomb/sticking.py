@@ -9,6 +9,7 @@ decided again without them.
 
 from __future__ import annotations
 
+from stickslip.sim.engines.forcing import acts
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import ROUNDING
 
@@ -19,9 +20,7 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 @inner
 def known(forcing, k, i):  # type: ignore[no-untyped-def]
     """The sum of the magnitudes of the terms of the k-th coefficient of the external force on block i."""
-    if forcing is None:
-        return 0.0
-    return forcing.noise[k, i]
+    return forcing.noise[k, i] if acts(forcing) else 0.0
 
 
 @inner

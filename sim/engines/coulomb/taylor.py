@@ -24,7 +24,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.model import SERIES_OF
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
-from stickslip.sim.engines.forcing import begin, may_change, take_off
+from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -314,7 +314,7 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
     """Mode of block i after its event, from F and its slope; UNDECIDED if that takes more accurate series."""
     span, allowed, z_max = window.span, window.allowed, window.z_max
     most, row_sum = model.static[i], model.row_sums[i]
-    rate_error = row_sum * allowed if model.forcing is None else max(row_sum, rate * rate) * allowed
+    rate_error = max(row_sum, rate * rate) * allowed if acts(model.forcing) else row_sum * allowed
     drag, noise = model.damping[i] * model.belt_speed[i], known(model.forcing, 0, i)
     doubt = control.DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
     new = -1 if force > 0.0 else 1

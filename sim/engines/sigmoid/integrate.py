@@ -142,7 +142,7 @@ class _Prepared:
         state = loop.State.at_start(task, task.z0.copy(), task.w0.copy(), self.modes[k, 0], step, 1.0, 0.0, 0.0)
         state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * n + 256
-        work = Workspace.of(self.tables[k], self.modes[k], drive.forcing is not None, n_substeps)
+        work = Workspace.of(self.tables[k], self.modes[k], drive.is_forced, n_substeps)
         work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
         model = Model(self.layer.law, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force)
@@ -206,7 +206,7 @@ def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats,
     if cross is not None:
         drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
         pull += cross @ w
-    if drive.forcing is not None:
+    if drive.is_forced:
         pull -= drive.value()
     return drag, pull
 

@@ -126,7 +126,7 @@ class Model(NamedTuple):
     stiffness: Matrix  #: K
     cross: Matrix  #: N
     has_cross: bool
-    forcing: Forcing | None
+    forcing: Forcing
     bands: Floats  #: shape (m, n): by each definition, the |u| below which a block sticks
     borne: Floats  #: shape (m, n): kinetic friction there
     by_force: NDArray[np.bool_]  #: shape (m,): whether |F| must also be below static friction
