@@ -79,9 +79,7 @@ class OwnRecord(WindowRecord):
         Column("text", "own_problem", "why a function of `own` gave no value, or not all; null if it gave all"),
     )
     is_named = True
-    needs = frozenset(
-        {"events", "end", "system"}
-    )  # all that it may read
+    needs = frozenset({"events", "end", "system"})  # all that it may read
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
