@@ -10,7 +10,7 @@ from typing import Any
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.own import OwnRecord
-from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
+from stickslip.pipeline.records.record import Record, WindowRecord
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.toml import parse_toml, plain, written
 
@@ -78,7 +78,8 @@ def lines_between(before: Scene, wanted: Scene) -> list[str]:
             return []
     except SceneError:
         return []
-    return [key if value is True else _line(key, value).replace(" = ", "=") for key, value in keys.items()]
+    own = [*keys.pop("own", ())] if keys.pop("functions", None) else []  # `extend` looks at functions itself
+    return own + [key if value is True else _line(key, value).replace(" = ", "=") for key, value in keys.items()]
 
 
 def with_only(scene: Scene, records: Sequence[Record], folder: Path = Path()) -> Scene:
@@ -87,9 +88,10 @@ def with_only(scene: Scene, records: Sequence[Record], folder: Path = Path()) ->
     dropped = {name for name in _NAMES if name not in {one.name for one in records}}
     if OwnRecord.name in dropped:
         dropped.add("functions")
-    for key, kind in (("t_burn", WindowRecord), ("dt", StateRecord)):
-        if not any(isinstance(one, kind) for one in records):
-            dropped.add(key)
+    if not any(isinstance(one, WindowRecord) for one in records):
+        dropped.add("t_burn")
+    if not any(one.is_sampled for one in records):
+        dropped.add("dt")
     kept = {key: value for key, value in tables["record"].items() if key not in dropped}
     return _parsed(scene, tables | {"record": kept, "run": tables["run"] | {"purpose": scene.purpose}}, folder)
 

@@ -14,6 +14,7 @@ from stickslip.pipeline import (
     SceneError,
     StoreError,
     expand,
+    extend,
     load_scene,
     parse_scene,
     query,
@@ -450,3 +451,52 @@ def test_a_package_is_found_without_loading_it(tmp_path, monkeypatch):
     assert file_of("strange.inner.deeper", tmp_path) is None
     assert file_of("strange.nowhere", tmp_path) is None
     assert file_of("nowhere.inner", tmp_path) is None
+
+
+def test_it_is_added_to_a_dataset_that_is_finished(text, tmp_path, content, monkeypatch, capsys):
+    """With the bytes of a run that had it from the start; another record is added without calling it again."""
+    file = written(tmp_path, text)
+    run_ensemble(load_scene(file), tmp_path / "whole", workers=0)
+    plain = text.replace('t_burn = 2.0\nown = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', "")
+    (tmp_path / "plain.toml").write_text(plain)
+    run_ensemble(load_scene(tmp_path / "plain.toml"), tmp_path / "runs" / "out", workers=0)
+    with pytest.raises(StoreError, match=r"extend .* --record mine:counted mine:fastest t_burn=2\.0 dt=0\.5"):
+        run_ensemble(load_scene(file), tmp_path / "runs" / "out", workers=0)
+    monkeypatch.chdir(tmp_path)
+    asked = [
+        "extend",
+        "runs/out",
+        "--record",
+        "mine:counted",
+        "mine:fastest",
+        "t_burn=2.0",
+        "dt=0.5",
+        "--workers",
+        "1",
+    ]
+    assert main([*asked, "--dry-run"]) == 0
+    assert "events_after, Share, leaves, busiest, fastest, n_samples, own_problem" in capsys.readouterr().out
+    assert main(asked) == 0
+    assert content(tmp_path / "runs" / "out" / "data") == content(tmp_path / "whole" / "data")
+    run_ensemble(load_scene(file), tmp_path / "runs" / "out", workers=0)  # it is the scene's
+    function._module.cache_clear()
+    (tmp_path / "mine.py").unlink()
+    extend(tmp_path / "runs" / "out", {"waiting": True}, workers=0)
+    extend(tmp_path / "runs" / "out", {"amplitude": True}, workers=0)
+    more = {"waiting_times", "amplitude"}
+    assert more <= {*query.members(tmp_path / "runs" / "out").columns}
+    assert query.members(tmp_path / "runs" / "out").own_problem.isna().all()
+
+
+@pytest.mark.parametrize("line", ["raise KeyError(1)", "return Measured(np.random.default_rng().random())"])
+def test_one_that_goes_wrong_is_not_added(line, text, tmp_path, content):
+    mine = one(line)
+    file = written(tmp_path, short(text).replace('own = "mine:one"', ""), mine)
+    file.write_text(file.read_text().replace("t_burn = 2.0\n", "", 1))
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    before = content(tmp_path / "out")
+    with pytest.raises(SceneError, match=r"record\.own: mine:one"):
+        extend(tmp_path / "out", {"own": "mine:one"}, workers=0)
+    with pytest.raises(SceneError, match=r"record\.own: expected the module 'none'"):
+        extend(tmp_path / "out", {"own": ["none:one"]}, workers=0)
+    assert content(tmp_path / "out") == before
